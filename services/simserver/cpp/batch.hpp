@@ -1,0 +1,93 @@
+// Many independent environments stepped together, eight to a group, groups spread over threads that stay alive.
+#pragma once
+#include <atomic>
+#include <condition_variable>
+#include <functional>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "group.hpp"
+
+namespace naosim {
+
+// Runs a job for every index with the calling thread and `threads - 1` helpers.
+class ThreadPool {
+ public:
+  explicit ThreadPool(int threads);
+  ~ThreadPool();
+  ThreadPool(const ThreadPool&) = delete;
+  ThreadPool& operator=(const ThreadPool&) = delete;
+  void run(int count, const std::function<void(int)>& job);
+
+ private:
+  void work();
+  void help();
+  std::vector<std::thread> helpers_;
+  std::mutex mutex_;
+  std::condition_variable start_, done_;
+  const std::function<void(int)>* job_ = nullptr;
+  std::atomic<int> next_{0};
+  int count_ = 0, busy_ = 0;
+  std::uint64_t round_ = 0;
+  bool stop_ = false;
+};
+
+// Arrays of one row per environment, overwritten in place by every step.
+struct Published {
+  std::vector<double> joint_angles;  // (n, joints)
+  std::vector<double> gyro, accel;   // (n, 3)
+  std::vector<double> touch[kTouchSensors];  // (n, 6)
+  std::vector<double> time;                  // (n,)
+  std::vector<double> torso_position;        // (n, 3)
+  std::vector<double> torso_rotation;        // (n, 3, 3)
+};
+
+class Batch {
+ public:
+  static constexpr int kBodyState = 13;  // position, quaternion wxyz, velocity, angular velocity
+
+  Batch(Model model, int n, int threads, int digits, bool self_collision, const Kernel& kernel);
+
+  int size() const { return n_; }
+  const Model& model() const { return model_; }
+  const Kernel& kernel() const { return kernel_; }
+  Published& published() { return out_; }
+  Statistics statistics() const;
+
+  // `lanes` below: one byte an environment, or nullptr for all.
+  // Returns the first environment whose state is no longer finite or whose equations did not settle, or -1.
+  int step(const double* speeds, const std::uint8_t* lanes);
+  void reset(const std::uint8_t* lanes);
+  void beam(const double* position, const double* yaw_deg, const std::uint8_t* lanes);  // (n, 3), (n,)
+  void set_bodies(const double* bodies, const std::uint8_t* lanes);                    // (n, bodies, 13)
+  void set_enabled(const std::uint8_t* enabled, const std::uint8_t* lanes);            // (n, bodies)
+  void get_bodies(double* bodies) const;
+  void get_enabled(std::uint8_t* enabled) const;
+  void centre_of_mass(double* out) const;  // (n, 3), world
+  std::size_t snapshot_size() const { return sizeof(Group) / kLanes; }
+  void snapshot(int environment, std::uint8_t* to) const;
+  void restore(int environment, const std::uint8_t* from);
+
+ private:
+  int groups() const { return static_cast<int>(groups_.size()); }
+  unsigned lanes_of(int group, const std::uint8_t* lanes) const;
+  void spawn(Group& group, int lane) const;
+  void publish(int group, unsigned lanes);
+  double printed(double value) const;
+
+  Model model_;
+  int n_;
+  double scale_;  // 10^digits, or 0 for full precision
+  bool self_collision_;
+  const Kernel& kernel_;
+  std::vector<Group> groups_;
+  std::vector<Statistics> statistics_;
+  Published out_;
+  ThreadPool pool_;
+};
+
+// Centre of mass in the torso's frame from joint angles in degrees, (n, joints) -> (n, 3).
+void centre_of_mass_from_angles(const Model& model, const double* angles_deg, int n, double* out);
+
+}  // namespace naosim
