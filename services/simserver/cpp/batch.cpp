@@ -1,6 +1,7 @@
 #include "batch.hpp"
 
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <limits>
 
@@ -62,8 +63,10 @@ Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, c
       scale_(digits < 0 ? 0.0 : std::pow(10.0, digits)),
       self_collision_(self_collision),
       kernel_(kernel),
-      groups_((n + kLanes - 1) / kLanes),
-      statistics_(groups_.size()),
+      lanes_(kernel.lanes),
+      groups_((n + lanes_ - 1) / lanes_),
+      words_(new (std::align_val_t{64}) double[static_cast<std::size_t>(groups_) * kWords * lanes_]),
+      statistics_(groups_),
       pool_(threads) {
   const std::size_t rows = static_cast<std::size_t>(n);
   out_.joint_angles.assign(rows * model_.joint_count(), 0.0);
@@ -74,37 +77,70 @@ Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, c
   out_.torso_position.assign(rows * 3, 0.0);
   out_.torso_rotation.assign(rows * 9, 0.0);
   // Spare lanes of the last group get a robot too, so that they never compute on garbage; nobody sees them.
-  for (auto& group : groups_) {
-    std::memset(static_cast<void*>(&group), 0, sizeof group);
-    for (int lane = 0; lane < kLanes; ++lane) spawn(group, lane);
-  }
-  reset(nullptr);
+  const Environment fresh = spawned();
+  for (int environment = 0; environment < groups_ * lanes_; ++environment) store(environment, fresh);
+  for (int environment = 0; environment < n_; ++environment) publish(environment);
+}
+
+void Batch::gather(int environment, std::size_t first, std::size_t count, void* to) const {
+  const double* from = group(environment / lanes_) + environment % lanes_;
+  auto* out = static_cast<double*>(to);
+  for (std::size_t k = 0; k < count; ++k) std::memcpy(out + k, from + (first + k) * lanes_, sizeof(double));
+}
+
+Environment Batch::load(int environment) const {
+  Environment state;
+  gather(environment, 0, kWords, &state);
+  return state;
+}
+
+void Batch::store(int environment, const Environment& state) {
+  double* to = group(environment / lanes_) + environment % lanes_;
+  const auto* from = reinterpret_cast<const double*>(&state);
+  for (std::size_t k = 0; k < kWords; ++k) std::memcpy(to + k * lanes_, from + k, sizeof(double));
+}
+
+void Batch::restore(int environment, const Environment& state) {
+  store(environment, state);
+  publish(environment);
 }
 
 unsigned Batch::lanes_of(int group, const std::uint8_t* lanes) const {
   unsigned chosen = 0;
-  for (int lane = 0; lane < kLanes; ++lane) {
-    const int environment = group * kLanes + lane;
+  for (int lane = 0; lane < lanes_; ++lane) {
+    const int environment = group * lanes_ + lane;
     if (environment < n_ && (lanes == nullptr || lanes[environment])) chosen |= 1u << lane;
   }
   return chosen;
 }
 
-void Batch::spawn(Group& group, int lane) const {
-  auto* words = reinterpret_cast<double*>(&group);
-  for (std::size_t k = 0; k < sizeof(Group) / sizeof(Real); ++k) words[k * kLanes + lane] = 0.0;
+// Change chosen environments one by one.
+template <class Change>
+void Batch::edit(const std::uint8_t* lanes, Change change) {
+  for (int environment = 0; environment < n_; ++environment) {
+    if (lanes != nullptr && !lanes[environment]) continue;
+    Environment state = load(environment);
+    change(environment, state);
+    restore(environment, state);
+  }
+}
+
+Environment Batch::spawned() const {
+  Environment state;
+  std::memset(static_cast<void*>(&state), 0, sizeof state);
   for (int i = 0; i < model_.body_count(); ++i) {
-    for (int c = 0; c < 3; ++c) group.position[i][c][lane] = model_.bodies[i].offset[c];
-    group.quaternion[i][0][lane] = 1.0;
-    group.enabled[i][lane] = -1;
-    group.idle_left[i][lane] = 10.0;
+    for (int c = 0; c < 3; ++c) state.position[i][c] = model_.bodies[i].offset[c];
+    state.quaternion[i][0] = 1.0;
+    state.enabled[i] = -1;
+    state.idle_left[i] = 10.0;
   }
-  for (auto& at : group.frozen_at) at[lane] = kNeverFrozen;
-  for (Senses* senses : {&group.sensed, &group.delivered}) {
-    senses->accel[2][lane] = static_cast<double>(9.81f);
+  for (auto& at : state.frozen_at) at = kNeverFrozen;
+  for (auto* senses : {&state.sensed, &state.delivered}) {
+    senses->accel[2] = static_cast<double>(9.81f);
     for (auto& sensor : senses->touch)
-      for (auto& value : sensor) value[lane] = std::numeric_limits<double>::quiet_NaN();
+      for (auto& value : sensor) value = std::numeric_limits<double>::quiet_NaN();
   }
+  return state;
 }
 
 double Batch::printed(double value) const {
@@ -113,194 +149,156 @@ double Batch::printed(double value) const {
   return std::nearbyint(static_cast<double>(static_cast<float>(value)) * scale_) / scale_;
 }
 
-void Batch::publish(int index, unsigned lanes) {
-  const Group& g = groups_[index];
+void Batch::publish(int environment) {
+  const std::size_t row = static_cast<std::size_t>(environment);
   const int joints = model_.joint_count();
-  for (int lane = 0; lane < kLanes; ++lane) {
-    if (!(lanes >> lane & 1u)) continue;
-    const std::size_t row = static_cast<std::size_t>(index) * kLanes + lane;
-    const Senses& s = g.delivered;
-    for (int j = 0; j < joints; ++j) out_.joint_angles[row * joints + j] = printed(s.joint_angle[j][lane]);
-    for (int c = 0; c < 3; ++c) {
-      out_.gyro[row * 3 + c] = printed(s.gyro[c][lane]);
-      out_.accel[row * 3 + c] = printed(s.accel[c][lane]);
-      out_.torso_position[row * 3 + c] = g.position[0][c][lane];
-    }
-    for (int t = 0; t < kTouchSensors; ++t)
-      if (model_.touch_body[t] >= 0)
-        for (int c = 0; c < 6; ++c) out_.touch[t][row * 6 + c] = printed(s.touch[t][c][lane]);
-    out_.time[row] = s.time[lane];
-    const double w = g.quaternion[0][0][lane], x = g.quaternion[0][1][lane], y = g.quaternion[0][2][lane], z = g.quaternion[0][3][lane];
-    const double r[9] = {1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
-                         2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                         2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y)};
-    std::memcpy(&out_.torso_rotation[row * 9], r, sizeof r);
+  SensesOf<double> s;
+  double x[3], q[4];
+  gather(environment, offsetof(Environment, delivered) / sizeof(double), sizeof s / sizeof(double), &s);
+  gather(environment, offsetof(Environment, position) / sizeof(double), 3, x);
+  gather(environment, offsetof(Environment, quaternion) / sizeof(double), 4, q);
+  for (int j = 0; j < joints; ++j) out_.joint_angles[row * joints + j] = printed(s.joint_angle[j]);
+  for (int c = 0; c < 3; ++c) {
+    out_.gyro[row * 3 + c] = printed(s.gyro[c]);
+    out_.accel[row * 3 + c] = printed(s.accel[c]);
+    out_.torso_position[row * 3 + c] = x[c];
   }
+  for (int t = 0; t < kTouchSensors; ++t)
+    if (model_.touch_body[t] >= 0)
+      for (int c = 0; c < 6; ++c) out_.touch[t][row * 6 + c] = printed(s.touch[t][c]);
+  out_.time[row] = s.time;
+  const double r[9] = {1 - 2 * (q[2] * q[2] + q[3] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]),     2 * (q[1] * q[3] + q[0] * q[2]),
+                       2 * (q[1] * q[2] + q[0] * q[3]),     1 - 2 * (q[1] * q[1] + q[3] * q[3]), 2 * (q[2] * q[3] - q[0] * q[1]),
+                       2 * (q[1] * q[3] - q[0] * q[2]),     2 * (q[2] * q[3] + q[0] * q[1]),     1 - 2 * (q[1] * q[1] + q[2] * q[2])};
+  std::memcpy(&out_.torso_rotation[row * 9], r, sizeof r);
 }
 
 int Batch::step(const double* speeds, const std::uint8_t* lanes) {
+  constexpr int kNone = std::numeric_limits<int>::max();
   const int joints = model_.joint_count();
-  std::atomic<int> bad{std::numeric_limits<int>::max()};
-  pool_.run(groups(), [&](int index) {
+  std::atomic<int> bad{kNone};
+  pool_.run(groups_, [&](int index) {
     const unsigned chosen = lanes_of(index, lanes);
     if (chosen == 0) return;
-    Real command[kMaxBodies - 1] = {};
-    for (int lane = 0; lane < kLanes; ++lane) {
+    alignas(64) double command[(kMaxBodies - 1) * 8] = {};
+    for (int lane = 0; lane < lanes_; ++lane) {
       if (!(chosen >> lane & 1u)) continue;
-      const double* row = speeds + (static_cast<std::size_t>(index) * kLanes + lane) * joints;
-      for (int j = 0; j < joints; ++j) command[j][lane] = row[j];
+      const double* row = speeds + (static_cast<std::size_t>(index) * lanes_ + lane) * joints;
+      for (int j = 0; j < joints; ++j) command[j * lanes_ + lane] = row[j];
     }
-    Group& g = groups_[index];
-    unsigned failed = kernel_.step(model_, g, command, chosen, self_collision_, statistics_[index]);
-    publish(index, chosen);
-    for (int lane = 0; lane < kLanes; ++lane) {
+    const unsigned failed = kernel_.step(model_, group(index), command, chosen, self_collision_, statistics_[index]);
+    for (int lane = 0; lane < lanes_; ++lane) {
+      if (!(chosen >> lane & 1u)) continue;
+      const int environment = index * lanes_ + lane;
+      publish(environment);
       // one body that is not finite makes the whole tree so
-      const double sum = g.position[0][0][lane] + g.position[0][1][lane] + g.position[0][2][lane] + g.quaternion[0][0][lane];
-      if ((chosen >> lane & 1u) && !std::isfinite(sum)) failed |= 1u << lane;
-      if (failed >> lane & 1u) {
-        int first = bad.load();
-        const int environment = index * kLanes + lane;
-        while (environment < first && !bad.compare_exchange_weak(first, environment)) {
-        }
+      const double* x = &out_.torso_position[static_cast<std::size_t>(environment) * 3];
+      const double* r = &out_.torso_rotation[static_cast<std::size_t>(environment) * 9];
+      if (!(failed >> lane & 1u) && std::isfinite(x[0] + x[1] + x[2] + r[0])) continue;
+      for (int first = bad; environment < first && !bad.compare_exchange_weak(first, environment);) {
       }
     }
   });
-  return bad == std::numeric_limits<int>::max() ? -1 : bad.load();
+  return bad == kNone ? -1 : bad.load();
 }
 
 void Batch::reset(const std::uint8_t* lanes) {
-  for (int index = 0; index < groups(); ++index) {
-    const unsigned chosen = lanes_of(index, lanes);
-    for (int lane = 0; lane < kLanes; ++lane)
-      if (chosen >> lane & 1u) spawn(groups_[index], lane);
-    if (chosen) publish(index, chosen);
-  }
+  const Environment fresh = spawned();
+  edit(lanes, [&](int, Environment& state) { state = fresh; });
 }
 
 void Batch::beam(const double* position, const double* yaw_deg, const std::uint8_t* lanes) {
-  for (int index = 0; index < groups(); ++index) {
-    const unsigned chosen = lanes_of(index, lanes);
-    if (chosen == 0) continue;
-    Group& g = groups_[index];
-    for (int lane = 0; lane < kLanes; ++lane) {
-      if (!(chosen >> lane & 1u)) continue;
-      const int environment = index * kLanes + lane;
-      const double half = yaw_deg[environment] * 3.14159265358979323846 / 360.0;
-      // turn = upright * inverse(torso), applied to every body about the torso
-      const double up[4] = {std::cos(half), 0, 0, std::sin(half)};
-      const double t[4] = {g.quaternion[0][0][lane], -g.quaternion[0][1][lane], -g.quaternion[0][2][lane], -g.quaternion[0][3][lane]};
-      const auto times = [](const double a[4], const double b[4], double out[4]) {
-        out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
-        out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
-        out[2] = a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3];
-        out[3] = a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1];
-      };
-      double turn[4];
-      times(up, t, turn);
-      const double origin[3] = {g.position[0][0][lane], g.position[0][1][lane], g.position[0][2][lane]};
-      for (int i = 0; i < model_.body_count(); ++i) {
-        const double d[4] = {0, g.position[i][0][lane] - origin[0], g.position[i][1][lane] - origin[1], g.position[i][2][lane] - origin[2]};
-        const double back[4] = {turn[0], -turn[1], -turn[2], -turn[3]};
-        double half_way[4], moved[4], q[4];
-        times(turn, d, half_way);
-        times(half_way, back, moved);
-        for (int c = 0; c < 3; ++c) {
-          g.position[i][c][lane] = position[environment * 3 + c] + moved[1 + c];
-          g.velocity[i][c][lane] = 0.0;
-          g.spin[i][c][lane] = 0.0;
-        }
-        const double old[4] = {g.quaternion[i][0][lane], g.quaternion[i][1][lane], g.quaternion[i][2][lane], g.quaternion[i][3][lane]};
-        times(turn, old, q);
-        const double norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-        for (int c = 0; c < 4; ++c) g.quaternion[i][c][lane] = i == 0 ? up[c] : q[c] / norm;
+  const auto times = [](const double a[4], const double b[4], double out[4]) {
+    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
+    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
+    out[2] = a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3];
+    out[3] = a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1];
+  };
+  edit(lanes, [&](int environment, Environment& state) {
+    const double half = yaw_deg[environment] * 3.14159265358979323846 / 360.0;
+    // turn = upright * inverse(torso), applied to every body about the torso
+    const double up[4] = {std::cos(half), 0, 0, std::sin(half)};
+    const double* t = state.quaternion[0];
+    const double undo[4] = {t[0], -t[1], -t[2], -t[3]};
+    double turn[4];
+    times(up, undo, turn);
+    const double back[4] = {turn[0], -turn[1], -turn[2], -turn[3]};
+    const double origin[3] = {state.position[0][0], state.position[0][1], state.position[0][2]};
+    for (int i = 0; i < model_.body_count(); ++i) {
+      const double arm[4] = {0, state.position[i][0] - origin[0], state.position[i][1] - origin[1], state.position[i][2] - origin[2]};
+      double half_way[4], moved[4], q[4];
+      times(turn, arm, half_way);
+      times(half_way, back, moved);
+      times(turn, state.quaternion[i], q);
+      const double norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+      for (int c = 0; c < 3; ++c) {
+        state.position[i][c] = position[environment * 3 + c] + moved[1 + c];
+        state.velocity[i][c] = state.spin[i][c] = 0.0;
       }
+      for (int c = 0; c < 4; ++c) state.quaternion[i][c] = i == 0 ? up[c] : q[c] / norm;
     }
-    publish(index, chosen);
-  }
+  });
 }
 
 void Batch::set_bodies(const double* bodies, const std::uint8_t* lanes) {
   const int count = model_.body_count();
-  for (int index = 0; index < groups(); ++index) {
-    const unsigned chosen = lanes_of(index, lanes);
-    if (chosen == 0) continue;
-    Group& g = groups_[index];
-    for (int lane = 0; lane < kLanes; ++lane) {
-      if (!(chosen >> lane & 1u)) continue;
-      for (int i = 0; i < count; ++i) {
-        const double* s = bodies + ((static_cast<std::size_t>(index) * kLanes + lane) * count + i) * kBodyState;
-        const double norm = std::sqrt(s[3] * s[3] + s[4] * s[4] + s[5] * s[5] + s[6] * s[6]);
-        const bool unit = std::fabs(norm - 1.0) < 1e-12;  // keep a recorded state's bits
-        for (int c = 0; c < 3; ++c) {
-          g.position[i][c][lane] = s[c];
-          g.velocity[i][c][lane] = s[7 + c];
-          g.spin[i][c][lane] = s[10 + c];
-        }
-        for (int c = 0; c < 4; ++c) g.quaternion[i][c][lane] = unit ? s[3 + c] : s[3 + c] / norm;
+  edit(lanes, [&](int environment, Environment& state) {
+    for (int i = 0; i < count; ++i) {
+      const double* s = bodies + (static_cast<std::size_t>(environment) * count + i) * kBodyState;
+      const double norm = std::sqrt(s[3] * s[3] + s[4] * s[4] + s[5] * s[5] + s[6] * s[6]);
+      const bool unit = std::fabs(norm - 1.0) < 1e-12;  // keep a recorded state's bits
+      for (int c = 0; c < 3; ++c) {
+        state.position[i][c] = s[c];
+        state.velocity[i][c] = s[7 + c];
+        state.spin[i][c] = s[10 + c];
       }
+      for (int c = 0; c < 4; ++c) state.quaternion[i][c] = unit ? s[3 + c] : s[3 + c] / norm;
     }
-    kernel_.refresh(model_, g, chosen, false);
-    publish(index, chosen);
-  }
+  });
+  for (int index = 0; index < groups_; ++index) kernel_.refresh(model_, group(index), lanes_of(index, lanes));
 }
 
 void Batch::set_enabled(const std::uint8_t* enabled, const std::uint8_t* lanes) {
   const int count = model_.body_count();
-  for (int environment = 0; environment < n_; ++environment) {
-    if (lanes != nullptr && !lanes[environment]) continue;
-    Group& g = groups_[environment / kLanes];
+  edit(lanes, [&](int environment, Environment& state) {
     for (int i = 0; i < count; ++i) {
       const bool on = enabled[environment * count + i] != 0;
-      g.enabled[i][environment % kLanes] = on ? -1 : 0;
-      g.idle_left[i][environment % kLanes] = on ? 10.0 : 0.0;
+      state.enabled[i] = on ? -1 : 0;
+      state.idle_left[i] = on ? 10.0 : 0.0;
     }
-  }
+  });
 }
 
 void Batch::get_bodies(double* bodies) const {
-  const int count = model_.body_count();
   for (int environment = 0; environment < n_; ++environment) {
-    const Group& g = groups_[environment / kLanes];
-    const int lane = environment % kLanes;
-    for (int i = 0; i < count; ++i, bodies += kBodyState) {
-      for (int c = 0; c < 3; ++c) {
-        bodies[c] = g.position[i][c][lane];
-        bodies[7 + c] = g.velocity[i][c][lane];
-        bodies[10 + c] = g.spin[i][c][lane];
-      }
-      for (int c = 0; c < 4; ++c) bodies[3 + c] = g.quaternion[i][c][lane];
+    const Environment state = load(environment);
+    for (int i = 0; i < model_.body_count(); ++i, bodies += kBodyState) {
+      std::memcpy(bodies, state.position[i], 3 * sizeof(double));
+      std::memcpy(bodies + 3, state.quaternion[i], 4 * sizeof(double));
+      std::memcpy(bodies + 7, state.velocity[i], 3 * sizeof(double));
+      std::memcpy(bodies + 10, state.spin[i], 3 * sizeof(double));
     }
   }
 }
 
 void Batch::get_enabled(std::uint8_t* enabled) const {
-  const int count = model_.body_count();
-  for (int environment = 0; environment < n_; ++environment)
-    for (int i = 0; i < count; ++i) *enabled++ = groups_[environment / kLanes].enabled[i][environment % kLanes] != 0;
+  for (int environment = 0; environment < n_; ++environment) {
+    const Environment state = load(environment);
+    for (int i = 0; i < model_.body_count(); ++i) *enabled++ = state.enabled[i] != 0;
+  }
 }
 
 void Batch::centre_of_mass(double* out) const {
   for (int environment = 0; environment < n_; ++environment) {
-    const Group& g = groups_[environment / kLanes];
+    const Environment state = load(environment);
     double sum[3] = {}, mass = 0;
     for (int i = 0; i < model_.body_count(); ++i) {
       const double m = model_.bodies[i].mass;
       mass += m;
-      for (int c = 0; c < 3; ++c) sum[c] += m * g.position[i][c][environment % kLanes];
+      for (int c = 0; c < 3; ++c) sum[c] += m * state.position[i][c];
     }
     for (const double s : sum) *out++ = s / mass;
   }
-}
-
-void Batch::snapshot(int environment, std::uint8_t* to) const {
-  const auto* from = reinterpret_cast<const std::uint8_t*>(&groups_[environment / kLanes]) + 8 * (environment % kLanes);
-  for (std::size_t k = 0; k < sizeof(Group) / sizeof(Real); ++k) std::memcpy(to + 8 * k, from + sizeof(Real) * k, 8);
-}
-
-void Batch::restore(int environment, const std::uint8_t* from) {
-  auto* to = reinterpret_cast<std::uint8_t*>(&groups_[environment / kLanes]) + 8 * (environment % kLanes);
-  for (std::size_t k = 0; k < sizeof(Group) / sizeof(Real); ++k) std::memcpy(to + sizeof(Real) * k, from + 8 * k, 8);
-  publish(environment / kLanes, 1u << (environment % kLanes));
 }
 
 Statistics Batch::statistics() const {

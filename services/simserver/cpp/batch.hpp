@@ -1,9 +1,11 @@
-// Many independent environments stepped together, eight to a group, groups spread over threads that stay alive.
+// Many independent environments stepped together in groups that share vector registers; groups spread over threads that stay alive.
 #pragma once
 #include <atomic>
 #include <condition_variable>
 #include <functional>
+#include <memory>
 #include <mutex>
+#include <new>
 #include <thread>
 #include <vector>
 
@@ -65,15 +67,18 @@ class Batch {
   void get_bodies(double* bodies) const;
   void get_enabled(std::uint8_t* enabled) const;
   void centre_of_mass(double* out) const;  // (n, 3), world
-  std::size_t snapshot_size() const { return sizeof(Group) / kLanes; }
-  void snapshot(int environment, std::uint8_t* to) const;
-  void restore(int environment, const std::uint8_t* from);
+  Environment load(int environment) const;                 // gather one environment's words
+  void restore(int environment, const Environment& state);  // scatter them again and publish
 
  private:
-  int groups() const { return static_cast<int>(groups_.size()); }
+  double* group(int index) const { return words_.get() + static_cast<std::size_t>(index) * kWords * lanes_; }
+  void gather(int environment, std::size_t first, std::size_t count, void* to) const;
+  void store(int environment, const Environment& state);
   unsigned lanes_of(int group, const std::uint8_t* lanes) const;
-  void spawn(Group& group, int lane) const;
-  void publish(int group, unsigned lanes);
+  template <class Change>
+  void edit(const std::uint8_t* lanes, Change change);
+  Environment spawned() const;
+  void publish(int environment);
   double printed(double value) const;
 
   Model model_;
@@ -81,7 +86,11 @@ class Batch {
   double scale_;  // 10^digits, or 0 for full precision
   bool self_collision_;
   const Kernel& kernel_;
-  std::vector<Group> groups_;
+  int lanes_, groups_;
+  struct Free {
+    void operator()(double* p) const { ::operator delete[](p, std::align_val_t{64}); }
+  };
+  std::unique_ptr<double[], Free> words_;
   std::vector<Statistics> statistics_;
   Published out_;
   ThreadPool pool_;

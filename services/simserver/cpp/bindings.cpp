@@ -4,7 +4,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
-#include <cmath>
+#include <cstring>
 
 #include "batch.hpp"
 
@@ -152,15 +152,18 @@ NB_MODULE(_core, m) {
            })
       .def("snapshot",
            [](const Batch& self, int environment, ByteOutput out) {
-             require(environment >= 0 && environment < self.size() && out.size() == self.snapshot_size(), "snapshot: wrong shape");
-             self.snapshot(environment, out.data());
+             require(environment >= 0 && environment < self.size() && out.size() == sizeof(Environment), "snapshot: wrong shape");
+             const Environment state = self.load(environment);
+             std::memcpy(out.data(), &state, sizeof state);
            })
       .def("restore",
            [](Batch& self, int environment, const Bytes& from) {
-             require(environment >= 0 && environment < self.size() && from.size() == self.snapshot_size(), "snapshot: wrong shape");
-             self.restore(environment, from.data());
+             require(environment >= 0 && environment < self.size() && from.size() == sizeof(Environment), "snapshot: wrong shape");
+             Environment state;
+             std::memcpy(static_cast<void*>(&state), from.data(), sizeof state);
+             self.restore(environment, state);
            })
-      .def_prop_ro("snapshot_size", &Batch::snapshot_size)
+      .def_prop_ro("snapshot_size", [](const Batch&) { return sizeof(Environment); })
       .def_prop_ro("kernel", [](const Batch& self) { return self.kernel().name; })
       .def_prop_ro("statistics",
                    [](const Batch& self) {

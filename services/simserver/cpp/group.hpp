@@ -1,15 +1,15 @@
-// The state of eight environments, one per lane. Every member is an array of 64-byte vectors,
-// so lane l of the whole struct is every eighth 8-byte word: that is what a snapshot copies.
+// The state of one environment, and of a group of environments that share vector registers.
 #pragma once
-#include "lanes.hpp"
 #include "model.hpp"
 
 namespace naosim {
 
 constexpr int kLimbs = 4;  // right arm, left arm, right leg, left leg
+constexpr double kNeverFrozen = -1000.0;
 
 // What the perceptors measured at the end of one cycle, before rounding.
-struct Senses {
+template <class Real>
+struct SensesOf {
   Real joint_angle[kMaxBodies - 1];  // degrees, joint order
   Real gyro[3];                      // degrees/s, torso frame
   Real accel[3];                     // m/s^2, torso frame
@@ -17,7 +17,10 @@ struct Senses {
   Real time;                         // s
 };
 
-struct alignas(64) Group {
+// Written once for plain numbers (one environment) and vectors (a group, one environment a lane). All members are arrays of
+// 8-byte words, so word k of lane l of a group is word k of that environment.
+template <class Real, class Mask>
+struct StateOf {
   Real position[kMaxBodies][3];    // m, world
   Real quaternion[kMaxBodies][4];  // w x y z
   Real velocity[kMaxBodies][3];    // m/s
@@ -30,29 +33,32 @@ struct alignas(64) Group {
   Real limit[kMaxBodies];          // -1 at the low stop, 1 at the high stop, 0 between
   Real idle_left[kMaxBodies];      // quiet steps until the body falls asleep
   Mask enabled[kMaxBodies];        // not asleep
-  Real frozen_at[kLimbs];          // game cycle of the last self-collision, or kNeverFrozen
+  Mask lifted[kMaxColliders];      // last active set of the contacts, one bit a corner: normal row at its lower bound
+  Real frozen_at[kLimbs];          // game time of the last self-collision, s, or kNeverFrozen
   Mask frozen[kLimbs];             // effectors disabled
   Real previous_velocity[3];       // torso velocity at the last accelerometer sample
-  Real cycle;                      // game clock, in cycles
-  Senses sensed;                   // built at the end of the last cycle
-  Senses delivered;                // sent with the reply to the last command
+  Real cycle;                      // cycles since the spawn
+  Real game_time;                  // s, summed up in single precision as the server does
+  SensesOf<Real> sensed;           // built at the end of the last cycle
+  SensesOf<Real> delivered;        // sent with the reply to the last command
 };
-static_assert(sizeof(Group) % 64 == 0, "whole vectors only");
 
-constexpr double kNeverFrozen = -1e9;
+using Environment = StateOf<double, std::int64_t>;
+constexpr std::size_t kWords = sizeof(Environment) / sizeof(double);
 
 struct Statistics {
   std::uint64_t steps = 0, solves = 0, fallback = 0;  // groups stepped, linear solves, single-pivot rounds
 };
 
-// Compiled once per instruction set; chosen at run time.
+// Compiled once per instruction set; chosen at run time. A `group` is kWords vectors of `lanes` words.
 struct Kernel {
   const char* name;
-  // Run one cycle in the lanes of `lanes` (bit l = lane l). `command`: (joints) vectors of rad/s.
-  // Returns the lanes whose complementarity problem did not converge (never seen; checked all the same).
-  unsigned (*step)(const Model&, Group&, const Real* command, unsigned lanes, bool self_collision, Statistics&);
-  // Recompute hinge angles and perceptors of `lanes` after their poses were set from outside.
-  void (*refresh)(const Model&, Group&, unsigned lanes, bool touch);
+  int lanes;
+  // Run one cycle in the lanes of `chosen` (bit l = lane l). `command`: (joints, lanes), rad/s.
+  // Returns the lanes whose complementarity problem did not settle (never seen; checked all the same).
+  unsigned (*step)(const Model&, void* group, const double* command, unsigned chosen, bool self_collision, Statistics&);
+  // Recompute hinge angles and the gyro of `chosen` after their poses were set from outside.
+  void (*refresh)(const Model&, void* group, unsigned chosen);
 };
 const Kernel& best_kernel();
 const Kernel* find_kernel(const char* name);

@@ -1,4 +1,4 @@
-// One cycle of rcssserver3d for eight robots at once: effectors, drag, contacts, ODE's dWorldStep, perceptors.
+// One cycle of rcssserver3d for a vector of robots: effectors, drag, contacts, ODE's dWorldStep, perceptors.
 //
 // dWorldStep solves   M v+ = M v + h f + J^T u,   J v+ + D u = c,   lo <= u <= hi   (D = CFM / h, u = impulses)
 // for all rows together. Here the same equations are solved exactly along the tree of bodies:
@@ -7,11 +7,16 @@
 // and around it an active-set loop settles which bounded rows (motors, stops, contact normals) sit at a bound.
 // Rows are taken in world axes at the anchor, so the hinge's D is diagonal but for its axis. docs/explanation/engine.md derives it.
 #include "group.hpp"
+#include "lanes.hpp"
 
 #include <limits>
 
 namespace naosim::NAOSIM_ISA {
 namespace {
+
+using Senses = SensesOf<Real>;
+using Group = StateOf<Real, Mask>;
+static_assert(sizeof(Group) == sizeof(Environment) * kLanes, "word k of lane l is word k of that environment");
 
 // rcssserver3d's parameters pass through single precision.
 constexpr double kStep = static_cast<double>(0.02f);  // s
@@ -38,12 +43,12 @@ constexpr double kNormalStiffness = kStep / kContactCfm;
 constexpr double kSlipStiffness = kStep / kContactSlip;
 
 constexpr double kCollisionTolerance = 0.04;  // m, self-collision rule
-constexpr double kFrozenCycles = 50, kThawCycles = 150;
+constexpr double kFrozenTime = 1.0, kThawTime = 2.0;  // s
 
 // Impulses (N s, N m s) and velocities this close to a bound count as on it.
 constexpr double kImpulseTolerance = 1e-13, kVelocityTolerance = 1e-13;
-constexpr int kBlockRounds = 10;      // rounds without progress before single pivots
-constexpr int kMaximumRounds = 2000;  // far beyond anything seen; guards against a hang only
+constexpr int kNewtonRounds = 60;     // rounds before single exchanges
+constexpr int kMaximumRounds = 3000;  // far beyond anything seen; guards against a hang only
 
 struct Spatial {  // 6x6 symmetric: linear-linear a, angular-linear b (row = angular), angular-angular c
   Real a[3][3], b[3][3], c[3][3];
@@ -106,9 +111,10 @@ inline void factor(const Real x[6][6], Real l[6][6], Real inverse_d[6]) {
 }
 
 struct Contact {  // one collider's points on the ground plane
-  int body;
+  int body, collider;
   int points;           // slots in use by any lane
   Real arm[4][3];       // point relative to the body's centre, world axes, m
+  Mask corner[4];       // which corner of the collider it is: 0 to 7
   Real target[4];       // velocity the normal row asks for, m/s
   Mask exists[4];
   Mask active[4];       // normal row not at its lower bound
@@ -142,8 +148,9 @@ struct Workspace {
 void collide(const Body& body, int index, Vec centre, const Rot& r, Contact& out) {
   out.body = index;
   out.points = 0;
-  const auto put = [&](int slot, Vec arm, Real depth, Mask exists) {
+  const auto put = [&](int slot, Vec arm, Real depth, Mask exists, Mask corner) {
     store(out.arm[slot], arm);
+    out.corner[slot] = corner;
     const Real pushed = depth - kSurfaceLayer;
     out.target[slot] = kRate * kContactErp * (pushed > 0.0 ? pushed : splat(0.0));
     out.exists[slot] = exists;
@@ -152,7 +159,7 @@ void collide(const Body& body, int index, Vec centre, const Rot& r, Contact& out
   if (body.shape == Shape::kSphere) {
     const Real depth = body.radius - centre.z;
     const Mask touches = depth >= 0.0;
-    if (any(touches)) put(0, {splat(0.0), splat(0.0), splat(-body.radius)}, depth, touches);
+    if (any(touches)) put(0, {splat(0.0), splat(0.0), splat(-body.radius)}, depth, touches, Mask{});
     return;
   }
   if (body.shape == Shape::kCapsule) {
@@ -161,10 +168,11 @@ void collide(const Body& body, int index, Vec centre, const Rot& r, Contact& out
     const Real depth = body.radius - (centre.z + end.z);
     const Mask touches = depth >= 0.0;
     if (!any(touches)) return;
-    put(0, {end.x, end.y, end.z - body.radius}, depth, touches);
+    const Mask upper = sign > 0.0 ? Mask{} + 1 : Mask{};
+    put(0, {end.x, end.y, end.z - body.radius}, depth, touches, upper);
     const Real other = body.radius - (centre.z - end.z);
     const Mask both = touches & (other >= 0.0);
-    if (any(both)) put(1, {-end.x, -end.y, -end.z - body.radius}, other, both);
+    if (any(both)) put(1, {-end.x, -end.y, -end.z - body.radius}, other, both, 1 - upper);
     return;
   }
   const Real a[3] = {2.0 * body.half[0] * r.m[2][0], 2.0 * body.half[1] * r.m[2][1], 2.0 * body.half[2] * r.m[2][2]};
@@ -174,13 +182,15 @@ void collide(const Body& body, int index, Vec centre, const Rot& r, Contact& out
   if (!any(touches)) return;
   Vec side[3];  // from the deepest corner along each edge
   Vec corner = {splat(0.0), splat(0.0), splat(0.0)};
+  Mask id = Mask{};
   for (int k = 0; k < 3; ++k) {
     const Real half = a[k] > 0.0 ? splat(-body.half[k]) : splat(body.half[k]);
     const Vec axis = r.column(k);
     corner = corner + half * axis;
+    id |= a[k] > 0.0 ? Mask{} : Mask{} + (1 << k);
     side[k] = (-2.0 * half) * axis;
   }
-  put(0, corner, depth, touches);
+  put(0, corner, depth, touches, id);
   // the two edges with the smallest rise, ODE's order in ties
   const Mask m01 = b[0] < b[1], m20 = b[2] < b[0], m21 = b[2] < b[1], m12 = b[1] < b[2], m02 = b[0] < b[2];
   const Mask third_first = (m01 & m20) | (~m01 & m21);
@@ -191,15 +201,17 @@ void collide(const Body& body, int index, Vec centre, const Rot& r, Contact& out
   const Vec w = select(first_second, side[0], select(second_second, side[1], side[2]));
   const Real depth_u = depth - select(third_first, b[2], select(first_first, b[0], b[1]));
   const Real depth_w = depth - select(first_second, b[0], select(second_second, b[1], b[2]));
+  const Mask one = Mask{} + 1, two = Mask{} + 2, four = Mask{} + 4;
+  const Mask id_u = id ^ (third_first ? four : (first_first ? one : two)), id_w = id ^ (first_second ? one : (second_second ? two : four));
   const Mask has_u = touches & (depth_u >= 0.0);
   if (!any(has_u)) return;
-  put(1, corner + u, depth_u, has_u);
+  put(1, corner + u, depth_u, has_u, id_u);
   const Mask has_w = has_u & (depth_w >= 0.0);
   if (!any(has_w)) return;
-  put(2, corner + w, depth_w, has_w);
+  put(2, corner + w, depth_w, has_w, id_w);
   const Real depth_4 = depth_u + depth_w - depth;
   const Mask has_4 = has_w & (depth_4 > 0.0);
-  if (any(has_4)) put(3, corner + u + w, depth_4, has_4);
+  if (any(has_4)) put(3, corner + u + w, depth_4, has_4, id ^ id_u ^ id_w);
 }
 
 // Hinge angle from the relative rotation of the two bodies, in (-pi, pi], rad.
@@ -252,13 +264,16 @@ void prepare(const Model& model, Group& g, Workspace& w, Mask awake) {
     w.momentum[i][5] = angular.z + kStep * torque.z;
   }
   w.contacts = 0;
-  for (int i = 0; i < bodies; ++i) {
+  for (int i = 0, collider = 0; i < bodies; ++i) {
     const Body& body = model.bodies[i];
     if (body.shape == Shape::kNone) continue;
     Contact& contact = w.contact[w.contacts];
+    contact.collider = collider++;
     collide(body, i, load(g.position[i]), w.rot[i], contact);
     if (contact.points == 0) continue;
-    for (int k = 0; k < contact.points; ++k) contact.active[k] = contact.exists[k];
+    // a corner that was touching but lifting in the last step probably still is
+    const Mask lifted = g.lifted[contact.collider];
+    for (int k = 0; k < contact.points; ++k) contact.active[k] = contact.exists[k] & (((lifted >> contact.corner[k]) & 1) == 0);
     ++w.contacts;
   }
   for (int i = 1; i < bodies; ++i) {
@@ -515,57 +530,195 @@ void solve(const Model& model, Workspace& w) {
   }
 }
 
-// Settle the active set (Judice and Pires 1994): exchange all violated rows at once while their number falls,
-// else only the first one, which ends for certain because the problem has a unique solution (a P-matrix).
+// Residuals c - J v of the bounded rows, and the velocities they belong to: a point of the search below.
+struct Point {
+  Real joint[kMaxBodies];
+  Real contact[kMaxColliders][4];
+  Real velocity[kMaxBodies][6];
+};
+
+// Curvature d^T H d of the active quadratic along d = to - from.
+Real curvature(const Model& model, const Workspace& w, const Point& from, const Point& to) {
+  Real d[kMaxBodies][6];
+  Real sum = splat(0.0);
+  for (int i = 0; i < model.body_count(); ++i) {
+    for (int c = 0; c < 6; ++c) d[i][c] = to.velocity[i][c] - from.velocity[i][c];
+    const Real(*m)[3] = w.inertia[i].c;
+    const Vec v = load(d[i]), s = load(d[i] + 3);
+    sum += model.bodies[i].mass * dot(v, v) + m[0][0] * s.x * s.x + m[1][1] * s.y * s.y + m[2][2] * s.z * s.z +
+           2.0 * (m[1][0] * s.x * s.y + m[2][0] * s.x * s.z + m[2][1] * s.y * s.z);
+    if (i == 0) continue;
+    const Joint& j = w.joint[i];
+    const Real* p = d[model.bodies[i].parent];
+    const Vec slide = (v + cross(s, j.arm)) - (load(p) + cross(load(p + 3), j.parent_arm));
+    const Vec turn = s - load(p + 3);
+    const Real about = dot(turn, j.axis);
+    const Real change = to.joint[i] - from.joint[i];
+    sum += kHingeStiffness * (dot(slide, slide) + dot(turn, turn) - about * about);
+    sum += j.side == 0.0 ? kMotorStiffness * change * change : splat(0.0);
+  }
+  for (int n = 0; n < w.contacts; ++n) {
+    const Contact& contact = w.contact[n];
+    const Real* v = d[contact.body];
+    for (int k = 0; k < contact.points; ++k) {
+      const Vec slip = load(v) + cross(load(v + 3), load(contact.arm[k]));
+      const Real change = to.contact[n][k] - from.contact[n][k];
+      sum += contact.exists[k] ? kSlipStiffness * (slip.x * slip.x + slip.y * slip.y) : splat(0.0);
+      sum += contact.active[k] ? kNormalStiffness * change * change : splat(0.0);
+    }
+  }
+  return sum;
+}
+
+// A bounded row that meets one of its bounds between two points: its impulse is k times its residual, within [low, high].
+struct Bend {
+  Real gap, change, stiffness, low, high;
+  Real inside;  // 1 where the active quadratic counts the row as free
+  Real at[2];   // where along the line it meets its bounds
+};
+
+// The exact minimum of the true function on the line from `from` (t = 0) to `to` (t = 1), at most 1.
+// Its derivative rises piecewise linearly: that of the active quadratic, corrected by every row that meets a bound.
+// Lanes not in `motors` keep their joint rows as they are.
+Real search_line(const Model& model, const Workspace& w, const Point& from, const Point& to, Mask lanes, Mask motors) {
+  Bend bends[kMaxBodies + 4 * kMaxColliders];
+  int count = 0;
+  const auto consider = [&](Real gap, Real end, double stiffness, Real low, Real high, Mask inside, Mask counts) {
+    const Real p0 = stiffness * gap, p1 = stiffness * end;
+    const Mask straight = ((p0 <= low) & (p1 <= low)) | ((p0 >= high) & (p1 >= high)) | ((p0 >= low) & (p0 <= high) & (p1 >= low) & (p1 <= high));
+    const Mask bent = lanes & counts & ~straight;
+    if (!any(bent)) return;
+    const Real change = end - gap;
+    const Real none = splat(2.0);
+    Bend& b = bends[count++];
+    b = {gap, change, bent ? splat(stiffness) : splat(0.0), low, high, inside ? splat(1.0) : splat(0.0), {}};
+    b.at[0] = bent ? (low / stiffness - gap) / change : none;
+    b.at[1] = bent ? (high / stiffness - gap) / change : none;
+  };
+  for (int i = 1; i < model.body_count(); ++i) {
+    const Joint& j = w.joint[i];
+    consider(from.joint[i], to.joint[i], kMotorStiffness, j.low, j.high, j.side == 0.0, motors);
+  }
+  for (int n = 0; n < w.contacts; ++n)
+    for (int k = 0; k < w.contact[n].points; ++k)
+      consider(from.contact[n][k], to.contact[n][k], kNormalStiffness, splat(0.0), splat(std::numeric_limits<double>::infinity()),
+               w.contact[n].active[k], w.contact[n].exists[k]);
+  if (count == 0) return splat(1.0);
+  const Real curve = curvature(model, w, from, to);
+  const auto slope = [&](Real t) {
+    Real sum = curve * (t - 1.0);
+    for (int r = 0; r < count; ++r) {
+      const Bend& b = bends[r];
+      const Real p0 = b.stiffness * b.gap, move = b.stiffness * b.change * t;
+      sum += b.change * (min(max(p0 + move, b.low), b.high) - min(max(p0, b.low), b.high) - b.inside * move);
+    }
+    return sum;
+  };
+  Real low = splat(0.0), high = splat(1.0), slope_low = -curve, slope_high = slope(high);
+  Mask open = lanes & (slope_high > 0.0);
+  for (int trial = 0; trial < 2 * count + 1 && any(open); ++trial) {
+    const Real guess = low - slope_low * ((high - low) / (slope_high - slope_low));
+    Real nearest = guess, distance = splat(3.0);
+    Mask bent = Mask{};
+    for (int r = 0; r < count; ++r)
+      for (const Real at : bends[r].at) {
+        const Mask better = (at > low) & (at < high) & (abs(at - guess) < distance);
+        nearest = better ? at : nearest;
+        distance = better ? abs(at - guess) : distance;
+        bent |= better;
+      }
+    // without a bound in between the derivative is a straight line: the guess is its root
+    high = open & ~bent ? guess : high;
+    open &= bent;
+    const Real value = slope(nearest);
+    const Mask below = open & (value <= 0.0), above = open & ~below;
+    low = below ? nearest : low;
+    slope_low = below ? value : slope_low;
+    high = above ? nearest : high;
+    slope_high = above ? value : slope_high;
+  }
+  return high;
+}
+
+// Settle the active set. Eliminating the impulses turns the step into the minimum of a strictly convex, piecewise quadratic function
+// of the velocities; a solve with a fixed set is a Newton step on it, and with a line search such steps reach the minimum in finitely many.
+// A set is accepted only if every row satisfies its complementarity condition. Should rounding ever make the search stall, single exchanges
+// of the first violated row take over, which end for certain because the problem has a unique solution (Murty's least-index rule, a P-matrix).
 unsigned settle(const Model& model, Workspace& w, Mask awake, Statistics& statistics) {
   const int bodies = model.body_count();
-  Real best = splat(1e9), budget = splat(kBlockRounds);
+  static thread_local Point now, next;
   Mask open = awake;
+  // A wrong set of contacts overloads many motors, so contacts settle first, with the motors as they were.
+  Mask motors = Mask{};
   for (int round = 0; round < kMaximumRounds; ++round) {
     solve(model, w);
     ++statistics.solves;
-    Real count = splat(0.0);
-    Mask violated[kMaxBodies], violated_contact[kMaxColliders][4];
-    Real next[kMaxBodies];
+    Mask wrong = Mask{}, violated[kMaxBodies], violated_contact[kMaxColliders][4];
     for (int i = 1; i < bodies; ++i) {
       const Joint& j = w.joint[i];
+      next.joint[i] = j.slip;
       const Real impulse = kMotorStiffness * j.slip;
       const Real held = j.side > 0.0 ? j.high : j.low;
       const Real rate = (kMotorCfm * kRate) * held - j.slip;  // J v + D u - c of a row at its bound
-      const Mask over = (j.side == 0.0) & (impulse > j.high + kImpulseTolerance);
-      const Mask under = (j.side == 0.0) & (impulse < j.low - kImpulseTolerance);
-      const Mask leaves = ((j.side > 0.0) & (rate > kVelocityTolerance)) | ((j.side < 0.0) & (rate < -kVelocityTolerance));
-      violated[i] = open & (over | under | leaves);
-      next[i] = over ? splat(1.0) : (under ? splat(-1.0) : splat(0.0));
-      count += violated[i] ? splat(1.0) : splat(0.0);
+      violated[i] = open & (((j.side == 0.0) & ((impulse > j.high + kImpulseTolerance) | (impulse < j.low - kImpulseTolerance))) |
+                            ((j.side > 0.0) & (rate > kVelocityTolerance)) | ((j.side < 0.0) & (rate < -kVelocityTolerance)));
+      wrong |= violated[i];
     }
     for (int n = 0; n < w.contacts; ++n) {
       const Contact& contact = w.contact[n];
       for (int k = 0; k < contact.points; ++k) {
-        const Mask wrong = contact.active[k] ? w.normal[n][k] < -kVelocityTolerance : w.normal[n][k] > kVelocityTolerance;
-        violated_contact[n][k] = open & contact.exists[k] & wrong;
-        count += violated_contact[n][k] ? splat(1.0) : splat(0.0);
+        const Real gap = next.contact[n][k] = w.normal[n][k];
+        violated_contact[n][k] = open & contact.exists[k] & (contact.active[k] ? gap < -kVelocityTolerance : gap > kVelocityTolerance);
       }
     }
-    open &= count > 0.0;
-    if (!any(open)) return 0;
-    const Mask progress = count < best;
-    best = progress ? count : best;
-    budget = progress ? splat(kBlockRounds) : budget - 1.0;
-    const Mask block = budget >= 0.0;
-    if (any(open & ~block)) ++statistics.fallback;
-    Mask allowed = open;
-    for (int i = 1; i < bodies; ++i) {
-      const Mask change = violated[i] & allowed;
-      w.joint[i].side = change ? next[i] : w.joint[i].side;
-      allowed &= ~change | block;
-    }
+    Mask wrong_contact = Mask{};
     for (int n = 0; n < w.contacts; ++n)
-      for (int k = 0; k < w.contact[n].points; ++k) {
-        const Mask change = violated_contact[n][k] & allowed;
-        w.contact[n].active[k] ^= change;
-        allowed &= ~change | block;
+      for (int k = 0; k < w.contact[n].points; ++k) wrong_contact |= violated_contact[n][k];
+    open &= wrong | wrong_contact;
+    if (!any(open)) return 0;
+    if (round >= kNewtonRounds) {
+      ++statistics.fallback;
+      Mask allowed = open;
+      for (int i = 1; i < bodies; ++i) {
+        Joint& j = w.joint[i];
+        const Mask change = violated[i] & allowed;
+        const Real to = j.side != 0.0 ? splat(0.0) : (kMotorStiffness * j.slip > j.high ? splat(1.0) : splat(-1.0));
+        j.side = change ? to : j.side;
+        allowed &= ~change;
       }
+      for (int n = 0; n < w.contacts; ++n)
+        for (int k = 0; k < w.contact[n].points; ++k) {
+          const Mask change = violated_contact[n][k] & allowed;
+          w.contact[n].active[k] ^= change;
+          allowed &= ~change;
+        }
+      continue;
+    }
+    for (int i = 0; i < bodies; ++i)
+      for (int c = 0; c < 6; ++c) next.velocity[i][c] = w.result[i][c];
+    Real t = splat(1.0);
+    if (round > 0) t = search_line(model, w, now, next, open, motors);
+    const Mask begins = open & ~motors & ~wrong_contact;  // with this point; its contacts have settled
+    t = begins ? splat(1.0) : t;
+    motors |= begins;
+    const Mask whole = t == 1.0;
+    for (int i = 0; i < bodies; ++i)
+      for (int c = 0; c < 6; ++c)
+        now.velocity[i][c] = whole ? next.velocity[i][c] : now.velocity[i][c] + t * (next.velocity[i][c] - now.velocity[i][c]);
+    for (int i = 1; i < bodies; ++i) {
+      Joint& j = w.joint[i];
+      now.joint[i] = whole ? next.joint[i] : now.joint[i] + t * (next.joint[i] - now.joint[i]);
+      const Real impulse = kMotorStiffness * now.joint[i];
+      j.side = open & motors ? (impulse > j.high ? splat(1.0) : (impulse < j.low ? splat(-1.0) : splat(0.0))) : j.side;
+    }
+    for (int n = 0; n < w.contacts; ++n) {
+      Contact& contact = w.contact[n];
+      for (int k = 0; k < contact.points; ++k) {
+        Real& gap = now.contact[n][k];
+        gap = whole ? next.contact[n][k] : gap + t * (next.contact[n][k] - gap);
+        contact.active[k] = open ? contact.exists[k] & (gap > 0.0) : contact.active[k];
+      }
+    }
   }
   return bits(open);
 }
@@ -591,6 +744,12 @@ void integrate(const Model& model, Group& g, const Workspace& w, Mask awake) {
     }
     g.enabled[i] |= awake;
     if (i > 0) g.row_side[i] = awake ? w.joint[i].side : g.row_side[i];
+  }
+  for (Mask& lifted : g.lifted) lifted = awake ? Mask{} : lifted;
+  for (int n = 0; n < w.contacts; ++n) {
+    const Contact& contact = w.contact[n];
+    for (int k = 0; k < contact.points; ++k)
+      g.lifted[contact.collider] |= awake & contact.exists[k] & ~contact.active[k] ? (Mask{} + 1) << contact.corner[k] : Mask{};
   }
 }
 
@@ -672,7 +831,8 @@ Mask overlap(const Body& a, const Body& b, Vec gap, const Rot& ra, const Rot& rb
   return hit;
 }
 
-// Overlapping limbs freeze their effectors for one second and are then immune for two more.
+// Overlapping limbs freeze their effectors for one second and are then immune for two more. The clock adds up 0.02 s in single
+// precision, so a freeze lasts 50 or 51 cycles, depending on when it starts, as on the server.
 void apply_self_collision_rule(const Model& model, Group& g, Mask lanes) {
   Rot rot[kMaxBodies];
   Vec centre[kMaxBodies];
@@ -684,15 +844,15 @@ void apply_self_collision_rule(const Model& model, Group& g, Mask lanes) {
     if (!any(hit)) continue;
     for (const int limb : {a.limb, b.limb}) {
       if (limb < 0) continue;
-      const Mask starts = hit & (g.cycle - g.frozen_at[limb] > kFrozenCycles + kThawCycles);
-      g.frozen_at[limb] = starts ? g.cycle : g.frozen_at[limb];
+      const Mask starts = hit & (to_single(g.game_time - g.frozen_at[limb]) > kFrozenTime + kThawTime);
+      g.frozen_at[limb] = starts ? g.game_time : g.frozen_at[limb];
       g.frozen[limb] |= starts;
     }
   }
   for (int limb = 0; limb < kLimbs; ++limb) {
-    const Real since = g.cycle - g.frozen_at[limb];
-    g.frozen[limb] &= ~(lanes & (since >= kFrozenCycles));
-    g.frozen_at[limb] = lanes & (since >= kFrozenCycles + kThawCycles) ? splat(kNeverFrozen) : g.frozen_at[limb];
+    const Real since = to_single(g.game_time - g.frozen_at[limb]);
+    g.frozen[limb] &= ~(lanes & (since >= kFrozenTime));
+    g.frozen_at[limb] = lanes & (since >= kFrozenTime + kThawTime) ? splat(kNeverFrozen) : g.frozen_at[limb];
   }
 }
 
@@ -752,7 +912,9 @@ void deliver(Group& g, Mask lanes) {
   for (std::size_t k = 0; k < sizeof(Senses) / sizeof(Real); ++k) to[k] = lanes ? from[k] : to[k];
 }
 
-unsigned step(const Model& model, Group& g, const Real* command, unsigned lane_bits, bool self_collision, Statistics& statistics) {
+unsigned step(const Model& model, void* group, const double* speeds, unsigned lane_bits, bool self_collision, Statistics& statistics) {
+  Group& g = *static_cast<Group*>(group);
+  const Real* command = reinterpret_cast<const Real*>(speeds);
   const Mask lanes = from_bits(lane_bits);
   ++statistics.steps;
   deliver(g, lanes);
@@ -773,18 +935,17 @@ unsigned step(const Model& model, Group& g, const Real* command, unsigned lane_b
   // zero velocities of a robot that has just fallen asleep
   measure_gyro(g, lanes & ~awake);
   g.cycle = lanes ? g.cycle + 1.0 : g.cycle;
+  g.game_time = lanes ? to_single(g.game_time + kStep) : g.game_time;
   g.sensed.time = lanes ? g.cycle * 0.02 : g.sensed.time;
   if (self_collision) apply_self_collision_rule(model, g, lanes);
   return failed;
 }
 
-void refresh(const Model& model, Group& g, unsigned lane_bits, bool touch) {
+void refresh(const Model& model, void* group, unsigned lane_bits) {
+  Group& g = *static_cast<Group*>(group);
   const Mask lanes = from_bits(lane_bits);
   measure_angles(model, g, lanes);
   measure_gyro(g, lanes);
-  if (touch)
-    for (auto& sensor : g.sensed.touch)
-      for (auto& value : sensor) value = lanes ? splat(std::numeric_limits<double>::quiet_NaN()) : value;
 }
 
 }  // namespace
@@ -792,6 +953,6 @@ void refresh(const Model& model, Group& g, unsigned lane_bits, bool touch) {
 #define NAOSIM_STRING_(x) #x
 #define NAOSIM_STRING(x) NAOSIM_STRING_(x)
 extern const Kernel kernel;
-const Kernel kernel = {NAOSIM_STRING(NAOSIM_ISA), step, refresh};
+const Kernel kernel = {NAOSIM_STRING(NAOSIM_ISA), kLanes, step, refresh};
 
 }  // namespace naosim::NAOSIM_ISA

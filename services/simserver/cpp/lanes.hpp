@@ -1,32 +1,37 @@
-// One vector register holds the same quantity of eight environments ("lanes").
+// One vector register holds the same quantity of several environments ("lanes"): eight, four or two, as the processor has it.
 // Everything is lane-wise: no operation mixes lanes, so a lane's result never depends on its neighbours.
 #pragma once
 #include <cmath>
 #include <cstdint>
-#if defined(__AVX512F__) && defined(__AVX512DQ__)
+#if defined(__x86_64__)
 #include <immintrin.h>
 #endif
 
-namespace naosim {
-
-constexpr int kLanes = 8;
-typedef double Real __attribute__((vector_size(8 * kLanes)));
-typedef std::int64_t Mask __attribute__((vector_size(8 * kLanes)));  // -1 = true, 0 = false
-static_assert(sizeof(Real) == 64 && sizeof(Mask) == 64, "eight lanes of eight bytes");
-
-}  // namespace naosim
-
-// The functions below are compiled once per instruction set; an inner namespace keeps the linker from mixing the copies.
+// Compiled once per instruction set; an inner namespace keeps the linker from mixing the copies.
 #ifndef NAOSIM_ISA
 #define NAOSIM_ISA generic
 #endif
 namespace naosim::NAOSIM_ISA {
 
-inline Real splat(double x) { return Real{x, x, x, x, x, x, x, x}; }
+#if defined(__AVX512F__) && defined(__AVX512DQ__)
+constexpr int kLanes = 8;
+#elif defined(__AVX2__)
+constexpr int kLanes = 4;
+#else
+constexpr int kLanes = 2;
+#endif
+typedef double Real __attribute__((vector_size(8 * kLanes)));
+typedef std::int64_t Mask __attribute__((vector_size(8 * kLanes)));  // -1 = true, 0 = false
+
+inline Real splat(double x) { return Real{} + x; }
 
 inline unsigned bits(Mask m) {
 #if defined(__AVX512F__) && defined(__AVX512DQ__)
   return _mm512_movepi64_mask(reinterpret_cast<__m512i>(m));
+#elif defined(__AVX2__)
+  return static_cast<unsigned>(_mm256_movemask_pd(reinterpret_cast<__m256d>(m)));
+#elif defined(__x86_64__)
+  return static_cast<unsigned>(_mm_movemask_pd(reinterpret_cast<__m128d>(m)));
 #else
   unsigned r = 0;
   for (int l = 0; l < kLanes; ++l) r |= (m[l] != 0 ? 1u : 0u) << l;
@@ -47,17 +52,19 @@ inline Real min(Real a, Real b) { return a < b ? a : b; }
 inline Real sqrt(Real a) {
 #if defined(__AVX512F__) && defined(__AVX512DQ__)
   return reinterpret_cast<Real>(_mm512_maskz_sqrt_pd(0xff, reinterpret_cast<__m512d>(a)));
+#elif defined(__AVX2__)
+  return reinterpret_cast<Real>(_mm256_sqrt_pd(reinterpret_cast<__m256d>(a)));
 #else
   Real r;
   for (int l = 0; l < kLanes; ++l) r[l] = __builtin_sqrt(a[l]);
   return r;
 #endif
 }
-// The server hands numbers between its parts as single precision.
+// The server hands numbers between its parts as single precision. (Converting lane by lane is not an option: GCC 12 drops the
+// round trip when it vectorises it.)
 inline Real to_single(Real a) {
-  Real r;
-  for (int l = 0; l < kLanes; ++l) r[l] = static_cast<double>(static_cast<float>(a[l]));
-  return r;
+  typedef float Single __attribute__((vector_size(4 * kLanes)));
+  return __builtin_convertvector(__builtin_convertvector(a, Single), Real);
 }
 
 // atan2(s, c) for s >= 0 and (s, c) != (0, 0), result in [0, pi]; below 2 ulp.

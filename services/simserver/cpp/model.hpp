@@ -1,6 +1,8 @@
 // The robot as the engine needs it: plain numbers, filled from the Python robot tables (naosim.robots).
 #pragma once
+#include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 namespace naosim {

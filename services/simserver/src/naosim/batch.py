@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 DIGITS = (2, 3, None)
-"""Decimals of the perceptors: 2 as the league's server prints, 3 as its development version does, None for full precision."""
+"""Decimals of the perceptors: 2 as the league's server prints, 3 as its development version, None for full precision."""
 
 BODY_STATE = 13
 """Numbers a body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""
@@ -22,6 +22,10 @@ BODY_STATE = 13
 _SHAPES = {"box": 1, "sphere": 2, "capsule": 3}
 _LIMBS = {"rarm": 0, "larm": 1, "rleg": 2, "lleg": 3}
 _SENSORS = ("rf", "lf", "rf1", "lf1")
+_TABLE_FIELDS = (
+    *("mass", "inertia", "parent", "shape", "half", "radius", "half_length", "offset", "anchor", "parent_anchor"),
+    *("axis", "low", "high", "max_speed", "joint", "limb"),
+)
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,12 @@ class BatchSimulator:
         self.threads = int(threads)
         self.digits = digits
         self._core = _core.Batch(
-            engine_table(self.model), self.n, self.threads, -1 if digits is None else digits, self_collision, kernel or ""
+            engine_table(self.model),
+            self.n,
+            self.threads,
+            -1 if digits is None else digits,
+            self_collision,
+            kernel or "",
         )
         views: dict[str, Floats] = self._core.views()
         self.truth = Truth(self._core, views, self.n, len(self.model.bodies))
@@ -145,7 +154,7 @@ class BatchSimulator:
 
         Raises:
             ValueError: wrong shape, or a speed is not finite; nothing has been stepped then.
-            FloatingPointError: an environment's state stopped being finite; the message names it, the others are stepped.
+            FloatingPointError: an environment's state is not finite any more; the message names it, the others step.
         """
         commands = self._array("speeds", speeds, (self.n, len(self.model.joints)))
         lanes = self._lanes(mask)
@@ -154,7 +163,8 @@ class BatchSimulator:
             if wrong.any():
                 environment, joint = (int(k) for k in np.argwhere(wrong)[0])
                 raise ValueError(
-                    f"speeds[{environment}, {joint}]: environment {environment}, joint {self.model.joints[joint].name}: "
+                    f"speeds[{environment}, {joint}]: environment {environment}, "
+                    f"joint {self.model.joints[joint].name}: "
                     f"must be a finite number, not {commands[environment, joint]}"
                 )
         failed = self._core.step(commands, lanes)
@@ -176,8 +186,13 @@ class BatchSimulator:
         Raises:
             ValueError: wrong shape or not finite.
         """
-        positions = np.ascontiguousarray(np.broadcast_to(_finite("position", position), (self.n, 3)))
-        yaws = np.ascontiguousarray(np.broadcast_to(_finite("yaw_deg", yaw_deg), (self.n,)))
+        where, yaw = _finite("position", position), _finite("yaw_deg", yaw_deg)
+        if where.shape not in ((3,), (self.n, 3)):
+            raise ValueError(f"position: must have shape (3,) or ({self.n}, 3), not {where.shape}")
+        if yaw.shape not in ((), (self.n,)):
+            raise ValueError(f"yaw_deg: must be one number or have shape ({self.n},), not {yaw.shape}")
+        positions = np.ascontiguousarray(np.broadcast_to(where, (self.n, 3)))
+        yaws = np.ascontiguousarray(np.broadcast_to(yaw, (self.n,)))
         self._core.beam(positions, yaws, self._lanes(mask))
 
     def set_bodies(self, bodies: ArrayLike, mask: ArrayLike | None = None) -> None:
@@ -232,7 +247,9 @@ class BatchSimulator:
         chosen = self._indices(mask)
         rows = np.atleast_2d(np.asarray(snapshot))
         if rows.dtype != np.uint8 or rows.shape[1] != self._core.snapshot_size:
-            raise ValueError(f"snapshot: must be uint8 of shape (k, {self._core.snapshot_size}), not {rows.dtype} of {rows.shape}")
+            raise ValueError(
+                f"snapshot: must be uint8 of shape (k, {self._core.snapshot_size}), not {rows.dtype} of {rows.shape}"
+            )
         if len(rows) not in (1, len(chosen)):
             raise ValueError(f"snapshot: {len(rows)} rows for {len(chosen)} environments; give one row, or one each")
         rows = np.ascontiguousarray(rows)
@@ -299,8 +316,8 @@ _SPAWN = (0.0, -1.0, 1.5)
 
 
 def _as_built(offset: Vector) -> Floats:
-    # The server's scene language computes part positions as decimals of six significant digits around the spawn point and
-    # stores them in single precision. That moves joint anchors by up to 2e-6 m, so it is part of the robot.
+    # The server's scene language computes part positions as decimals of six significant digits around the spawn point
+    # and stores them in single precision. That moves joint anchors by up to 2e-6 m, so it is part of the robot.
     return np.array([np.float32(f"{at + o:.6g}") for at, o in zip(_SPAWN, offset, strict=True)], dtype=np.float64)
 
 
@@ -310,10 +327,7 @@ def engine_table(model: RobotModel) -> dict[str, Floats]:
     built = {body.name: _as_built(body.offset) for body in bodies}
     index = model.body_index
     by_body = {joint.body: (k, joint) for k, joint in enumerate(model.joints)}
-    table: dict[str, list[object]] = {
-        key: []
-        for key in "mass inertia parent shape half radius half_length offset anchor parent_anchor axis low high max_speed joint limb".split()
-    }
+    table: dict[str, list[object]] = {key: [] for key in _TABLE_FIELDS}
     for body in bodies:
         k, joint = by_body.get(body.name, (-1, None))
         size = body.shape.size
@@ -345,6 +359,10 @@ def engine_table(model: RobotModel) -> dict[str, Floats]:
         table["max_speed"].append(np.float32(joint.max_speed))
     arrays = {key: np.ascontiguousarray(values, dtype=np.float64) for key, values in table.items()}
     sensors = dict(model.touch_sensors)
-    arrays["touch_body"] = np.array([index[sensors[name]] if name in sensors else -1 for name in _SENSORS], dtype=np.float64)
-    arrays["collision_pairs"] = np.array([[index[a], index[b]] for a, b in model.collision_pairs], dtype=np.float64).ravel()
+    arrays["touch_body"] = np.array(
+        [index[sensors[name]] if name in sensors else -1 for name in _SENSORS], dtype=np.float64
+    )
+    arrays["collision_pairs"] = np.array(
+        [[index[a], index[b]] for a, b in model.collision_pairs], dtype=np.float64
+    ).ravel()
     return arrays

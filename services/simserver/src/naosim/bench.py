@@ -18,7 +18,7 @@ def measure(batch: int, threads: int, cycles: int, robot_type: int = 0, kernel: 
     """Step robots that keep moving on their feet; count only the time inside `step`.
 
     Returns:
-        `cycles_per_s`, `solves_per_step` (linear solves a group of eight), `upright` and `awake` (shares of robots at the end).
+        `cycles_per_s`, `solves_per_step` (linear solves a group), `upright` and `awake` (shares of robots at the end).
     """
     sim = BatchSimulator(batch, robot_type, threads=threads, digits=None, kernel=kernel)
     sim.beam((0.0, 0.0, sim.model.standing_height + 0.005))
@@ -56,4 +56,9 @@ def run(batch: int = 64, cycles: int = 2000, robot_type: int = 0, kernel: str | 
     results = [measure(batch, threads, cycles, robot_type, kernel) for threads in counts]
     for result in results:
         result["speed_up"] = result["cycles_per_s"] / results[0]["cycles_per_s"]
-    return {"cycles_per_s_per_core": results[0]["cycles_per_s"], "robot_type": robot_type, "cores": cores, "scaling": results}
+    return {
+        "cycles_per_s_per_core": results[0]["cycles_per_s"],
+        "robot_type": robot_type,
+        "cores": cores,
+        "scaling": results,
+    }

@@ -10,19 +10,23 @@ from naosim.robots import RobotModel
 GAIN = 7.0
 """Proportional gain from joint error (rad) to speed (rad/s)."""
 
+_KNEES_BENT = (("lj3", 0.5), ("lj4", -1.0), ("lj5", 0.5))
+
 
 def stepping_targets(model: RobotModel, cycle: int, n: int) -> Floats:
-    """Return joint targets of a robot that steps on the spot with bent knees, shape (n, joints), rad.
+    """Return joint targets of a robot that shortens its legs in turn and swings its arms, shape (n, joints), rad.
 
     Each environment is at another phase, so a batch does not touch the ground in unison.
     """
-    phase = 0.15 * cycle + 0.1 * np.arange(n)[:, None] + np.arange(len(model.joints))[None, :]
-    targets = 0.12 * np.sin(phase)
-    targets[:, :2] = 0.0
-    for side in "lr":
-        targets[:, model.joint_index[f"{side}lj3"]] += 0.5
-        targets[:, model.joint_index[f"{side}lj4"]] -= 1.0
-        targets[:, model.joint_index[f"{side}lj5"]] += 0.5
+    swing = np.sin(0.5 * cycle + 0.7 * np.arange(n)) * min(1.0, cycle / 100)
+    targets = np.zeros((n, len(model.joints)))
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        lift = np.maximum(0.0, sign * swing)
+        for (name, bend), share in zip(_KNEES_BENT, (0.2, -0.4, 0.2), strict=True):
+            targets[:, model.joint_index[side + name]] = bend * min(1.0, cycle / 50) + share * lift
+        targets[:, model.joint_index[f"{side}aj1"]] = -1.2 + 0.4 * sign * swing
+        targets[:, model.joint_index[f"{side}aj4"]] = -0.5 * sign + 0.2 * swing
+    targets[:, model.joint_index["hj1"]] = 0.3 * swing
     return targets
 
 

@@ -1,6 +1,6 @@
 """The five NAO robot types of rcssserver3d as data: bodies, joints, limits, speeds, masses, geometry and names.
 
-Everything else (engine, observations, protocol, drawings) reads these tables. Frames are axis-parallel at joint angles 0:
+Everything else (engine, observations, protocol, drawings) reads these tables. Frames are axis-parallel at angles 0:
 x to the robot's right, y to its front, z up; lengths in metres, masses in kilograms, speeds in radians per second.
 
 Source: rcssserver3d 0.7's robot description and its table of heterogeneous types.
@@ -231,7 +231,9 @@ def _build(robot_type: int) -> RobotModel:
         body(f"{s}lowerarm", 0.2, _box(0.05, 0.11, 0.05), _plus(elbow, (0.0, 0.05, 0.0)), arm)
         j, e = f"{s}aj", f"{s}ae"
         hinge(f"{j}1", f"{e}1", f"{s}shoulder", "torso", (0, 0, 0), (1, 0, 0), (-120, 120))
-        hinge(f"{j}2", f"{e}2", f"{s}upperarm", f"{s}shoulder", (-lr * 0.01, -0.02, 0), (0, 0, 1), mirrored((-95, 1), s))
+        hinge(
+            f"{j}2", f"{e}2", f"{s}upperarm", f"{s}shoulder", (-lr * 0.01, -0.02, 0), (0, 0, 1), mirrored((-95, 1), s)
+        )
         hinge(f"{j}3", f"{e}3", f"{s}elbow", f"{s}upperarm", (0, 0, 0), (0, 1, 0), (-120, 120))
         hinge(f"{j}4", f"{e}4", f"{s}lowerarm", f"{s}elbow", (0, -0.05, 0), (0, 0, 1), mirrored((-1, 90), s))
 
@@ -273,9 +275,7 @@ def _build(robot_type: int) -> RobotModel:
     apart |= {frozenset(pair) for s in "rl" for pair in ((f"{s}shank", f"{s}foot"), (f"{s}foot", f"{s}toe"))}
     pairs = tuple((a, b) for k, a in enumerate(boxes) for b in boxes[k + 1 :] if frozenset((a, b)) not in apart)
     sensors = (("rf", "rfoot"), ("lf", "lfoot")) + ((("rf1", "rtoe"), ("lf1", "ltoe")) if toe else ())
-    return RobotModel(
-        robot_type, variant.title, tuple(bodies), tuple(joints[name] for name in order), pairs, sensors
-    )
+    return RobotModel(robot_type, variant.title, tuple(bodies), tuple(joints[name] for name in order), pairs, sensors)
 
 
 @cache

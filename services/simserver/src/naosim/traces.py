@@ -38,7 +38,7 @@ class Trace:
     enabled: NDArray[np.bool_]
     """(T, bodies), awake before the step."""
     percepts: dict[str, Floats]
-    """Received in the reply to cycle t: `joint_angles` (T, joints), `gyro`, `accel` (T, 3), `foot_left`, `foot_right` (T, 6)."""
+    """As received in the reply to cycle t: `joint_angles` (T, joints), `gyro`, `accel` (T, 3), `foot_*` (T, 6)."""
     beam: tuple[float, float, float, float]
     """Where the robot was beamed one cycle before cycle 0: x, y, z (m) and yaw (degrees)."""
 
@@ -58,11 +58,11 @@ def load(path: Path) -> Trace:
         TraceError: the file is missing, damaged or inconsistent.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
             data = {key: archive[key] for key in archive.files}
     except FileNotFoundError as error:
         raise TraceError(f"{path}: no such file") from error
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError) as error:
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, AttributeError, TypeError) as error:
         raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
     needed = ["command", "state", "enabled", "meta", *_PERCEPTS.values()]
     for key in needed:
@@ -94,7 +94,9 @@ def load(path: Path) -> Trace:
     }
     for key, shape in shapes.items():
         if data[key].shape != shape or data[key].dtype.kind not in "fbiu" or cycles == 0:
-            raise TraceError(f"{path}: field {key!r} must be numbers of shape {shape}, not {data[key].dtype} of {data[key].shape}")
+            raise TraceError(
+                f"{path}: field {key!r} must be numbers of shape {shape}, not {data[key].dtype} of {data[key].shape}"
+            )
         if key not in ("foot_l", "foot_r", "enabled") and not np.isfinite(data[key]).all():
             raise TraceError(f"{path}: field {key!r} holds values that are not finite")
     return Trace(
@@ -124,7 +126,8 @@ def one_step(trace: Trace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]
     """Step from every recorded state to the next.
 
     Returns:
-        Position errors (T, bodies) in m, perceptor errors in printed units of 0.001 by name, and whether sleep agrees (T, bodies).
+        Position errors (T, bodies) in m, perceptor errors in printed units of 0.001 by name, and whether sleep agrees
+        (T, bodies).
     """
     sim = _start(trace)
     model = sim.model
@@ -161,8 +164,8 @@ def check(path: Path) -> dict[str, Any]:
     """Compare the engine with one recording.
 
     Returns:
-        `trace`, `robot_type`, `cycles`, `position_error_m` {`median`, `p99`, `max`} over all bodies and cycles of one-step runs,
-        `perceptors_within_digit` (share of values within one unit of the last printed digit),
+        `trace`, `robot_type`, `cycles`, `position_error_m` {`median`, `p99`, `max`} over all bodies and cycles of
+        one-step runs, `perceptors_within_digit` (share of values within one unit of the last printed digit),
         `free_run_first_cycle_off_1mm` (or None), `free_run_max_m`, `asleep_agrees` (share).
 
     Raises:

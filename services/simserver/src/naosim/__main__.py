@@ -1,0 +1,9 @@
+"""Run `python -m naosim`."""
+
+from __future__ import annotations
+
+import sys
+
+from naosim.cli import main
+
+sys.exit(main())
