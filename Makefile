@@ -1,0 +1,52 @@
+# demo and test are all a newcomer needs; both set up first. Python 3.11 or newer and a C++ compiler are assumed, nothing else.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PACKAGES := packages/naospec services/simserver packages/naosprint packages/naojobs packages/naoctl services/api services/worker
+SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) services/simserver/CMakeLists.txt $(wildcard services/simserver/cpp/*)
+INSTALLED := $(VENV)/.installed
+
+.PHONY: help install demo up test check lint types e2e bench sanitize clean
+help:  ## list the targets
+	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+install: $(INSTALLED)  ## set up .venv with pinned dependencies and all packages (about 2 minutes)
+
+# pip's cache makes the second set-up quick; CPU-only PyTorch is pinned, so no CUDA comes along.
+$(INSTALLED): requirements.txt $(SOURCES)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -r requirements.txt
+	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES))
+	@touch $@
+
+demo: $(INSTALLED)  ## train a real sprint job on this machine, watch it, evaluate it (under 10 minutes)
+	$(BIN)/naoctl demo
+
+up: $(INSTALLED)  ## start API, worker, Postgres, broker and dashboard on this machine; Ctrl-C stops them
+	$(BIN)/naoctl up
+
+test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 10 minutes)
+	$(BIN)/python -m pytest -m "not e2e"
+
+check: lint types test  ## everything that must pass before a change lands
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(INSTALLED)
+	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src)
+
+e2e: $(INSTALLED)  ## browser and container tests, where chromium or a container engine is at hand
+	$(BIN)/python -m pytest -m e2e
+
+bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
+	$(BIN)/naosim bench
+	$(BIN)/python benchmarks/engine/run.py
+
+sanitize: $(INSTALLED)  ## the engine's tests under AddressSanitizer and UBSan (some minutes)
+	services/simserver/sanitize.sh
+
+clean:  ## remove what was built; jobs and their data are not touched
+	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache services/simserver/build
