@@ -1,0 +1,163 @@
+"""The command line for people without the service: ``python -m naosprint --help``."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from naospec import EvaluationSpec, TrainingSpec
+from pydantic import ValidationError
+
+from naosprint.threads import quiet_openmp
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pydantic import BaseModel
+
+EXIT_USAGE = 2
+EXIT_FAILURE = 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    quiet_openmp()
+    options = _parser().parse_args(arguments)
+    run: Callable[[argparse.Namespace], int] = options.run
+    try:
+        return run(options)
+    except ValidationError as error:
+        for problem in error.errors():
+            name = "".join(f"--{part} ".replace("_", "-") for part in problem["loc"] if isinstance(part, str))
+            sys.stderr.write(f"{name.strip() or 'error'}: {problem['msg'].removeprefix('Value error, ')}\n")
+        return EXIT_USAGE
+    except (OSError, ValueError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return EXIT_FAILURE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="naosprint", description="Train and judge sprint policies.")
+    commands = parser.add_subparsers(required=True, metavar="command")
+
+    train = commands.add_parser("train", help="train a policy", description="Train a policy; Ctrl-C saves and ends.")
+    train.add_argument("workdir", type=Path, help="directory for checkpoints and metrics.jsonl")
+    train.add_argument("--resume", type=Path, metavar="CHECKPOINT", help="continue this training")
+    train.add_argument(
+        "--initial-policy", type=Path, metavar="CHECKPOINT", help="start from the weights of this checkpoint"
+    )
+    _add_fields(train, TrainingSpec)
+    train.set_defaults(run=_train)
+
+    evaluate = commands.add_parser("evaluate", help="judge a policy", description="Run a policy and print its figures.")
+    evaluate.add_argument("checkpoint", type=Path, help="checkpoint directory")
+    evaluate.add_argument("--output", type=Path, help="directory for evaluation.json and trajectories.npz")
+    evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    _add_fields(evaluate, EvaluationSpec)
+    evaluate.set_defaults(run=_evaluate)
+    return parser
+
+
+def _add_fields(parser: argparse.ArgumentParser, model: type[BaseModel]) -> None:
+    """Add an option for each field of a specification; pydantic reads and checks the values."""
+    group = parser.add_argument_group("specification")
+    for name, field in model.model_fields.items():
+        default = "from the preset or the task" if field.default is None else field.default
+        text = f"{field.description} (default: {default})"
+        group.add_argument(
+            f"--{name.replace('_', '-')}", dest=f"field_{name}", metavar="VALUE", help=text.replace("%", "%%")
+        )
+
+
+def _fields(options: argparse.Namespace) -> dict[str, Any]:
+    given = {
+        key.removeprefix("field_"): value
+        for key, value in vars(options).items()
+        if key.startswith("field_") and value is not None
+    }
+    parsed: dict[str, Any] = {name: None if value in ("null", "none") else value for name, value in given.items()}
+    if isinstance(parsed.get("hidden_sizes"), str):
+        parsed["hidden_sizes"] = [part for part in parsed["hidden_sizes"].replace(",", " ").split() if part]
+    if "sensor_digits" in parsed and str(parsed["sensor_digits"]).isdigit():
+        parsed["sensor_digits"] = int(parsed["sensor_digits"])
+    return parsed
+
+
+def _stop_on_signals() -> threading.Event:
+    """Return an event that Ctrl-C and SIGTERM set; a second one ends the process at once."""
+    stop = threading.Event()
+
+    def ask(number: int, frame: object) -> None:
+        del frame
+        stop.set()
+        signal.signal(number, signal.SIG_DFL)
+
+    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGTERM, ask)
+    return stop
+
+
+def _train(options: argparse.Namespace) -> int:
+    fields = _fields(options)
+    if options.resume is not None:
+        from naosprint.checkpoint import read_manifest
+
+        known = read_manifest(options.resume).spec.model_dump(mode="json")
+        spec = TrainingSpec.model_validate({**known, **fields})
+    else:
+        spec = TrainingSpec.model_validate(fields)
+    stop = _stop_on_signals()
+
+    from naosprint.console import ConsoleReporter
+    from naosprint.training import TrainingDivergedError, train
+
+    with ConsoleReporter(options.workdir, spec.planned_steps) as reporter:
+        try:
+            result = train(
+                spec,
+                workdir=options.workdir,
+                reporter=reporter,
+                resume=options.resume,
+                initial_policy=options.initial_policy,
+                stop=stop.is_set,
+            )
+        except TrainingDivergedError as error:
+            reporter.log("error", str(error))
+            return EXIT_FAILURE
+    sys.stdout.write(f"{result.status} {result.steps} {result.checkpoint}\n")
+    return 0
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    spec = EvaluationSpec.model_validate(_fields(options))
+    stop = _stop_on_signals()
+
+    from rich.progress import Progress
+
+    from naosprint.evaluation import evaluate
+
+    with Progress(transient=True) as progress:
+        bar = progress.add_task("episodes", total=spec.episodes)
+        try:
+            evaluation = evaluate(
+                options.checkpoint,
+                spec,
+                threads=options.threads,
+                progress=lambda done, total: progress.update(bar, completed=done, total=total),
+                stop=stop.is_set,
+            )
+        except InterruptedError as error:
+            sys.stderr.write(f"{error}; nothing was written\n")
+            return 128 + signal.SIGINT
+    if options.output is not None:
+        evaluation.save(options.output)
+    sys.stdout.write(evaluation.to_json())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

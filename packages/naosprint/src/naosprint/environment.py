@@ -1,0 +1,202 @@
+"""Run the sprint task for n robots at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosprint.actuation import CYCLE_S, Actuation
+from naosprint.observation import Observer
+from naosprint.simulator import open_simulator
+from naosprint.starts import draw_start_poses
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naospec import Task, TrainingSpec
+
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+    from naosprint.simulator import Simulator
+
+TRAINING_STARTS = 256
+"""Start poses that training draws from, where there is start noise."""
+
+
+class SprintBatch:
+    """Run the sprint task for n robots at once, without a Python loop over them.
+
+    Robots are started by :meth:`restart` and stepped together; a robot whose episode is over stays where it is told
+    to by the ``active`` mask until it is restarted.
+
+    Attributes:
+        observations: (n, D) the latest observations.
+        rewards: (n,) rewards of the last step: forward displacement of the torso times ``reward_scale``.
+        terminated: (n,) whether the last step ended the episode: fallen, arrived, or at the task's horizon.
+        truncated: (n,) whether the last step hit the time limit, which is no part of the task.
+        fallen: (n,) whether the torso sank below the minimum height.
+        arrived: (n,) whether the torso passed the finish line without having fallen.
+        steps: (n,) steps of the episode so far.
+        displacement: (n,) metres the torso has come forward since the start.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        *,
+        robot_type: int,
+        fall_height_m: float,
+        reward_scale: float = 1.0,
+    ) -> None:
+        n = simulator.n
+        self.n = n
+        self.simulator = simulator
+        self.task = task
+        self.actuation = Actuation(simulator.model)
+        self.observer = Observer(n, self.actuation, robot_type)
+        self.fall_height_m = fall_height_m
+        self.reward_scale = reward_scale
+        self.rewards: FloatArray = np.zeros(n)
+        self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.arrived: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.steps: IntArray = np.zeros(n, dtype=np.int64)
+        self._x: FloatArray = np.zeros(n)
+        self._start_x: FloatArray = np.zeros(n)
+
+    @property
+    def observations(self) -> FloatArray:
+        """The latest (n, D) observations."""
+        return self.observer.observations
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Metres that each torso has come forward since its start."""
+        return self._x - self._start_x
+
+    def load_starts(self, poses_rad: FloatArray) -> None:
+        """Make (k, J) start poses known.
+
+        Raises:
+            ValueError: if a robot settles below the minimum height, so that no episode could begin.
+        """
+        self.simulator.load_starts(poses_rad)
+        self.restart(np.arange(min(self.n, len(poses_rad))), np.arange(min(self.n, len(poses_rad))))
+        height = self.simulator.truth.torso_position[: min(self.n, len(poses_rad)), 2]
+        lowest = float(height.min())
+        if not lowest > self.fall_height_m:
+            raise ValueError(
+                f"min_height: {self.fall_height_m:g} m is not below the torso's height in the start pose, "
+                f"{lowest:.3f} m; choose a smaller min_height"
+            )
+
+    def restart(self, rows: IntArray, starts: IntArray) -> None:
+        """Begin a new episode with the robots ``rows`` from the start poses ``starts``; leave the others alone."""
+        if not len(rows):
+            return
+        self.simulator.start(rows, starts)
+        truth = self.simulator.truth
+        self.observer.begin(rows, self.simulator.perceptors, truth)
+        x = truth.torso_position[rows, 0]
+        self._x[rows] = x
+        self._start_x[rows] = x
+        self.steps[rows] = 0
+        self.fallen[rows] = False
+
+    def step(self, actions: FloatArray, active: BoolArray | None = None) -> FloatArray:
+        """Take one step of 20 ms with every active robot.
+
+        Args:
+            actions: (n, A) target angles in [-1, 1] of each joint's range.
+            active: (n,) robots to step; None for all. What the attributes say of the others means nothing.
+
+        Returns:
+            (n, D) observations after the step, the last of an episode included; overwritten by the next call.
+        """
+        simulator = self.simulator
+        targets = self.actuation.targets(actions)
+        simulator.step(self.actuation.speeds(targets, simulator.perceptors.joint_angles), active)
+        truth = simulator.truth
+        observations = self.observer.update(simulator.perceptors, truth)
+        x = truth.torso_position[:, 0].copy()
+        self.rewards = (x - self._x) * self.reward_scale
+        self._x = x
+        self.steps += 1
+        self.fallen = truth.torso_position[:, 2] < self.fall_height_m
+        task = self.task
+        if task.finish_x_m is not None:
+            self.arrived = (x > task.finish_x_m) & ~self.fallen
+        over = self.fallen | self.arrived
+        late = self.steps >= task.max_steps
+        if task.horizon_is_terminal:
+            self.terminated = over | late
+            self.truncated = np.zeros(self.n, dtype=np.bool_)
+        else:
+            self.terminated = over
+            self.truncated = late & ~over
+        return observations
+
+    def elapsed_s(self) -> FloatArray:
+        """Return the time each episode has lasted, in seconds."""
+        return self.steps.astype(np.float64) * CYCLE_S
+
+    def state(self) -> dict[str, AnyArray]:
+        """Return everything that the next step depends on, the simulator's state included where it can tell."""
+        state: dict[str, AnyArray] = {f"observer.{key}": value for key, value in self.observer.state().items()}
+        state["steps"] = self.steps.copy()
+        state["x"] = self._x.copy()
+        state["start_x"] = self._start_x.copy()
+        snapshot = self.simulator.snapshot()
+        if snapshot is not None:
+            state["simulator"] = snapshot
+        return state
+
+    def load_state(self, state: Mapping[str, AnyArray]) -> None:
+        """Take over what :meth:`state` returned; the starts must have been loaded before."""
+        prefix = "observer."
+        self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
+        self.steps = np.array(state["steps"], dtype=np.int64)
+        self._x = np.array(state["x"], dtype=np.float64)
+        self._start_x = np.array(state["start_x"], dtype=np.float64)
+        self.simulator.restore(np.array(state["simulator"], dtype=np.uint8))
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self.simulator.close()
+
+
+def open_training_batch(spec: TrainingSpec) -> tuple[SprintBatch, int]:
+    """Open the environments that ``spec`` asks for, with its start poses loaded.
+
+    Returns:
+        The environments and the number of start poses.
+    """
+    batch = open_batch(spec, spec.n_envs, task=spec.task_definition, threads=spec.simulator_threads)
+    poses = draw_start_poses(batch.actuation, TRAINING_STARTS, spec.start_noise_deg, spec.seed)
+    try:
+        batch.load_starts(poses)
+    except BaseException:
+        batch.close()
+        raise
+    return batch, len(poses)
+
+
+def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int) -> SprintBatch:
+    """Open n environments with the robot, the sensors and the limits of ``spec``, and no start poses yet."""
+    simulator = open_simulator(
+        spec.simulator,
+        n,
+        robot_type=spec.robot_type,
+        task=task,
+        threads=threads,
+        digits=spec.sensor_digits,
+    )
+    return SprintBatch(
+        simulator,
+        task,
+        robot_type=spec.robot_type,
+        fall_height_m=spec.fall_height_m,
+        reward_scale=spec.reward_scale,
+    )

@@ -1,0 +1,178 @@
+"""Put simulators behind one interface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from naosim import BatchSimulator, robots
+
+from naosprint.actuation import Actuation
+from naosprint.starts import SETTLING_CYCLES
+
+if TYPE_CHECKING:
+    from naosim.robots import RobotModel
+    from naospec import SimulatorName, Task
+
+    from naosprint.arrays import BoolArray, ByteArray, FloatArray, IntArray
+
+RUNNING_YAW_DEG = -90.0
+"""Yaw of a torso that faces +x: the front of the robot is its +y."""
+
+DROP_M = 0.015
+"""Height above standing from which a robot is put down at the start, metres."""
+
+
+class Perceptors(Protocol):
+    """What the reply to the last command carries, for n environments; no foot record where nothing is touched."""
+
+    @property
+    def joint_angles(self) -> FloatArray:
+        """Return (n, J) angles in degrees."""
+
+    @property
+    def gyro(self) -> FloatArray:
+        """Return (n, 3) rates in degrees per second, torso frame."""
+
+    @property
+    def accel(self) -> FloatArray:
+        """Return (n, 3) accelerations in m/s^2, torso frame."""
+
+    @property
+    def foot_left(self) -> FloatArray:
+        """Return (n, 6) centre of pressure in metres and force in newtons, foot frame; NaN where none was sent."""
+
+    @property
+    def foot_right(self) -> FloatArray:
+        """Return the same of the right foot."""
+
+
+class Truth(Protocol):
+    """Where n robots really are, now."""
+
+    @property
+    def torso_position(self) -> FloatArray:
+        """Return (n, 3) positions in metres, world frame."""
+
+    @property
+    def torso_rotation(self) -> FloatArray:
+        """Return (n, 3, 3) rotations from the torso's frame into the world's."""
+
+
+class Simulator(Protocol):
+    """Run n robots, each on a field of its own."""
+
+    n: int
+    model: RobotModel
+
+    @property
+    def perceptors(self) -> Perceptors:
+        """What the robots perceive; valid until the next call."""
+
+    @property
+    def truth(self) -> Truth:
+        """Where the robots are; valid until the next call."""
+
+    def load_starts(self, poses_rad: FloatArray) -> None:
+        """Make (k, J) start poses known, in radians."""
+
+    def start(self, rows: IntArray, starts: IntArray) -> None:
+        """Put the robots ``rows`` on the start line, settled in the start poses ``starts``."""
+
+    def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
+        """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
+
+    def snapshot(self) -> ByteArray | None:
+        """Return the complete state of every robot as (n, S) bytes; None where the simulator cannot."""
+
+    def restore(self, state: ByteArray) -> None:
+        """Go back to a snapshot."""
+
+    def close(self) -> None:
+        """Give back what the simulator holds."""
+
+
+class EmbeddedSimulator:
+    """Run n robots in the embedded engine.
+
+    Starts are simulated once, by putting the robot down with straight joints and driving it into the start pose for
+    60 cycles, and restored from a snapshot ever after.
+    """
+
+    def __init__(self, n: int, *, robot_type: int, task: Task, threads: int = 1, digits: int | None = 2) -> None:
+        self.n = n
+        self.model: RobotModel = robots.model(robot_type)
+        self._actuation = Actuation(self.model)
+        self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)
+        self._threads = threads
+        self._digits = digits
+        self._engine = BatchSimulator(n, robot_type=robot_type, threads=threads, digits=digits)
+        self._robot_type = robot_type
+        self._starts: ByteArray | None = None
+
+    @property
+    def perceptors(self) -> Perceptors:
+        """What the robots perceive; valid until the next call."""
+        return self._engine.perceptors
+
+    @property
+    def truth(self) -> Truth:
+        """Where the robots are; valid until the next call."""
+        return self._engine.truth
+
+    def load_starts(self, poses_rad: FloatArray) -> None:
+        """Simulate (k, J) start poses, in radians, and keep what came of them."""
+        engine = BatchSimulator(len(poses_rad), robot_type=self._robot_type, threads=self._threads, digits=self._digits)
+        settle(engine, self._actuation, poses_rad, self._start_position)
+        self._starts = np.array(engine.snapshot())
+
+    def start(self, rows: IntArray, starts: IntArray) -> None:
+        """Put the robots ``rows`` on the start line, settled in the start poses ``starts``."""
+        if self._starts is None:
+            raise RuntimeError("no start poses: call load_starts first")
+        mask = np.zeros(self.n, dtype=np.bool_)
+        mask[rows] = True
+        # restore fills the masked robots in ascending order
+        order = np.argsort(rows, kind="stable")
+        self._engine.restore(self._starts[starts[order]], mask=mask)
+
+    def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
+        """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
+        if active is None:
+            self._engine.step(speeds)
+        else:
+            self._engine.step(speeds, active)
+
+    def snapshot(self) -> ByteArray:
+        """Return the complete state of every robot as (n, S) bytes."""
+        return np.array(self._engine.snapshot())
+
+    def restore(self, state: ByteArray) -> None:
+        """Go back to a snapshot."""
+        self._engine.restore(state)
+
+    def close(self) -> None:
+        """Do nothing: the engine holds memory alone."""
+
+
+def settle(
+    engine: BatchSimulator, actuation: Actuation, poses_rad: FloatArray, position: tuple[float, float, float]
+) -> None:
+    """Put every robot of ``engine`` at ``position`` facing +x and drive it into its (n, J) pose for 60 cycles."""
+    engine.reset()
+    engine.beam(np.array(position), RUNNING_YAW_DEG)
+    for _ in range(SETTLING_CYCLES):
+        engine.step(actuation.speeds(poses_rad, engine.perceptors.joint_angles))
+
+
+def open_simulator(
+    name: SimulatorName, n: int, *, robot_type: int, task: Task, threads: int, digits: int | None
+) -> Simulator:
+    """Open the simulator called ``name`` for n robots.
+
+    Raises:
+        ValueError: if there is no such simulator here.
+    """
+    if name == "embedded":
+        return EmbeddedSimulator(n, robot_type=robot_type, task=task, threads=threads, digits=digits)
+    raise ValueError(f"simulator: {name!r} is not available here; use 'embedded'")

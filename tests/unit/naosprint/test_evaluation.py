@@ -1,0 +1,191 @@
+"""Test the figures that policies are judged by."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from naospec import EvaluationSpec
+from naosprint import CheckpointError, evaluate
+from naosprint.arrays import FloatArray
+from naosprint.evaluation import _challenge, _deviation_deg, _figures, _Runs, _speeds_beyond
+
+
+def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.36, air: float = 0.0) -> _Runs:
+    """Return runs along given x positions, straight ahead from the start."""
+    n = len(paths)
+    flags = np.zeros(n, dtype=bool)
+    flags[list(fallen)] = True
+    airborne = []
+    for x in paths:
+        flags_i = np.zeros(len(x), dtype=bool)
+        flags_i[1 : 1 + round(air * (len(x) - 1))] = True
+        airborne.append(flags_i)
+    heights = [np.full(len(x), height) for x in paths]
+    for i in fallen:
+        heights[i][-1] = 0.26
+    return _Runs(
+        x=list(paths),
+        y=[np.zeros(len(x)) for x in paths],
+        height=heights,
+        up=[np.ones(len(x)) for x in paths],
+        feet=[np.zeros((len(x), 2)) for x in paths],
+        airborne=airborne,
+        fallen=flags,
+        arrived=~flags,
+        joint_angles=np.zeros((1, 20)),
+    )
+
+
+def steady(speed: float, distance: float) -> FloatArray:
+    """Return x at every cycle of a run at constant speed from -14."""
+    return -14.0 + speed * 0.02 * np.arange(round(distance / (speed * 0.02)) + 1, dtype=np.float64)
+
+
+def test_speed_beyond_a_line_is_that_of_the_rest() -> None:
+    """A slow first metre counts from the start line, not from a later one."""
+    slow: FloatArray = -14.0 + 0.01 * np.arange(101.0)
+    fast = slow[-1] + 0.04 * np.arange(1.0, 400.0)
+    path = np.concatenate([slow, fast])
+    assert _speeds_beyond([path], 1.5, 200) == pytest.approx([2.0])
+    whole = (path[-1] - path[0]) / ((len(path) - 1) * 0.02)
+    assert _speeds_beyond([path], 0.0, 200) == pytest.approx([whole])
+
+
+def test_short_episodes_count_only_without_the_papers_rule() -> None:
+    """199 samples beyond the line are not enough for the paper."""
+    path: FloatArray = -14.0 + 0.04 * np.arange(199.0)
+    assert len(_speeds_beyond([path], 0.0, 200)) == 0
+    assert _speeds_beyond([path], 0.0, 2) == pytest.approx([2.0])
+
+
+def test_deviation_is_the_angle_from_the_running_direction() -> None:
+    """In degrees, whichever side."""
+    assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, 10.0])) == pytest.approx(45.0)
+    assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, -10.0])) == pytest.approx(45.0)
+    assert _deviation_deg(np.array([-14.0, 14.0]), np.array([0.3, 0.3])) == 0.0
+
+
+def test_challenge_scores_speed_plus_time_in_the_air() -> None:
+    """Two metres per second with a quarter of the time off the ground."""
+    runs = runs_of(steady(2.0, 28.0))
+    runs.airborne[0][:] = np.arange(len(runs.x[0])) % 4 == 0
+    score, speed, off, fell = _challenge(runs, 0)
+    assert speed == pytest.approx(2.0, rel=0.01)
+    assert off == pytest.approx(0.25, abs=0.01)
+    assert score == pytest.approx(speed + off)
+    assert fell == 0.0
+
+
+def test_challenge_punishes_a_fall() -> None:
+    """Two metres less, over the whole running time of 20 s."""
+    _, speed, _, fell = _challenge(runs_of(steady(2.0, 10.0), fallen=(0,)), 0)
+    assert fell == 1.0
+    assert speed == pytest.approx((10.0 - 2.0 - 0.5) / 20.0, rel=0.01)
+
+
+def test_challenge_stops_the_clock_after_twenty_seconds() -> None:
+    """A slow walker is measured for 20 s, from 4 s after the start at the latest."""
+    _, speed, _, fell = _challenge(runs_of(steady(0.1, 4.0)), 0)
+    assert fell == 0.0
+    # the clock starts at 4 s and 0.4 m, before the line at 0.5 m, from which distance counts
+    assert speed == pytest.approx((0.4 + 20 * 0.1 - 0.5) / 20.0, rel=0.02)
+
+
+def test_figures_of_known_runs() -> None:
+    """One that arrives at 2 m/s and one that falls after 5 m at 1 m/s."""
+    figures = _figures(
+        runs_of(steady(2.0, 28.0), steady(1.0, 5.0), fallen=(1,)), EvaluationSpec(episodes=2), max_steps=3000
+    )
+    assert figures["episodes"] == 2
+    assert figures["distance_m"]["mean"] == pytest.approx(16.5)
+    assert figures["speed_mps"]["mean"] == pytest.approx(1.5)
+    assert figures["falls"]["rate"] == 0.5
+    assert figures["arrivals"]["count"] == 1
+    assert figures["time_limits"]["count"] == 0
+    assert figures["paper"]["low_at_end"]["count"] == 1
+    assert [entry["line_m"] for entry in figures["speed_by_line"]] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+    first, last = figures["speed_by_line"][0], figures["speed_by_line"][-1]
+    assert (first["paper"]["episodes"], last["paper"]["episodes"], last["all"]["episodes"]) == (2, 1, 2)
+    assert last["paper"]["mean"] == pytest.approx(2.0)
+    assert last["all"]["mean"] == pytest.approx(1.5)
+    assert figures["paper"]["top_speed_mps"] == pytest.approx(2.0)
+    json.dumps(figures, allow_nan=False)
+
+
+def test_figures_that_nothing_supports_are_none() -> None:
+    """No NaN in the summary when every episode is short."""
+    figures = _figures(runs_of(steady(1.0, 0.3), fallen=(0,)), EvaluationSpec(episodes=1), max_steps=3000)
+    assert figures["speed_by_line"][0]["paper"]["mean"] is None
+    assert figures["speed_by_line"][1]["all"]["mean"] is None
+    assert figures["paper"]["top_speed_mps"] is None
+    json.dumps(figures, allow_nan=False)
+
+
+def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path) -> None:
+    """Same seed, same numbers, whatever the threads; another seed, other starts."""
+    spec = EvaluationSpec(episodes=12, n_envs=5, trajectories=4, task="sprint2")
+    calls: list[tuple[int, int]] = []
+    first = evaluate(checkpoint, spec, progress=lambda done, total: calls.append((done, total)))
+    second = evaluate(checkpoint, spec, threads=2)
+    assert first.to_json() == second.to_json()
+    other = evaluate(checkpoint, EvaluationSpec(episodes=12, n_envs=5, task="sprint2", seed=1))
+    assert other.summary["distance_m"] != first.summary["distance_m"]
+    assert calls[-1] == (12, 12)
+    assert first.summary["checkpoint"]["step"] == 512
+
+    figures, paths = first.save(tmp_path / "out")
+    assert json.loads(figures.read_text()) == first.summary
+    with np.load(paths, allow_pickle=False) as saved:
+        assert saved["x"].shape[0] == 4
+        assert saved["x"].shape == saved["y"].shape == saved["height"].shape
+        lengths = (~np.isnan(saved["x"])).sum(axis=1)
+        assert saved["joint_angles"].shape == (lengths[0], 20)
+        assert abs(saved["x"][0, 0] + 14.0) < 0.1
+
+
+def test_trajectories_and_figures_describe_the_same_episodes(checkpoint: Path) -> None:
+    """Distances recomputed from the paths are those in the summary."""
+    evaluation = evaluate(checkpoint, EvaluationSpec(episodes=9, n_envs=4, task="sprint2"))
+    x = evaluation.trajectories.x
+    assert len(x) == 9
+    distances = [row[~np.isnan(row)][-1] - row[0] for row in x]
+    assert evaluation.summary["distance_m"]["mean"] == pytest.approx(np.mean(distances), abs=1e-5)
+
+
+def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
+    """The first episodes of a long evaluation are those of a short one."""
+    short = evaluate(checkpoint, EvaluationSpec(episodes=4, n_envs=4, task="sprint2")).trajectories
+    long = evaluate(checkpoint, EvaluationSpec(episodes=8, n_envs=4, task="sprint2")).trajectories
+    columns = short.x.shape[1]
+    np.testing.assert_allclose(short.x[:4], long.x[:4, :columns], atol=1e-6)
+
+
+def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:
+    """Drawn actions are drawn from the seed."""
+    spec = EvaluationSpec(episodes=4, task="sprint2", deterministic=False)
+    first, second = evaluate(checkpoint, spec), evaluate(checkpoint, spec)
+    calm = evaluate(checkpoint, EvaluationSpec(episodes=4, task="sprint2"))
+    assert first.to_json() == second.to_json()
+    assert first.summary["distance_m"] != calm.summary["distance_m"]
+
+
+def test_evaluation_can_be_stopped(checkpoint: Path) -> None:
+    """It says how far it got."""
+    with pytest.raises(InterruptedError, match="0 of 5"):
+        evaluate(checkpoint, EvaluationSpec(episodes=5), stop=lambda: True)
+
+
+def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
+    """Before anything is simulated."""
+    with pytest.raises(CheckpointError, match="no checkpoint here"):
+        evaluate(tmp_path, EvaluationSpec())
+
+
+def test_task_of_the_evaluation_decides_the_end(checkpoint: Path) -> None:
+    """A policy trained on task one is judged on task two as well."""
+    evaluation: Any = evaluate(checkpoint, EvaluationSpec(episodes=3, task="sprint2"))
+    assert evaluation.summary["steps"]["max"] <= 400

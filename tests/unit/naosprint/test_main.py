@@ -1,0 +1,99 @@
+"""Test the command line as people use it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from naospec import TrainingSpec
+from naosprint.__main__ import main
+from naosprint.checkpoint import read_manifest
+
+SMALL = [
+    *("--n-envs", "8", "--n-steps", "32", "--batch-size", "64", "--n-epochs", "2"),
+    *("--hidden-sizes", "16,16", "--torch-threads", "1"),
+]
+
+
+def test_help_lists_every_field(capsys: pytest.CaptureFixture[str]) -> None:
+    """The options are those of the specification."""
+    with pytest.raises(SystemExit) as ended:
+        main(["train", "--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    for name in TrainingSpec.model_fields:
+        assert f"--{name.replace('_', '-')} VALUE" in text
+
+
+def test_train_resume_and_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From nothing to figures."""
+    work = tmp_path / "run"
+    assert main(["train", str(work), "--total-steps", "512", "--sensor-digits", "none", *SMALL]) == 0
+    status, steps, path = capsys.readouterr().out.split()
+    assert (status, steps) == ("finished", "512")
+    spec = read_manifest(Path(path)).spec
+    assert (spec.n_envs, spec.hidden_sizes, spec.sensor_digits) == (8, (16, 16), None)
+    rows = [json.loads(line) for line in (work / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [256, 512]
+
+    assert main(["train", str(work), "--resume", path, "--total-steps", "1024"]) == 0
+    status, steps, path = capsys.readouterr().out.split()
+    assert (status, steps) == ("finished", "1024")
+
+    assert main(["evaluate", path, "--episodes", "3", "--output", str(tmp_path / "out")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert printed["episodes"] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "x", "--task", "swim"], "--task: unknown task 'swim'"),
+        (["train", "x", "--n-envs", "many"], "--n-envs"),
+        (["train", "x", "--batch-size", "7"], "batch_size: 7 does not divide"),
+        (["evaluate", "nowhere"], "no checkpoint here"),
+        (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),
+        (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
+    ],
+)
+def test_bad_input_is_explained(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """An exit status and one line, no traceback."""
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) in (1, 2)
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_saves_a_checkpoint(tmp_path: Path, number: signal.Signals) -> None:
+    """Ctrl-C and SIGTERM leave a checkpoint that can be resumed."""
+    work = tmp_path / "run"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "naosprint", "train", str(work), "--total-steps", "100000000", *SMALL],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TERM": "dumb"},
+    )
+    assert process.stderr is not None
+    # the first checkpoint is announced when training has begun
+    for line in process.stderr:
+        if "checkpoint at 0 steps" in line:
+            break
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    status, steps, path = output.split()
+    assert status == "stopped"
+    assert read_manifest(Path(path)).steps == int(steps)

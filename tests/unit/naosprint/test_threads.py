@@ -1,0 +1,47 @@
+"""Test the thread settings, in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+
+def run(code: str, **environment: str) -> str:
+    """Run Python code in a fresh process without OpenMP settings and return its output."""
+    clean = {key: value for key, value in os.environ.items() if not key.startswith(("OMP_", "GOMP_", "KMP_"))}
+    result = subprocess.run(
+        [sys.executable, "-c", code], env={**clean, **environment}, capture_output=True, text=True, check=True
+    )
+    return result.stdout.strip()
+
+
+def test_importing_the_package_does_not_load_torch() -> None:
+    """So there is time to set OpenMP's manners."""
+    assert run("import sys, naosprint; print('torch' in sys.modules)") == "False"
+
+
+def test_openmp_is_told_to_sleep_before_torch_loads() -> None:
+    """The settings are in the environment, and the call says that it came in time."""
+    code = (
+        "import os; from naosprint.threads import quiet_openmp; print(quiet_openmp(), "
+        "os.environ['OMP_WAIT_POLICY'], os.environ['GOMP_SPINCOUNT'], os.environ['KMP_BLOCKTIME'])"
+    )
+    assert run(code) == "True PASSIVE 0 0"
+
+
+def test_settings_of_the_environment_are_kept() -> None:
+    """Whoever set them knows better."""
+    code = "import os; from naosprint.threads import quiet_openmp; quiet_openmp(); print(os.environ['OMP_WAIT_POLICY'])"
+    assert run(code, OMP_WAIT_POLICY="ACTIVE") == "ACTIVE"
+
+
+def test_a_late_call_says_so() -> None:
+    """With torch already there it returns False."""
+    assert run("import torch; from naosprint.threads import quiet_openmp; print(quiet_openmp())") == "False"
+
+
+def test_learner_threads_are_set() -> None:
+    """PyTorch uses as many threads as asked."""
+    code = "from naosprint.threads import set_learner_threads as s; s(1); import torch; print(torch.get_num_threads())"
+    assert run(code) == "1"
