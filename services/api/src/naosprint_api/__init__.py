@@ -1,0 +1,5 @@
+"""The HTTP API of the job service, and the pages of its dashboard."""
+
+from __future__ import annotations
+
+__version__ = "0.1.0"

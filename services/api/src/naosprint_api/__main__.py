@@ -1,0 +1,78 @@
+"""Run the API: `python -m naosprint_api`, settings from the environment (`NAOSPRINT_...`)."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from socket import socket
+from types import FrameType
+
+import uvicorn
+from pydantic import ValidationError
+
+from naosprint_api.app import create_asgi
+from naosprint_api.service import Service
+from naosprint_api.settings import ApiSettings
+
+#: How long requests that are under way may take when the service is told to end.
+_GRACE_S = 10
+
+
+class Server(uvicorn.Server):
+    """Sends followers away when it is told to end: their streams would never end by themselves."""
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """End on a signal."""
+        self._service.broadcaster.closing = True
+        super().handle_exit(sig, frame)
+
+    async def shutdown(self, sockets: list[socket] | None = None) -> None:
+        """End the streams, then all that uvicorn ends."""
+        self._service.broadcaster.close()
+        await super().shutdown(sockets)
+
+
+def make_server(settings: ApiSettings) -> Server:
+    """Return a server that is ready to run."""
+    asgi, service = create_asgi(settings)
+    config = uvicorn.Config(
+        asgi,
+        host=settings.api_host,
+        port=settings.api_port,
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        forwarded_allow_ips=settings.api_trusted_proxies,
+        timeout_graceful_shutdown=_GRACE_S,
+        timeout_keep_alive=30,
+        limit_concurrency=4096,
+        backlog=1024,
+    )
+    return Server(config, service)
+
+
+def main() -> int:
+    """Run until a signal ends it; return the exit code."""
+    logging.basicConfig(
+        stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+    )
+    try:
+        settings = ApiSettings()  # type: ignore[call-arg]  # the environment fills it
+    except ValidationError as error:
+        for item in error.errors():
+            name = "NAOSPRINT_" + "_".join(str(part) for part in item["loc"]).upper() if item["loc"] else ""
+            sys.stderr.write(f"{name} {item['msg'].removeprefix('Value error, ')}\n".lstrip())
+        return 2
+    server = make_server(settings)
+    server.run()
+    return 0 if server.started else 1
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    raise SystemExit(main())

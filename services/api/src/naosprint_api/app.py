@@ -1,0 +1,90 @@
+"""The application: routes, errors, pages."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from naosprint_api import __version__, problems
+from naosprint_api.middleware import BodyLimit, Envelope
+from naosprint_api.problems import Problem
+from naosprint_api.routes import artifacts, jobs, streams, system
+from naosprint_api.service import Service
+from naosprint_api.settings import ApiSettings
+
+STATIC = Path(__file__).parent / "static"
+
+_DESCRIPTION = """\
+Submit sprint trainings for NAO robots, follow them live and download what they have learned.
+
+Every error is a problem document (RFC 9457) whose `errors` name the fields to change.
+"""
+
+
+def create_app(service: Service) -> FastAPI:
+    """Return the application around `service`, without what happens to every request."""
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        async with service.running():
+            yield
+
+    app = FastAPI(
+        title="naosprint",
+        version=__version__,
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        # The pages of these load scripts from elsewhere; the document itself stays.
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/openapi.json" if service.settings.api_docs_public else None,
+        redirect_slashes=False,
+    )
+    app.state.service = service
+    # Streams come before jobs: /jobs/stream is no job's id.
+    routers = (system.router, streams.router, jobs.router, artifacts.router)
+    problems.install(app, routers)
+    for router in routers:
+        app.include_router(router)
+
+    @app.get("/", include_in_schema=False)
+    def index() -> FileResponse:
+        """Serve the dashboard."""
+        return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
+
+    app.mount("/ui", StaticFiles(directory=STATIC, html=True, check_dir=False), name="ui")
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            app.openapi_schema = describe(app)
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+    return app
+
+
+def describe(app: FastAPI) -> dict[str, Any]:
+    """Return the OpenAPI document, with problems in place of the framework's own errors."""
+    document = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+    schemas = document["components"]["schemas"]
+    model = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
+    schemas.update(model.pop("$defs"))
+    schemas["Problem"] = model
+    for name in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(name, None)
+    return document
+
+
+def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
+    """Return what a server runs, and the service behind it."""
+    service = Service.build(settings)
+    app = create_app(service)
+    return Envelope(BodyLimit(app, settings.api_max_body_bytes), service.telemetry), service

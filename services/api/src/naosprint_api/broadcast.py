@@ -1,0 +1,103 @@
+"""News from the database: who follows a job is woken when it changes."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import psycopg
+from naojobs.database import CHANNEL
+
+_log = logging.getLogger(__name__)
+
+#: How often a follower looks by itself: rarely while notifications arrive, often while they cannot.
+_IDLE_S, _BLIND_S = 10.0, 1.0
+
+
+class Subscription:
+    """Wakes one follower; remembers which jobs were deleted while it was busy."""
+
+    def __init__(self) -> None:
+        #: Owner by id.
+        self.deleted: dict[str, str] = {}
+        self.wake = asyncio.Event()
+
+
+class Broadcaster:
+    """Listens to the database on one connection and tells all followers of this process."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._subscriptions: dict[Subscription, str | None] = {}
+        self._task: asyncio.Task[None] | None = None
+        self._listening = False
+        self.closing = False
+
+    async def start(self) -> None:
+        """Start to listen; a database that is down is tried again and again."""
+        self._task = asyncio.create_task(self._listen(), name="broadcast")
+
+    async def stop(self) -> None:
+        """Stop to listen and send all followers away."""
+        self.close()
+        if self._task is not None:
+            self._task.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._task
+
+    def close(self) -> None:
+        """Send all followers away: the service ends."""
+        self.closing = True
+        self._wake_all()
+
+    @property
+    def followers(self) -> int:
+        """Return how many follow."""
+        return len(self._subscriptions)
+
+    @contextmanager
+    def subscribe(self, job_id: str | None = None) -> Iterator[Subscription]:
+        """Follow one job, or all; news between two waits is not lost."""
+        subscription = Subscription()
+        self._subscriptions[subscription] = job_id
+        try:
+            yield subscription
+        finally:
+            del self._subscriptions[subscription]
+
+    async def wait(self, subscription: Subscription) -> None:
+        """Wait for news or until it is time to look anyway."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_IDLE_S if self._listening else _BLIND_S):
+                await subscription.wake.wait()
+        subscription.wake.clear()
+
+    def _wake_all(self) -> None:
+        for subscription in self._subscriptions:
+            subscription.wake.set()
+
+    async def _listen(self) -> None:
+        while True:
+            try:
+                async with await psycopg.AsyncConnection.connect(
+                    self._url, autocommit=True, connect_timeout=5, application_name="naosprint-api-listen"
+                ) as connection:
+                    await connection.execute(f"LISTEN {CHANNEL}")
+                    self._listening = True
+                    self._wake_all()  # whatever was missed until now
+                    async for notification in connection.notifies():
+                        self._tell(notification.payload)
+            except (psycopg.Error, OSError) as error:
+                _log.warning("no notifications from the database (%s); followers look every %g s", error, _BLIND_S)
+            self._listening = False
+            await asyncio.sleep(_BLIND_S)
+
+    def _tell(self, payload: str) -> None:
+        job_id, _, deleted_from = payload.partition(" ")
+        for subscription, wanted in self._subscriptions.items():
+            if wanted is None or wanted == job_id:
+                if deleted_from:
+                    subscription.deleted[job_id] = deleted_from
+                subscription.wake.set()

@@ -1,0 +1,118 @@
+"""What routes ask for: the service, and who the caller is."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from math import ceil
+from typing import Annotated, cast
+
+from fastapi import Depends, Header, Path, Query, Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from naojobs.ids import PATTERN
+from naojobs.tokens import Principal, Scope, verify
+
+from naosprint_api.problems import FieldError, ProblemError
+from naosprint_api.service import Service
+
+_log = logging.getLogger(__name__)
+
+_bearer = HTTPBearer(
+    auto_error=False, scheme_name="token", description="A token made by `python -m naojobs token create`."
+)
+
+#: The largest number that the database can hold in the columns that callers ask for.
+MAX_BIGINT = 2**63 - 1
+
+#: Text in a query: no control characters, which Postgres would refuse or nobody could have meant.
+PLAIN = r"^[^\x00-\x1f\x7f]*$"
+
+
+def service_of(request: Request) -> Service:
+    """Return what this process holds open."""
+    return cast(Service, request.app.state.service)
+
+
+ServiceDep = Annotated[Service, Depends(service_of)]
+
+
+def _caller(request: Request) -> str:
+    return request.client.host if request.client else "unknown"
+
+
+def authenticate(
+    request: Request,
+    service: ServiceDep,
+    credentials: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
+) -> Principal:
+    """Return who the token belongs to, and count the request against their rate."""
+    if credentials is None:
+        _limit(service, f"address {_caller(request)}")
+        raise ProblemError(
+            401,
+            "this address needs a token; send the header `Authorization: Bearer <token>`",
+            [FieldError(field="Authorization", message="missing; send `Bearer <token>`")],
+            {"WWW-Authenticate": "Bearer"},
+        )
+    principal = verify(service.sessions, credentials.credentials)
+    if principal is None:
+        _log.warning("refused an unknown token from %s", _caller(request))
+        service.telemetry.refused.labels("token").inc()
+        _limit(service, f"address {_caller(request)}")
+        raise ProblemError(
+            401,
+            "the token is unknown, expired or revoked; ask for a new one",
+            [FieldError(field="Authorization", message="unknown, expired or revoked token")],
+            {"WWW-Authenticate": 'Bearer error="invalid_token"'},
+        )
+    _limit(service, principal.token_id)
+    return principal
+
+
+def _limit(service: Service, caller: str) -> None:
+    wait = service.limiter.take(caller)
+    if wait > 0:
+        service.telemetry.refused.labels("rate").inc()
+        settings = service.settings
+        raise ProblemError(
+            429,
+            f"more than {settings.api_rate_per_s:g} requests per second; try again in {wait:.1f} s",
+            headers={"Retry-After": str(ceil(wait))},
+        )
+
+
+def needs(scope: Scope) -> Callable[..., Principal]:
+    """Return a dependency that lets only tokens with `scope` pass."""
+
+    def check(principal: Annotated[Principal, Depends(authenticate)], service: ServiceDep) -> Principal:
+        if scope not in principal.scopes:
+            _log.warning("refused %s (%s): no scope %s", principal.owner, principal.token_id, scope)
+            service.telemetry.refused.labels("scope").inc()
+            raise ProblemError(
+                403,
+                f"this token has not the scope {scope}; ask for one that has",
+                [FieldError(field="Authorization", message=f"scope {scope} is needed")],
+            )
+        return principal
+
+    return check
+
+
+Reader = Annotated[Principal, Depends(needs(Scope.READ))]
+Submitter = Annotated[Principal, Depends(needs(Scope.SUBMIT))]
+Admin = Annotated[Principal, Depends(needs(Scope.ADMIN))]
+
+JobId = Annotated[str, Path(pattern=PATTERN, description="Id of the job.")]
+CheckpointId = Annotated[str, Path(pattern=PATTERN, description="Id of the checkpoint.")]
+EvaluationId = Annotated[str, Path(pattern=PATTERN, description="Id of the evaluation.")]
+FileName = Annotated[str, Path(max_length=900, description="Name of the file as its list gives it.")]
+After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only what comes behind this id.")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="At most so many.")]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        pattern=r"^[\x21-\x7e]{1,150}$",
+        description="Any text of your own; the same key with the same body makes one job, however often it is sent.",
+    ),
+]

@@ -1,0 +1,118 @@
+"""Downloads: single byte ranges of a file, and all files as one tar archive."""
+
+from __future__ import annotations
+
+import re
+import tarfile
+from collections.abc import Iterator
+from datetime import datetime
+
+from fastapi import Request
+from fastapi.responses import RedirectResponse, Response, StreamingResponse
+from naojobs.errors import NotFoundError
+from naojobs.store import ArtifactStore, FileEntry, Manifest
+
+from naosprint_api.problems import FieldError, ProblemError
+
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+_BLOCK = 512
+
+
+def parse_range(header: str, size: int) -> tuple[int, int] | None:
+    """Return (start, stop) of a Range header for a file of `size` bytes; none to send all of it.
+
+    A header that is not one byte range is ignored, as RFC 9110 allows. Raises ProblemError 416 if nothing of
+    the range lies in the file.
+    """
+    match = _RANGE.fullmatch(header.strip())
+    if match is None or match.group(0) == "bytes=-":
+        return None
+    first, last = match.groups()
+    if first == "":
+        start, stop = max(0, size - int(last)), size
+    else:
+        start, stop = int(first), min(size, int(last) + 1 if last else size)
+        if last and int(last) < start:
+            return None
+    if start >= size or start >= stop:
+        message = f"the file has {size} bytes"
+        raise ProblemError(
+            416, message, [FieldError(field="Range", message=message)], {"Content-Range": f"bytes */{size}"}
+        )
+    return start, stop
+
+
+def send_file(
+    request: Request,
+    store: ArtifactStore,
+    key: str,
+    manifest: Manifest,
+    name: str,
+    *,
+    presigned: bool,
+) -> Response:
+    """Answer with a file of an artifact, or the asked range of it.
+
+    Only names that the manifest lists are ever looked up, so none can lead elsewhere.
+    With `presigned`, a store that can sign is redirected to. Raises NotFoundError, StoreError.
+    """
+    entry = manifest.entry(name)
+    if entry is None:
+        raise NotFoundError(f"there is no file {name[:200]!r}; take a name of the list")
+    target = f"{key}/{entry.name}"
+    if presigned and (url := store.url_for(target)) is not None:
+        return RedirectResponse(url, status_code=307)
+    tag = f'"{entry.sha256}"'
+    headers = {
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, max-age=31536000, immutable",
+        "Content-Disposition": f'attachment; filename="{entry.name.rsplit("/", 1)[-1]}"',
+        "ETag": tag,
+        "X-SHA256": entry.sha256,
+    }
+    if tag in request.headers.get("if-none-match", ""):
+        return Response(status_code=304, headers=headers)
+    part = None
+    if (asked := request.headers.get("range")) and request.headers.get("if-range", tag) == tag:
+        part = parse_range(asked, entry.size)
+    if part is None:
+        headers["Content-Length"] = str(entry.size)
+        return StreamingResponse(store.stream(target), headers=headers, media_type="application/octet-stream")
+    start, stop = part
+    headers["Content-Length"] = str(stop - start)
+    headers["Content-Range"] = f"bytes {start}-{stop - 1}/{entry.size}"
+    return StreamingResponse(
+        store.stream(target, start, stop), 206, headers=headers, media_type="application/octet-stream"
+    )
+
+
+def send_archive(store: ArtifactStore, key: str, manifest: Manifest, folder: str, at: datetime) -> Response:
+    """Answer with all files of an artifact as one tar archive, its files below `folder`."""
+    headers = {
+        "Content-Disposition": f'attachment; filename="{folder}.tar"',
+        "Content-Length": str(_archive_size(manifest, folder)),
+    }
+    return StreamingResponse(
+        _archive(store, key, manifest, folder, at), headers=headers, media_type="application/x-tar"
+    )
+
+
+def _header(entry: FileEntry, folder: str, at: datetime | None = None) -> bytes:
+    info = tarfile.TarInfo(f"{folder}/{entry.name}")
+    info.size = entry.size
+    info.mode = 0o644
+    info.mtime = int(at.timestamp()) if at is not None else 0
+    return info.tobuf(tarfile.PAX_FORMAT)
+
+
+def _archive_size(manifest: Manifest, folder: str) -> int:
+    files = sum(len(_header(entry, folder)) + -(-entry.size // _BLOCK) * _BLOCK for entry in manifest.files)
+    return files + 2 * _BLOCK
+
+
+def _archive(store: ArtifactStore, key: str, manifest: Manifest, folder: str, at: datetime) -> Iterator[bytes]:
+    for entry in manifest.files:
+        yield _header(entry, folder, at)
+        yield from store.stream(f"{key}/{entry.name}")
+        yield bytes(-entry.size % _BLOCK)
+    yield bytes(2 * _BLOCK)

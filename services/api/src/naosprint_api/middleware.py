@@ -1,0 +1,145 @@
+"""What happens to every request: an id, security headers, a limit on its body, and figures about it."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+
+from naojobs.ids import new_id
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from naosprint_api.problems import FieldError, ProblemError, problem_response
+from naosprint_api.telemetry import Telemetry
+
+#: Everything the pages need comes from this service itself, and nobody may frame them.
+CONTENT_SECURITY_POLICY = (
+    "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'"
+)
+
+_SECURITY_HEADERS = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,80}")
+
+_access = logging.getLogger("naosprint_api.access")
+
+
+class Envelope:
+    """Gives each request an id and each response its security headers, and counts both."""
+
+    def __init__(self, app: ASGIApp, telemetry: Telemetry) -> None:
+        self._app = app
+        self._telemetry = telemetry
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        given = Headers(scope=scope).get("x-request-id", "")
+        request_id = given if _REQUEST_ID.fullmatch(given) else new_id("req")
+        scope.setdefault("state", {})["request_id"] = request_id
+        started = time.monotonic()
+        status = 500
+
+        async def send_with_headers(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-ID"] = request_id
+                for name, value in _SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+                if not scope["path"].startswith("/ui/"):
+                    headers.setdefault("Cache-Control", "no-store")
+                elif "cache-control" not in headers:
+                    headers["Cache-Control"] = "no-cache"
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_with_headers)
+        finally:
+            elapsed = time.monotonic() - started
+            route = route_of(scope)
+            self._telemetry.observe(scope["method"], route, status, elapsed)
+            _access.info(
+                "%s %s %d %.1f ms",
+                scope["method"],
+                route,
+                status,
+                1000 * elapsed,
+                extra={"request_id": request_id, "path": scope["path"]},
+            )
+
+
+def route_of(scope: Scope) -> str:
+    """Return the template of the route that a handled request took, so that figures have few labels."""
+    route = scope.get("route")
+    path = getattr(route, "path", None)
+    if isinstance(path, str):
+        return path or "/"
+    return "/ui" if scope["path"].startswith("/ui/") else "(unknown)"
+
+
+class BodyLimit:
+    """Refuses a request body that is too large, announced or not, without ever holding it.
+
+    A body that is not much too large is read to its end and thrown away: many clients look for the answer only when
+    they have sent everything. For a larger one the connection is closed behind the answer.
+    """
+
+    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+        self._app = app
+        self._max_bytes = max_bytes
+        self._patience_bytes = 16 * max_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        announced = Headers(scope=scope).get("content-length", "0")
+        if not announced.isdecimal() or int(announced) > self._max_bytes:
+            received = 0
+            if announced.isdecimal() and int(announced) <= self._patience_bytes:
+                received = await self._drain(receive, received)
+            error = self._error(received)
+            await problem_response(413, error.detail, error.errors, error.headers)(scope, receive, send)
+            return
+        received = 0
+
+        async def counted() -> Message:
+            nonlocal received
+            message = await receive()
+            if message["type"] == "http.request":
+                received += len(message.get("body", b""))
+                if received > self._max_bytes:
+                    if message.get("more_body", False):
+                        received = await self._drain(receive, received)
+                    raise self._error(received)
+            return message
+
+        await self._app(scope, counted, send)
+
+    async def _drain(self, receive: Receive, received: int) -> int:
+        """Read on until the body or our patience ends; return the bytes of the body so far, 0 if it did not end."""
+        while received <= self._patience_bytes:
+            message = await receive()
+            received += len(message.get("body", b""))
+            if message["type"] != "http.request" or not message.get("more_body", False):
+                return received
+        return 0
+
+    def _error(self, received: int) -> ProblemError:
+        detail = f"the body is larger than {self._max_bytes} bytes; send less"
+        headers = {} if received else {"Connection": "close"}
+        return ProblemError(413, detail, [FieldError(field="body", message=detail)], headers)

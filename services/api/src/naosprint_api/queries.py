@@ -1,0 +1,257 @@
+"""What the API reads: pages of jobs, thinned metrics, and news for followers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+
+from naojobs.errors import NotFoundError
+from naojobs.lifecycle import Sessions
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
+from naojobs.schemas import MetricsPublic
+from naojobs.states import JobState
+from naojobs.tokens import Principal
+from sqlalchemy import Select, func, select
+
+#: The most rows that metrics are answered with, asked or not.
+MAX_POINTS = 5_000
+
+
+@dataclass(frozen=True, slots=True)
+class JobFilter:
+    """Says which jobs to list."""
+
+    states: Sequence[JobState] = ()
+    tags: Sequence[str] = ()
+    owner: str | None = None
+    group: str | None = None
+    parent: str | None = None
+    text: str | None = None
+
+    def apply(self, statement: Select[tuple[Job]]) -> Select[tuple[Job]]:
+        """Return `statement` narrowed to these jobs."""
+        if self.states:
+            statement = statement.where(Job.state.in_(self.states))
+        if self.tags:
+            statement = statement.where(Job.tags.contains(list(self.tags)))
+        if self.owner is not None:
+            statement = statement.where(Job.owner == self.owner)
+        if self.group is not None:
+            statement = statement.where(Job.group_id == self.group)
+        if self.parent is not None:
+            statement = statement.where(Job.parent_job_id == self.parent)
+        if self.text:
+            statement = statement.where(
+                Job.name.icontains(self.text, autoescape=True) | Job.id.startswith(self.text, autoescape=True),
+            )
+        return statement
+
+
+def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str | None) -> list[Job]:
+    """Return up to `limit` jobs older than the job `before`, newest first."""
+    statement = wanted.apply(select(Job)).order_by(Job.id.desc()).limit(limit)
+    if before is not None:
+        statement = statement.where(Job.id < before)
+    with sessions.begin() as session:
+        return list(session.scalars(statement))
+
+
+def changed_jobs(sessions: Sessions, wanted: JobFilter, *, since: datetime, overlap_s: float = 10.0) -> list[Job]:
+    """Return jobs changed since then and a little before, oldest change first.
+
+    `updated_at` is when a transaction began, so one that began earlier may show later: hence the overlap.
+    """
+    statement = (
+        wanted.apply(select(Job))
+        .where(Job.updated_at >= since - timedelta(seconds=overlap_s))
+        .order_by(Job.updated_at, Job.id)
+        .limit(1000)
+    )
+    with sessions.begin() as session:
+        return list(session.scalars(statement))
+
+
+def database_now(sessions: Sessions) -> datetime:
+    """Return the time by the database's clock."""
+    with sessions.begin() as session:
+        return session.execute(select(func.now())).scalar_one()
+
+
+def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:
+    """Return a job that `principal` may see. Raises NotFoundError, also for jobs of others."""
+    with sessions.begin() as session:
+        job = session.get(Job, job_id)
+    if job is None or not (principal.is_admin or job.owner == principal.owner):
+        raise NotFoundError(f"no job {job_id} that this token may see")
+    return job
+
+
+def visible_checkpoint(sessions: Sessions, principal: Principal, checkpoint_id: str) -> Checkpoint:
+    """Return a checkpoint of a job that `principal` may see. Raises NotFoundError."""
+    with sessions.begin() as session:
+        row = session.execute(
+            select(Checkpoint, Job.owner).join(Job, Job.id == Checkpoint.job_id).where(Checkpoint.id == checkpoint_id),
+        ).one_or_none()
+    if row is None or not (principal.is_admin or row.owner == principal.owner):
+        raise NotFoundError(f"no checkpoint {checkpoint_id} that this token may see")
+    checkpoint: Checkpoint = row.Checkpoint
+    return checkpoint
+
+
+def visible_evaluation(sessions: Sessions, principal: Principal, evaluation_id: str) -> Evaluation:
+    """Return an evaluation of a job that `principal` may see. Raises NotFoundError."""
+    with sessions.begin() as session:
+        row = session.execute(
+            select(Evaluation, Job.owner).join(Job, Job.id == Evaluation.job_id).where(Evaluation.id == evaluation_id),
+        ).one_or_none()
+    if row is None or not (principal.is_admin or row.owner == principal.owner):
+        raise NotFoundError(f"no evaluation {evaluation_id} that this token may see")
+    evaluation: Evaluation = row.Evaluation
+    return evaluation
+
+
+def metrics_columns(sessions: Sessions, job_id: str, *, after_step: int, max_points: int) -> MetricsPublic:
+    """Return metrics by column, thinned to every k-th row so that at most `max_points` remain.
+
+    The last row is always among them. Rows are real ones, never averages.
+    """
+    numbered = (
+        select(
+            Metric.step,
+            Metric.values,
+            func.row_number().over(order_by=Metric.step.desc()).label("from_end"),
+            func.count().over().label("total"),
+            func.max(Metric.seq).over().label("last_seq"),
+        )
+        .where(Metric.job_id == job_id, Metric.step > after_step)
+        .subquery()
+    )
+    stride = (numbered.c.total + max_points - 1) / max_points
+    with sessions.begin() as session:
+        rows = session.execute(
+            select(numbered)
+            .where((numbered.c.from_end - 1) % func.greatest(func.floor(stride), 1) == 0)
+            .order_by(numbered.c.step),
+        ).all()
+    names = dict.fromkeys(["step", *(name for row in rows for name in row.values)])
+    columns: dict[str, list[float | None]] = {name: [row.values.get(name) for row in rows] for name in names}
+    columns["step"] = [row.step for row in rows]
+    return MetricsPublic(
+        columns=columns,
+        rows=len(rows),
+        total_rows=rows[0].total if rows else 0,
+        last_seq=max((row.last_seq for row in rows), default=0),
+    )
+
+
+def events_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> list[Event]:
+    """Return events of a job behind the event `after`, oldest first."""
+    with sessions.begin() as session:
+        return list(
+            session.scalars(
+                select(Event).where(Event.job_id == job_id, Event.id > after).order_by(Event.id).limit(limit)
+            ),
+        )
+
+
+def logs_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> list[Log]:
+    """Return log lines of a job behind the line `after`, oldest first."""
+    with sessions.begin() as session:
+        return list(
+            session.scalars(select(Log).where(Log.job_id == job_id, Log.id > after).order_by(Log.id).limit(limit)),
+        )
+
+
+def logs_tail(sessions: Sessions, job_id: str, *, limit: int) -> list[Log]:
+    """Return the last log lines of a job, oldest first."""
+    with sessions.begin() as session:
+        rows = session.scalars(select(Log).where(Log.job_id == job_id).order_by(Log.id.desc()).limit(limit)).all()
+    return list(reversed(rows))
+
+
+def checkpoints_of(sessions: Sessions, job_id: str) -> list[Checkpoint]:
+    """Return the checkpoints of a job, most steps first."""
+    with sessions.begin() as session:
+        return list(
+            session.scalars(
+                select(Checkpoint)
+                .where(Checkpoint.job_id == job_id)
+                .order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc()),
+            ),
+        )
+
+
+def evaluations_of(sessions: Sessions, job_id: str) -> list[Evaluation]:
+    """Return the evaluations of a job, newest first."""
+    with sessions.begin() as session:
+        return list(
+            session.scalars(select(Evaluation).where(Evaluation.job_id == job_id).order_by(Evaluation.id.desc())),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Says what a follower has seen: the last metrics row, log line and event."""
+
+    metrics: int = 0
+    logs: int = 0
+    events: int = 0
+
+    def __str__(self) -> str:
+        """Return it as the id of a server-sent event."""
+        return f"{self.metrics}-{self.logs}-{self.events}"
+
+    @classmethod
+    def parse(cls, text: str) -> Position | None:
+        """Read the id of a server-sent event; none if it is not one of ours."""
+        parts = text.split("-")
+        if len(parts) != 3 or not all(part.isascii() and part.isdecimal() and len(part) < 19 for part in parts):
+            return None
+        return cls(*(int(part) for part in parts))
+
+
+@dataclass(slots=True)
+class News:
+    """Is what has happened to a job since a position."""
+
+    job: Job | None
+    metrics: list[Metric] = field(default_factory=list)
+    logs: list[Log] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    #: Whether there is more of some kind than was asked for.
+    more: bool = False
+
+
+def news_of(sessions: Sessions, job_id: str, seen: Position, kinds: frozenset[str], *, limit: int = 500) -> News:
+    """Return the job and what is new about it, at most `limit` of each kind.
+
+    The job is read first: if it has ended, all that came before its end is in the rows read after it.
+    """
+    with sessions.begin() as session:
+        news = News(session.get(Job, job_id))
+        if news.job is None:
+            return news
+        if "metrics" in kinds:
+            news.metrics = list(
+                session.scalars(
+                    select(Metric)
+                    .where(Metric.job_id == job_id, Metric.seq > seen.metrics)
+                    .order_by(Metric.seq)
+                    .limit(limit),
+                ),
+            )
+        if "log" in kinds:
+            news.logs = list(
+                session.scalars(
+                    select(Log).where(Log.job_id == job_id, Log.id > seen.logs).order_by(Log.id).limit(limit)
+                ),
+            )
+        if "event" in kinds:
+            news.events = list(
+                session.scalars(
+                    select(Event).where(Event.job_id == job_id, Event.id > seen.events).order_by(Event.id).limit(limit),
+                ),
+            )
+    news.more = limit in (len(news.metrics), len(news.logs), len(news.events))
+    return news

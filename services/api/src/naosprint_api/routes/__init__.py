@@ -1,0 +1,3 @@
+"""The routes, one noun per module."""
+
+from __future__ import annotations

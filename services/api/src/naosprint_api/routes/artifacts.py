@@ -1,0 +1,136 @@
+"""Checkpoints and evaluations, and their files."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, BackgroundTasks, Query, Request, Response
+from naojobs import records
+from naojobs.errors import NotFoundError
+from naojobs.models import Evaluation
+from naojobs.schemas import CheckpointPublic, EvaluationCreate, EvaluationPublic
+from naojobs.store import Manifest
+
+from naosprint_api import queries
+from naosprint_api.dependencies import CheckpointId, EvaluationId, FileName, JobId, Reader, ServiceDep, Submitter
+from naosprint_api.downloads import send_archive, send_file
+from naosprint_api.problems import responses
+from naosprint_api.views import checkpoint_view, evaluation_view
+
+router = APIRouter(tags=["artifacts"])
+
+_READ = responses(401, 403, 404, 422, 429, 503)
+_BYTES: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
+_FILE: dict[int | str, dict[str, Any]] = {
+    **_READ,
+    **responses(416),
+    200: {"description": "All of the file", "content": {"application/octet-stream": _BYTES}},
+    206: {"description": "The range that was asked for", "content": {"application/octet-stream": _BYTES}},
+    304: {"description": "The copy with this ETag is still good"},
+    307: {"description": "The store serves it at this address"},
+}
+_ARCHIVE: dict[int | str, dict[str, Any]] = {
+    **_READ,
+    200: {"description": "A tar archive", "content": {"application/x-tar": _BYTES}},
+}
+
+Presigned = Annotated[
+    bool, Query(description="Answer with a redirect to the store where it can sign addresses, else with the file.")
+]
+
+
+@router.get("/jobs/{job_id}/checkpoints", responses=_READ)
+def list_checkpoints(job_id: JobId, principal: Reader, service: ServiceDep) -> list[CheckpointPublic]:
+    """List the checkpoints of a job, most steps first."""
+    queries.visible_job(service.sessions, principal, job_id)
+    return [checkpoint_view(row) for row in queries.checkpoints_of(service.sessions, job_id)]
+
+
+@router.get("/checkpoints/{checkpoint_id}", responses=_READ)
+def get_checkpoint(checkpoint_id: CheckpointId, principal: Reader, service: ServiceDep) -> CheckpointPublic:
+    """Look up one checkpoint."""
+    return checkpoint_view(queries.visible_checkpoint(service.sessions, principal, checkpoint_id))
+
+
+@router.get("/checkpoints/{checkpoint_id}/files/{name:path}", response_class=Response, responses=_FILE)
+def get_checkpoint_file(
+    request: Request,
+    checkpoint_id: CheckpointId,
+    name: FileName,
+    principal: Reader,
+    service: ServiceDep,
+    presigned: Presigned = False,
+) -> Response:
+    """Download a file of a checkpoint; a Range header gets a part of it."""
+    row = queries.visible_checkpoint(service.sessions, principal, checkpoint_id)
+    manifest = Manifest.model_validate(row.manifest)
+    return send_file(request, service.store, row.key, manifest, name, presigned=presigned)
+
+
+@router.get("/checkpoints/{checkpoint_id}/archive", response_class=Response, responses=_ARCHIVE)
+def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, service: ServiceDep) -> Response:
+    """Download all files of a checkpoint as a tar archive."""
+    row = queries.visible_checkpoint(service.sessions, principal, checkpoint_id)
+    manifest = Manifest.model_validate(row.manifest)
+    return send_archive(service.store, row.key, manifest, f"{row.job_id}-{row.step}", row.created_at)
+
+
+@router.get("/jobs/{job_id}/evaluations", responses=_READ)
+def list_evaluations(job_id: JobId, principal: Reader, service: ServiceDep) -> list[EvaluationPublic]:
+    """List the evaluations of a job, newest first."""
+    queries.visible_job(service.sessions, principal, job_id)
+    return [evaluation_view(row) for row in queries.evaluations_of(service.sessions, job_id)]
+
+
+@router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})
+def request_evaluation(
+    job_id: JobId,
+    principal: Submitter,
+    service: ServiceDep,
+    background: BackgroundTasks,
+    body: EvaluationCreate | None = None,
+) -> EvaluationPublic:
+    """Ask for an evaluation of a checkpoint; look it up again until its state says that it is done."""
+    queries.visible_job(service.sessions, principal, job_id)
+    row = records.request_evaluation(
+        service.sessions,
+        job_id,
+        checkpoint_id=body.checkpoint_id if body else None,
+        spec=body.spec if body else None,
+    )
+    background.add_task(service.announce_evaluation, row.id, row.queue)
+    return evaluation_view(row)
+
+
+@router.get("/evaluations/{evaluation_id}", responses=_READ)
+def get_evaluation(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> EvaluationPublic:
+    """Look up one evaluation."""
+    return evaluation_view(queries.visible_evaluation(service.sessions, principal, evaluation_id))
+
+
+def _finished(row: Evaluation) -> tuple[str, Manifest]:
+    if row.key is None or row.manifest is None:
+        raise NotFoundError(f"evaluation {row.id} is {row.state}; it has no files")
+    return row.key, Manifest.model_validate(row.manifest)
+
+
+@router.get("/evaluations/{evaluation_id}/files/{name:path}", response_class=Response, responses=_FILE)
+def get_evaluation_file(
+    request: Request,
+    evaluation_id: EvaluationId,
+    name: FileName,
+    principal: Reader,
+    service: ServiceDep,
+    presigned: Presigned = False,
+) -> Response:
+    """Download a file of an evaluation; a Range header gets a part of it."""
+    key, manifest = _finished(queries.visible_evaluation(service.sessions, principal, evaluation_id))
+    return send_file(request, service.store, key, manifest, name, presigned=presigned)
+
+
+@router.get("/evaluations/{evaluation_id}/archive", response_class=Response, responses=_ARCHIVE)
+def get_evaluation_archive(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> Response:
+    """Download all files of an evaluation as a tar archive."""
+    row = queries.visible_evaluation(service.sessions, principal, evaluation_id)
+    key, manifest = _finished(row)
+    return send_archive(service.store, key, manifest, evaluation_id, row.created_at)

@@ -1,0 +1,246 @@
+"""Jobs: submit, look up, steer."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, BackgroundTasks, Query, Response
+from naojobs import lifecycle
+from naojobs.errors import NotFoundError
+from naojobs.ids import PATTERN
+from naojobs.models import Job
+from naojobs.schemas import (
+    EventPage,
+    GroupCreate,
+    GroupPublic,
+    JobCreate,
+    JobPage,
+    JobPublic,
+    LogPage,
+    MetricsPublic,
+)
+from naojobs.states import JobState
+from naojobs.tokens import Principal
+
+from naosprint_api import queries
+from naosprint_api.dependencies import (
+    MAX_BIGINT,
+    PLAIN,
+    After,
+    IdempotencyKey,
+    JobId,
+    Limit,
+    Reader,
+    ServiceDep,
+    Submitter,
+)
+from naosprint_api.problems import responses
+from naosprint_api.service import Service
+from naosprint_api.views import event_view, job_view, log_view
+
+router = APIRouter(tags=["jobs"])
+
+READ = responses(401, 403, 404, 422, 429, 503)
+LIST = responses(401, 403, 422, 429, 503)
+STEER = responses(401, 403, 404, 409, 422, 429, 503)
+SUBMIT = responses(401, 403, 409, 413, 422, 429, 503)
+
+Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
+
+
+def job_filter(
+    principal: Reader,
+    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
+    owner: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
+    ] = None,
+    group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
+    parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
+    q: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
+    ] = None,
+) -> queries.JobFilter:
+    """Return the filter that a query asks for, narrowed to what the token may see."""
+    if not principal.is_admin:
+        if owner is not None and owner != principal.owner:
+            raise NotFoundError(f"no jobs of {owner} that this token may see; leave `owner` out")
+        owner = principal.owner
+    # A tag that no job can have finds nothing; it is not worth an error.
+    tags = [item for item in tag if "\x00" not in item]
+    return queries.JobFilter(states=state, tags=tags, owner=owner, group=group, parent=parent, text=q)
+
+
+def steer(service: Service, principal: Principal, job_id: str) -> Job:
+    """Return a job that the caller may change. Raises NotFoundError."""
+    return queries.visible_job(service.sessions, principal, job_id)
+
+
+@router.post("/jobs", status_code=201, responses={**SUBMIT, 200: {"model": JobPublic, "description": "Known already"}})
+def submit_job(
+    body: JobCreate,
+    principal: Submitter,
+    service: ServiceDep,
+    background: BackgroundTasks,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> JobPublic:
+    """Queue a training. 201 for a new job; 200 if the idempotency key came before with the same body."""
+    job, created = lifecycle.submit(
+        service.sessions,
+        body,
+        owner=principal.owner,
+        idempotency_key=idempotency_key,
+        max_open_jobs=service.settings.api_max_open_jobs,
+        see_all=principal.is_admin,
+    )
+    if created:
+        background.add_task(service.announce, job.id, job.queue, job.priority)
+    else:
+        response.status_code = 200
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return job_view(job)
+
+
+@router.post(
+    "/groups", status_code=201, responses={**SUBMIT, 200: {"model": GroupPublic, "description": "Known already"}}
+)
+def submit_group(
+    body: GroupCreate,
+    principal: Submitter,
+    service: ServiceDep,
+    background: BackgroundTasks,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> GroupPublic:
+    """Queue several trainings that differ in seed or in fields of a grid: all of them, or none."""
+    group_id, jobs, created = lifecycle.submit_group(
+        service.sessions,
+        body,
+        owner=principal.owner,
+        idempotency_key=idempotency_key,
+        max_open_jobs=service.settings.api_max_open_jobs,
+        see_all=principal.is_admin,
+    )
+    if created:
+        for job in jobs:
+            background.add_task(service.announce, job.id, job.queue, job.priority)
+    else:
+        response.status_code = 200
+    return GroupPublic(id=group_id, jobs=[job_view(job) for job in jobs])
+
+
+@router.get("/jobs", responses={**LIST, **responses(404)})
+def list_jobs(
+    principal: Reader,
+    service: ServiceDep,
+    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
+    owner: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
+    ] = None,
+    group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
+    parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
+    q: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
+    ] = None,
+    limit: Annotated[int, Query(ge=1, le=200, description="At most so many.")] = 50,
+    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the page before.")] = None,
+) -> JobPage:
+    """List jobs, newest first."""
+    wanted = job_filter(principal, state, tag, owner, group, parent, q)
+    rows = queries.list_jobs(service.sessions, wanted, limit=limit + 1, before=cursor)
+    page = rows[:limit]
+    return JobPage(
+        items=[job_view(job) for job in page],
+        next_cursor=page[-1].id if len(rows) > limit else None,
+    )
+
+
+@router.get("/jobs/{job_id}", responses=READ)
+def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
+    """Look up one job."""
+    return job_view(queries.visible_job(service.sessions, principal, job_id))
+
+
+@router.post("/jobs/{job_id}/cancel", responses=STEER)
+def cancel_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
+    """Cancel a job. One that runs writes a last checkpoint first; it is cancelled when its state says so."""
+    steer(service, principal, job_id)
+    return job_view(lifecycle.request_cancel(service.sessions, job_id))
+
+
+@router.post("/jobs/{job_id}/pause", responses=STEER)
+def pause_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
+    """Pause a job. One that runs writes a checkpoint first; it is paused when its state says so."""
+    steer(service, principal, job_id)
+    return job_view(lifecycle.request_pause(service.sessions, job_id))
+
+
+@router.post("/jobs/{job_id}/resume", responses=STEER)
+def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
+    """Queue a paused job again; it goes on from its last checkpoint."""
+    steer(service, principal, job_id)
+    job = lifecycle.resume(service.sessions, job_id)
+    background.add_task(service.announce, job.id, job.queue, job.priority)
+    return job_view(job)
+
+
+@router.post("/jobs/{job_id}/retry", responses=STEER)
+def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
+    """Queue a failed or cancelled job again; it goes on from its last checkpoint."""
+    steer(service, principal, job_id)
+    job = lifecycle.retry(service.sessions, job_id)
+    background.add_task(service.announce, job.id, job.queue, job.priority)
+    return job_view(job)
+
+
+@router.delete("/jobs/{job_id}", status_code=204, responses=STEER)
+def delete_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> None:
+    """Delete an ended job with its metrics, logs, checkpoints and evaluations."""
+    steer(service, principal, job_id)
+    lifecycle.delete(service.sessions, job_id)
+    background.add_task(service.discard_artifacts, job_id)
+
+
+@router.get("/jobs/{job_id}/metrics", responses=READ)
+def get_metrics(
+    job_id: JobId,
+    principal: Reader,
+    service: ServiceDep,
+    max_points: Annotated[
+        int, Query(ge=2, le=queries.MAX_POINTS, description="Thin the rows to at most so many; the last one stays.")
+    ] = queries.MAX_POINTS,
+    after_step: Annotated[int, Query(ge=-1, le=MAX_BIGINT, description="Only rows beyond this step.")] = -1,
+) -> MetricsPublic:
+    """Get the metrics of a job by column."""
+    queries.visible_job(service.sessions, principal, job_id)
+    return queries.metrics_columns(service.sessions, job_id, after_step=after_step, max_points=max_points)
+
+
+@router.get("/jobs/{job_id}/logs", responses=READ)
+def get_logs(
+    job_id: JobId,
+    principal: Reader,
+    service: ServiceDep,
+    after: After = 0,
+    limit: Limit = 200,
+    tail: Annotated[bool, Query(description="The last lines instead of those behind `after`.")] = False,
+) -> LogPage:
+    """Get lines of a job's log, oldest first."""
+    queries.visible_job(service.sessions, principal, job_id)
+    if tail:
+        rows = queries.logs_tail(service.sessions, job_id, limit=limit)
+    else:
+        rows = queries.logs_after(service.sessions, job_id, after=after, limit=limit)
+    return LogPage(items=[log_view(row) for row in rows], next_after=rows[-1].id if rows else None)
+
+
+@router.get("/jobs/{job_id}/events", responses=READ)
+def get_events(
+    job_id: JobId, principal: Reader, service: ServiceDep, after: After = 0, limit: Limit = 200
+) -> EventPage:
+    """Get what happened to a job, oldest first."""
+    queries.visible_job(service.sessions, principal, job_id)
+    rows = queries.events_after(service.sessions, job_id, after=after, limit=limit)
+    return EventPage(items=[event_view(row) for row in rows], next_after=rows[-1].id if rows else None)

@@ -1,0 +1,181 @@
+"""Live news as server-sent events."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from functools import partial
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends, Header, Query
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from naojobs.ids import PATTERN
+from naojobs.models import Job
+from naojobs.states import ENDED, JobState
+
+from naosprint_api import queries
+from naosprint_api.dependencies import MAX_BIGINT, PLAIN, JobId, Reader, ServiceDep
+from naosprint_api.problems import FieldError, ProblemError, responses
+from naosprint_api.queries import Position
+from naosprint_api.routes.jobs import job_filter
+from naosprint_api.service import Service
+from naosprint_api.views import job_view
+
+router = APIRouter(tags=["streams"])
+
+Kind = Literal["metrics", "log", "event", "state"]
+LastEventId = Annotated[
+    str | None,
+    Header(
+        alias="Last-Event-ID", max_length=100, description="The last id that was seen; the stream goes on behind it."
+    ),
+]
+
+_STREAM = responses(401, 403, 404, 422, 429, 503)
+
+
+def _message(event: str, text: str, identifier: str | None = None) -> ServerSentEvent:
+    return ServerSentEvent(raw_data=text, event=event, id=identifier)
+
+
+@contextmanager
+def _follower(service: Service) -> Iterator[None]:
+    with service.telemetry.followers.track_inprogress():
+        yield
+
+
+def place(service: ServiceDep) -> None:
+    """Refuse a follower when there are too many."""
+    if service.broadcaster.closing or service.broadcaster.followers >= service.settings.api_max_followers:
+        service.telemetry.refused.labels("followers").inc()
+        raise ProblemError(503, "too many streams are open; try again soon", headers={"Retry-After": "10"})
+
+
+def start_position(
+    metrics_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="`last_seq` of a metrics answer.")] = 0,
+    logs_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of a log line.")] = 0,
+    events_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of an event.")] = 0,
+    last_event_id: LastEventId = None,
+) -> Position:
+    """Return where a follower goes on: behind the last id that it has seen, else where the query says."""
+    if not last_event_id:
+        return Position(metrics_after, logs_after, events_after)
+    position = Position.parse(last_event_id)
+    if position is None:
+        message = "is not an id of this stream; send the last `id:` as it came, or leave the header out"
+        raise ProblemError(422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)])
+    return position
+
+
+def followed_job(job_id: JobId, principal: Reader, service: ServiceDep) -> Job:
+    """Return the job to follow. Raises NotFoundError."""
+    return queries.visible_job(service.sessions, principal, job_id)
+
+
+def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
+    """Return the time from which changes of jobs are told."""
+    if not last_event_id:
+        return queries.database_now(service.sessions)
+    try:
+        since = datetime.fromisoformat(last_event_id)
+        if since.tzinfo is None or since.year < 2000:
+            raise ValueError
+    except ValueError:
+        message = "is not an id of this stream; send the last `id:` as it came, or leave the header out"
+        raise ProblemError(
+            422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)]
+        ) from None
+    return since
+
+
+def stream_filter(
+    principal: Reader,
+    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
+    owner: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
+    ] = None,
+    group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
+) -> queries.JobFilter:
+    """Return the filter of a stream of jobs."""
+    return job_filter(principal, state, tag, owner, group)
+
+
+@router.get(
+    "/jobs/stream",
+    response_class=EventSourceResponse,
+    responses=_STREAM,
+    dependencies=[Depends(place)],
+)
+async def stream_jobs(
+    service: ServiceDep,
+    wanted: Annotated[queries.JobFilter, Depends(stream_filter)],
+    since: Annotated[datetime, Depends(since_of)],
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow all jobs: `job` with the whole job whenever one changes, `gone` with the id of one that was deleted.
+
+    The first message, `ready`, says that nothing will be missed from there on. A change may be told twice.
+    """
+    sent: dict[str, datetime] = {}
+    with _follower(service), service.broadcaster.subscribe() as subscription:
+        yield _message("ready", json.dumps({"since": since.isoformat()}), since.isoformat())
+        while not service.broadcaster.closing:
+            rows = await service.feed.in_thread(
+                partial(queries.changed_jobs, service.sessions, wanted, since=since),
+            )
+            for job in rows:
+                since = max(since, job.updated_at)
+                if sent.get(job.id) != job.updated_at:
+                    sent[job.id] = job.updated_at
+                    yield _message("job", job_view(job).model_dump_json(), since.isoformat())
+            # What lies outside the overlap is not read again, so it need not be remembered.
+            sent = {job.id: job.updated_at for job in rows}
+            await service.broadcaster.wait(subscription)
+            deleted, subscription.deleted = subscription.deleted, {}
+            for job_id, owner in deleted.items():
+                if wanted.owner in (None, owner):
+                    yield _message("gone", json.dumps({"id": job_id}), since.isoformat())
+
+
+@router.get(
+    "/jobs/{job_id}/stream",
+    response_class=EventSourceResponse,
+    responses=_STREAM,
+    dependencies=[Depends(place)],
+)
+async def stream_job(
+    service: ServiceDep,
+    job: Annotated[Job, Depends(followed_job)],
+    seen: Annotated[Position, Depends(start_position)],
+    only: Annotated[list[Kind], Query(description="Only these kinds; left out, all.")] = [],  # noqa: B006
+) -> AsyncIterator[ServerSentEvent]:
+    """Follow one job: `metrics`, `log`, `event` and `state` messages, then `end` when it has ended.
+
+    Everything from the start is sent unless `Last-Event-ID` or the query say where to go on. When a job resumes from
+    a checkpoint its steps go back: a `metrics` row whose step is not beyond the last one replaces all from there on.
+    """
+    kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})
+    job_id = job.id
+    told: datetime | None = None
+    behind = True
+    with _follower(service), service.broadcaster.subscribe(job_id) as subscription:
+        while not service.broadcaster.closing:
+            batch = await service.feed.news(job_id, seen, kinds, at_once=behind)
+            if batch.state is None:
+                yield _message("gone", json.dumps({"id": job_id}))
+                return
+            for item in batch.items:
+                seen = item.position
+                yield _message(item.event, item.text, str(seen))
+            behind = batch.more
+            if behind:
+                continue
+            if "state" in kinds and batch.updated_at != told:
+                yield _message("state", batch.job, str(seen))
+            told = batch.updated_at
+            if batch.state in ENDED:
+                yield _message("end", json.dumps({"state": batch.state, "error": batch.error}), str(seen))
+                return
+            await service.broadcaster.wait(subscription)

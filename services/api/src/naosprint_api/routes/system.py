@@ -1,0 +1,174 @@
+"""The service itself: health, figures, workers, and what a job may consist of."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.security import HTTPAuthorizationCredentials
+from naojobs import registry
+from naojobs.database import REVISION
+from naojobs.schemas import JobCreate, WorkerPublic
+from naojobs.store import StoreError
+from naojobs.tokens import Scope
+from naospec import PRESET_SUMMARIES, PRESETS, TASKS, TrainingSpec
+from pydantic import BaseModel, Field
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from naosprint_api import __version__
+from naosprint_api.dependencies import Reader, ServiceDep, authenticate, needs, service_of
+from naosprint_api.problems import responses
+
+router = APIRouter(tags=["service"])
+
+Check = Literal["ok", "failed"]
+
+
+class Health(BaseModel):
+    """Says that the process answers."""
+
+    status: Literal["ok"] = "ok"
+    version: str = __version__
+
+
+class Readiness(BaseModel):
+    """Says whether the service can do its work."""
+
+    ready: bool
+    database: Check
+    schema_revision: Check = Field(description="Whether the database has the revision that this version needs.")
+    store: Check
+    broker: Check = Field(description="Jobs are accepted and wait even when the broker is down.")
+
+
+class Identity(BaseModel):
+    """Says who a token belongs to."""
+
+    owner: str
+    scopes: list[Scope]
+
+
+class Preset(BaseModel):
+    """Describes a preset."""
+
+    name: str
+    summary: str
+    spec: TrainingSpec = Field(description="The specification that it stands for.")
+
+
+class TaskPublic(BaseModel):
+    """Describes a task."""
+
+    name: str
+    summary: str
+    max_steps: int
+    min_height_m: float
+    finish_x_m: float | None
+
+
+@router.get("/healthz")
+def health() -> Health:
+    """Say that the process is alive."""
+    return Health()
+
+
+@router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready"}})
+def readiness(service: ServiceDep, response: Response) -> Readiness:
+    """Ask the database, the store and the broker whether they answer."""
+    database: Check = "failed"
+    revision: Check = "failed"
+    store: Check = "failed"
+    try:
+        with service.sessions.begin() as session:
+            session.execute(text("SELECT 1"))
+            database = "ok"
+            found = session.scalar(text("SELECT version_num FROM alembic_version"))
+            revision = "ok" if found == REVISION else "failed"
+    except SQLAlchemyError:
+        pass
+    try:
+        service.store.check()
+        store = "ok"
+    except StoreError:
+        pass
+    ready = database == revision == store == "ok"
+    if not ready:
+        response.status_code = 503
+    return Readiness(
+        ready=ready,
+        database=database,
+        schema_revision=revision,
+        store=store,
+        broker="ok" if service.doorbell.reachable() else "failed",
+    )
+
+
+def may_read_figures(request: Request, service: ServiceDep) -> None:
+    """Let everybody read the figures if the settings say so, else only admins."""
+    if service.settings.api_metrics_public:
+        return
+    scheme, _, secret = request.headers.get("authorization", "").partition(" ")
+    known = HTTPAuthorizationCredentials(scheme=scheme, credentials=secret) if scheme.lower() == "bearer" else None
+    needs(Scope.ADMIN)(authenticate(request, service, known), service)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    dependencies=[Depends(may_read_figures)],
+    responses={
+        **responses(401, 403, 429, 503),
+        200: {"description": "Prometheus's text format", "content": {"text/plain": {"schema": {"type": "string"}}}},
+    },
+)
+def figures(request: Request) -> Response:
+    """Get the service's own figures for Prometheus."""
+    content = service_of(request).telemetry.render()
+    return Response(content, media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+@router.get("/whoami", responses=responses(401, 403, 429, 503))
+def whoami(principal: Reader) -> Identity:
+    """Say who the token belongs to and what it allows."""
+    return Identity(owner=principal.owner, scopes=sorted(principal.scopes))
+
+
+@router.get("/workers", responses=responses(401, 403, 429, 503))
+def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
+    """List the workers, when each was last heard of, and the jobs it holds (one's own, unless the token is admin)."""
+    found = registry.workers(service.sessions, stale_s=service.settings.lease_s)
+    if principal.is_admin:
+        return found
+    mine = registry.leased_jobs_of(service.sessions, principal.owner)
+    return [worker.model_copy(update={"jobs": [job for job in worker.jobs if job in mine]}) for worker in found]
+
+
+@router.get("/spec/schema")
+def spec_schema() -> dict[str, Any]:
+    """Get the JSON schema of what `POST /jobs` takes, for forms and editors."""
+    return JobCreate.model_json_schema()
+
+
+@router.get("/presets")
+def list_presets() -> list[Preset]:
+    """List the presets with all their settings."""
+    return [
+        Preset(name=name, summary=PRESET_SUMMARIES[name], spec=TrainingSpec.model_validate({"preset": name}))
+        for name in PRESETS
+    ]
+
+
+@router.get("/tasks")
+def list_tasks() -> list[TaskPublic]:
+    """List the tasks that can be trained."""
+    return [
+        TaskPublic(
+            name=task.name,
+            summary=task.summary,
+            max_steps=task.max_steps,
+            min_height_m=task.min_height_m,
+            finish_x_m=task.finish_x_m,
+        )
+        for task in TASKS.values()
+    ]

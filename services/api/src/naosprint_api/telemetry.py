@@ -1,0 +1,82 @@
+"""Figures about the service for Prometheus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from naojobs.lifecycle import Sessions
+from naojobs.models import Job, Worker
+from naojobs.states import JobState
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.platform_collector import PlatformCollector
+from prometheus_client.process_collector import ProcessCollector
+from prometheus_client.registry import Collector
+from sqlalchemy import func, select, text
+
+_BUCKETS = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
+
+
+class _Rows(Collector):
+    """Counts jobs and workers in the database when it is asked."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._sessions = sessions
+
+    def describe(self) -> list[GaugeMetricFamily]:
+        """Name nothing in advance: registering must not ask the database."""
+        return []
+
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        """Count."""
+        with self._sessions.begin() as session:
+            counts = {
+                state: count for state, count in session.execute(select(Job.state, func.count()).group_by(Job.state))
+            }
+            alive = session.scalar(
+                select(func.count())
+                .select_from(Worker)
+                .where(Worker.heartbeat_at > func.now() - text("interval '30 seconds'")),
+            )
+            oldest = session.scalar(
+                select(func.extract("epoch", func.now() - func.min(Job.queued_at))).where(Job.state == JobState.QUEUED),
+            )
+        jobs = GaugeMetricFamily("naosprint_jobs", "Jobs by state.", labels=["state"])
+        for state in JobState:
+            jobs.add_metric([state], counts.get(state, 0))
+        yield jobs
+        yield GaugeMetricFamily("naosprint_workers_alive", "Workers heard of in the last 30 s.", value=alive or 0)
+        yield GaugeMetricFamily(
+            "naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", value=float(oldest or 0)
+        )
+
+
+class Telemetry:
+    """Holds the figures of one API process."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._registry = CollectorRegistry()
+        ProcessCollector(registry=self._registry)
+        PlatformCollector(registry=self._registry)
+        self._registry.register(_Rows(sessions))
+        self._seconds = Histogram(
+            "naosprint_http_request_seconds",
+            "Time to the end of the answer.",
+            ["method", "route", "status"],
+            buckets=_BUCKETS,
+            registry=self._registry,
+        )
+        self.followers = Gauge("naosprint_followers", "Open streams.", registry=self._registry)
+        self.refused = Counter("naosprint_refused", "Requests refused.", ["reason"], registry=self._registry)
+        self.doorbell_failures = Counter(
+            "naosprint_doorbell_failures", "Messages that the broker did not take.", registry=self._registry
+        )
+
+    def observe(self, method: str, route: str, status: int, seconds: float) -> None:
+        """Count one request."""
+        known = method if method in {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"} else "(other)"
+        self._seconds.labels(known, route, str(status)).observe(seconds)
+
+    def render(self) -> bytes:
+        """Return all figures in Prometheus's text format."""
+        return generate_latest(self._registry)

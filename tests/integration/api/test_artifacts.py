@@ -1,0 +1,229 @@
+"""Checkpoints and evaluations over HTTP: whole, in parts, as an archive, and never anything else."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import tarfile
+from collections.abc import Callable
+from contextlib import closing
+from http.client import HTTPConnection
+
+import httpx
+import pytest
+from naojobs import records
+from naojobs.lifecycle import Lease
+from naojobs.store import ArtifactStore
+from naospec import EvaluationSpec
+from sqlalchemy.orm import Session, sessionmaker
+
+CONTENT = {
+    "checkpoint.json": b'{"format": 1}',
+    "policy.npz": os.urandom(3 << 20),
+    "sub/notes.txt": b"",
+    "odd": b"x" * 513,
+}
+
+
+@pytest.fixture
+def lease(run_job: Callable[..., Lease]) -> Lease:
+    return run_job()
+
+
+@pytest.fixture
+def checkpoint(lease: Lease, save_checkpoint: Callable[..., str]) -> str:
+    return save_checkpoint(lease, 100, CONTENT)
+
+
+def test_a_checkpoint_is_listed_and_downloaded_as_it_is(client: httpx.Client, lease: Lease, checkpoint: str) -> None:
+    (listed,) = client.get(f"/jobs/{lease.job_id}/checkpoints").json()
+    assert client.get(f"/checkpoints/{checkpoint}").json() == listed
+    assert (listed["id"], listed["step"], listed["attempt"]) == (checkpoint, 100, 1)
+    assert listed["size"] == sum(map(len, CONTENT.values()))
+    assert {file["name"] for file in listed["files"]} == set(CONTENT)
+    for file in listed["files"]:
+        answer = client.get(file["url"])
+        assert answer.status_code == 200
+        assert answer.content == CONTENT[file["name"]]
+        assert int(answer.headers["content-length"]) == file["size"]
+        assert hashlib.sha256(answer.content).hexdigest() == file["sha256"]
+        assert answer.headers["etag"] == f'"{file["sha256"]}"'
+        assert answer.headers["content-disposition"].startswith("attachment")
+        assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_newest_checkpoint_comes_first(
+    client: httpx.Client, lease: Lease, save_checkpoint: Callable[..., str]
+) -> None:
+    for step in (5, 50, 10):
+        save_checkpoint(lease, step, {"a": b"a"})
+    steps = [item["step"] for item in client.get(f"/jobs/{lease.job_id}/checkpoints").json()]
+    assert steps == [50, 10, 5]
+
+
+@pytest.mark.parametrize(
+    ("header", "start", "stop"),
+    [
+        ("bytes=0-0", 0, 1),
+        ("bytes=0-99", 0, 100),
+        ("bytes=1000-", 1000, None),
+        ("bytes=-10", -10, None),
+        ("bytes=-99999999", 0, None),
+        ("bytes=2000000-99999999", 2_000_000, None),
+    ],
+)
+def test_a_range_gets_just_that(
+    client: httpx.Client, checkpoint: str, header: str, start: int, stop: int | None
+) -> None:
+    whole = CONTENT["policy.npz"]
+    answer = client.get(f"/checkpoints/{checkpoint}/files/policy.npz", headers={"Range": header})
+    part = whole[start:stop]
+    first = start if start >= 0 else len(whole) + start
+    assert answer.status_code == 206
+    assert answer.content == part
+    assert answer.headers["content-range"] == f"bytes {first}-{first + len(part) - 1}/{len(whole)}"
+
+
+def test_an_interrupted_download_goes_on_where_it_stopped(client: httpx.Client, checkpoint: str) -> None:
+    path = f"/checkpoints/{checkpoint}/files/policy.npz"
+    first = client.get(path, headers={"Range": "bytes=0-999999"})
+    headers = {"Range": f"bytes={len(first.content)}-", "If-Range": first.headers["etag"]}
+    second = client.get(path, headers=headers)
+    assert first.content + second.content == CONTENT["policy.npz"]
+    changed = client.get(path, headers={**headers, "If-Range": '"another"'})
+    assert (changed.status_code, changed.content) == (200, CONTENT["policy.npz"])
+
+
+def test_what_is_no_range_is_ignored_and_what_lies_outside_is_refused(client: httpx.Client, checkpoint: str) -> None:
+    path = f"/checkpoints/{checkpoint}/files/odd"
+    for header in ("bytes=5-2", "bytes=a-b", "bytes=-", "bytes=0-1,3-4", "lines=0-1"):
+        assert client.get(path, headers={"Range": header}).status_code == 200
+    for header in ("bytes=513-", "bytes=513-600", "bytes=-0"):
+        answer = client.get(path, headers={"Range": header})
+        assert answer.status_code == 416
+        assert answer.headers["content-range"] == "bytes */513"
+        assert answer.json()["errors"][0]["field"] == "Range"
+    assert client.get(f"/checkpoints/{checkpoint}/files/sub/notes.txt").content == b""
+
+
+def test_a_copy_that_is_still_good_is_not_sent_again(client: httpx.Client, checkpoint: str) -> None:
+    path = f"/checkpoints/{checkpoint}/files/odd"
+    tag = client.get(path).headers["etag"]
+    assert client.get(path, headers={"If-None-Match": tag}).status_code == 304
+
+
+def test_an_archive_holds_all_files(client: httpx.Client, lease: Lease, checkpoint: str) -> None:
+    answer = client.get(f"/checkpoints/{checkpoint}/archive")
+    assert int(answer.headers["content-length"]) == len(answer.content)
+    with tarfile.open(fileobj=io.BytesIO(answer.content)) as archive:
+        found = {}
+        for member in archive.getmembers():
+            file = archive.extractfile(member)
+            assert file is not None
+            found[member.name] = file.read()
+    assert found == {f"{lease.job_id}-100/{name}": content for name, content in CONTENT.items()}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../../../../../../etc/passwd",
+        "..%2f..%2f..%2fetc%2fpasswd",
+        "%2e%2e/%2e%2e/etc/passwd",
+        "/etc/passwd",
+        "%2Fetc%2Fpasswd",
+        "manifest.json",
+        "policy.npz%00",
+        "sub",
+        "sub/",
+        "sub/../policy.npz",
+        "..%5c..%5cpolicy.npz",
+        "a" * 1000,
+    ],
+)
+def test_no_name_leads_anywhere_else(client: httpx.Client, checkpoint: str, name: str) -> None:
+    # httpx would tidy the path up; a stranger's client need not.
+    connection = HTTPConnection(client.base_url.host, client.base_url.port, timeout=20)
+    with closing(connection):
+        for root in (f"/checkpoints/{checkpoint}/files/", "/ui/"):
+            headers = {"Authorization": client.headers["authorization"]}
+            connection.request("GET", root + name, headers=headers)
+            answer = connection.getresponse()
+            assert answer.status in (404, 422), root
+            assert b"root:" not in answer.read()
+
+
+def test_files_of_others_do_not_exist(
+    make_client: Callable[..., httpx.Client], lease: Lease, checkpoint: str, sessions: sessionmaker[Session]
+) -> None:
+    evaluation = records.request_evaluation(sessions, lease.job_id)
+    mallory = make_client("mallory", "submit")
+    for path in (
+        f"/checkpoints/{checkpoint}",
+        f"/checkpoints/{checkpoint}/archive",
+        f"/checkpoints/{checkpoint}/files/odd",
+        f"/evaluations/{evaluation.id}",
+        f"/evaluations/{evaluation.id}/archive",
+        f"/evaluations/{evaluation.id}/files/odd",
+    ):
+        answer = mallory.get(path)
+        assert answer.status_code == 404
+        assert "that this token may see" in answer.json()["detail"]
+
+
+def test_an_evaluation_from_request_to_report(
+    client: httpx.Client,
+    lease: Lease,
+    checkpoint: str,
+    sessions: sessionmaker[Session],
+    store: ArtifactStore,
+    tmp_path: object,
+) -> None:
+    asked = client.post(f"/jobs/{lease.job_id}/evaluations", json={"spec": {"episodes": 10}})
+    assert asked.status_code == 202
+    evaluation = asked.json()
+    assert (evaluation["state"], evaluation["checkpoint_id"], evaluation["files"]) == ("queued", checkpoint, [])
+    assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
+
+    claim = records.claim_evaluation(sessions, evaluation["id"], "w")
+    assert claim is not None
+    assert claim.spec == EvaluationSpec(episodes=10)
+    key = f"jobs/{lease.job_id}/evaluations/{evaluation['id']}-1"
+    entry = store.put_bytes(f"{key}/report.html", b"<html>")
+    records.finish_evaluation(
+        sessions, claim, summary={"speed_mps": {"mean": 1.5}}, key=key, manifest={"files": [entry.model_dump()]}
+    )
+    done = client.get(f"/evaluations/{evaluation['id']}").json()
+    assert (done["state"], done["summary"]) == ("succeeded", {"speed_mps": {"mean": 1.5}})
+    report = client.get(done["files"][0]["url"])
+    assert report.content == b"<html>"
+    assert report.headers["content-type"] == "application/octet-stream", "no page of a user may run here"
+    assert client.get(done["archive_url"]).status_code == 200
+    assert [item["id"] for item in client.get(f"/jobs/{lease.job_id}/evaluations").json()] == [evaluation["id"]]
+
+
+def test_an_evaluation_of_what_is_not_there_is_refused(
+    client: httpx.Client, checkpoint: str, run_job: Callable[..., Lease]
+) -> None:
+    other = run_job().job_id
+    answer = client.post(f"/jobs/{other}/evaluations")
+    assert answer.status_code == 409
+    assert answer.json()["errors"][0]["field"] == "checkpoint_id"
+    assert client.post(f"/jobs/{other}/evaluations", json={"checkpoint_id": checkpoint}).status_code == 404
+    answer = client.post(f"/jobs/{other}/evaluations", json={"spec": {"episodes": 0}})
+    assert answer.json()["errors"][0]["field"] == "spec.episodes"
+
+
+def test_deleting_a_job_deletes_its_files(
+    client: httpx.Client, lease: Lease, checkpoint: str, store: ArtifactStore, sessions: sessionmaker[Session]
+) -> None:
+    assert store.list(f"jobs/{lease.job_id}")
+    from naojobs import lifecycle
+    from naojobs.states import JobState
+
+    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
+    # Files go behind the answer; the connection is only free for another request when they are gone.
+    assert client.get(f"/checkpoints/{checkpoint}").status_code == 404
+    assert store.list(f"jobs/{lease.job_id}") == []

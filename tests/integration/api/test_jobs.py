@@ -1,0 +1,331 @@
+"""Jobs over HTTP: submit, look up, steer, and what is refused and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+from naojobs import lifecycle, records
+from naojobs.lifecycle import Lease
+from naojobs.states import JobState
+from sqlalchemy.orm import Session, sessionmaker
+
+UNKNOWN = "job_01m7y0bdkc59pc1szgpqz7ge55"
+
+
+def submit(client: httpx.Client, **body: Any) -> dict[str, Any]:
+    answer = client.post("/jobs", json=body)
+    assert answer.status_code == 201, answer.text
+    assert answer.headers["location"] == f"/jobs/{answer.json()['id']}"
+    job: dict[str, Any] = answer.json()
+    return job
+
+
+def problem(answer: httpx.Response, status: int) -> dict[str, Any]:
+    """Return the problem document of an answer; check that it is a whole one."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = answer.json()
+    assert set(document) == {"type", "title", "status", "detail", "errors"}
+    assert document["status"] == status
+    assert document["detail"]
+    return document
+
+
+def test_a_job_from_submit_to_delete(client: httpx.Client) -> None:
+    job = submit(client, name="first", tags=["a/b"], spec={"task": "sprint2", "total_steps": 1000})
+    assert (job["state"], job["owner"], job["name"]) == ("queued", "alice", "first")
+    assert job["evaluation"]["task"] == "sprint2"
+    path = f"/jobs/{job['id']}"
+    assert client.get(path).json() == job
+    assert client.post(f"{path}/pause").json()["state"] == "paused"
+    assert client.post(f"{path}/resume").json()["state"] == "queued"
+    problem(client.delete(path), 409)
+    assert client.post(f"{path}/cancel").json()["state"] == "cancelled"
+    assert client.post(f"{path}/retry").json()["state"] == "queued"
+    assert client.post(f"{path}/cancel").json()["state"] == "cancelled"
+    assert client.delete(path).status_code == 204
+    problem(client.get(path), 404)
+
+
+def test_an_empty_object_is_a_job_of_defaults(client: httpx.Client) -> None:
+    job = submit(client)
+    assert (job["name"], job["spec"]["preset"], job["priority"]) == ("sprint1-fast-0", "fast", 5)
+
+
+def test_a_job_without_evaluation(client: httpx.Client) -> None:
+    assert submit(client, evaluation=None)["evaluation"] is None
+
+
+def test_a_key_makes_one_job(client: httpx.Client) -> None:
+    headers = {"Idempotency-Key": "once"}
+    first = client.post("/jobs", json={"name": "k"}, headers=headers)
+    second = client.post("/jobs", json={"name": "k"}, headers=headers)
+    assert (first.status_code, second.status_code) == (201, 200)
+    assert first.json()["id"] == second.json()["id"]
+    refused = problem(client.post("/jobs", json={"name": "other"}, headers=headers), 409)
+    assert refused["errors"][0]["field"] == "Idempotency-Key"
+    refused = problem(client.post("/jobs", json={}, headers={"Idempotency-Key": "a b"}), 422)
+    assert refused["errors"][0]["field"] == "Idempotency-Key"
+
+
+@pytest.mark.parametrize(
+    ("body", "field", "hint"),
+    [
+        ({"spec": {"learning_rate": 0}}, "spec.learning_rate", "greater than 0"),
+        ({"spec": {"learning_rat": 1}}, "spec.learning_rat", "no such field"),
+        ({"spec": {"batch_size": 1000}}, "spec.batch_size", "choose a divisor"),
+        ({"spec": {"task": "marathon"}}, "spec.task", "choose one of"),
+        ({"spec": {"min_height": 0.5}}, "spec.min_height", "smaller min_height"),
+        ({"spec": {"hidden_sizes": [64, 0]}}, "spec.hidden_sizes.1", "greater than or equal to 1"),
+        ({"evaluation": {"episodes": 0}}, "evaluation.episodes", "greater than or equal to 1"),
+        ({"tags": ["ok", "not ok"]}, "tags.1", "pattern"),
+        ({"tags": ["a"] * 21}, "tags", "at most 20"),
+        ({"name": "a\u0000b"}, "name", "pattern"),
+        ({"name": " "}, "name", "at least 1 character"),
+        ({"priority": 10}, "priority", "less than or equal to 9"),
+        ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id", "give the job"),
+        ({"parent_job_id": UNKNOWN}, "parent_job_id", "a job of yours"),
+        ({"parent_job_id": "../../etc/passwd"}, "parent_job_id", "pattern"),
+        ([], "body", "JSON object"),
+        ("text", "body", "JSON object"),
+    ],
+)
+def test_bad_bodies_are_refused_by_field(client: httpx.Client, body: Any, field: str, hint: str) -> None:
+    errors = problem(client.post("/jobs", json=body), 422)["errors"]
+    assert [item["field"] for item in errors] == [field]
+    assert hint in errors[0]["message"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"{'a': 1}", b"\xff\xfe", b'{"spec": {"learning_rate": NaN}}', b'{"spec":' * 5000, b"a: &a [*a, *a]"],
+)
+def test_broken_bodies_are_refused(client: httpx.Client, content: bytes) -> None:
+    answer = client.post("/jobs", content=content, headers={"Content-Type": "application/json"})
+    assert problem(answer, 422)["errors"]
+
+
+def test_text_that_no_database_takes_is_refused(client: httpx.Client) -> None:
+    headers = {"Content-Type": "application/json"}
+    for text in (rb'{"name": "\ud800"}', rb'{"name": "a\u0000"}', rb'{"tags": ["\u0000"]}'):
+        problem(client.post("/jobs", content=text, headers=headers), 422)
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("state=lost", "state.0"),
+        ("limit=0", "limit"),
+        ("limit=201", "limit"),
+        ("cursor=x", "cursor"),
+        ("q=%00", "q"),
+        ("group='--", "group"),
+    ],
+)
+def test_bad_queries_are_refused_by_field(client: httpx.Client, query: str, field: str) -> None:
+    assert [item["field"] for item in problem(client.get(f"/jobs?{query}"), 422)["errors"]] == [field]
+
+
+def test_paging_gives_every_job_once_newest_first(make_client: Callable[..., httpx.Client]) -> None:
+    client = make_client("paging", "submit")
+    ids = [submit(client, name=f"n{number}")["id"] for number in range(7)]
+    found: list[str] = []
+    cursor = None
+    while True:
+        page = client.get("/jobs", params={"limit": 3, **({"cursor": cursor} if cursor else {})}).json()
+        found += [job["id"] for job in page["items"]]
+        cursor = page["next_cursor"]
+        submit(client, name="comes later and is on no page")
+        if cursor is None:
+            break
+    assert found == list(reversed(ids))
+
+
+def test_filters_narrow_the_list(make_client: Callable[..., httpx.Client]) -> None:
+    client = make_client("filters", "submit")
+    red = submit(client, name="Red_fast", tags=["x", "y"])["id"]
+    blue = submit(client, name="blue%slow", tags=["x"])["id"]
+    client.post(f"/jobs/{blue}/cancel")
+
+    def ids(**params: Any) -> set[str]:
+        return {job["id"] for job in client.get("/jobs", params=params).json()["items"]}
+
+    assert ids() == {red, blue}
+    assert ids(state="queued") == {red}
+    assert ids(state=["queued", "cancelled"]) == {red, blue}
+    assert ids(tag="x") == {red, blue}
+    assert ids(tag=["x", "y"]) == {red}
+    assert ids(tag="none") == set()
+    assert ids(q="red_") == {red}
+    assert ids(q="%") == {blue}, "wildcards are plain characters"
+    assert ids(q=red[:20]) >= {red}
+    assert ids(owner="filters") == {red, blue}
+
+
+def test_a_group_is_found_by_its_id(client: httpx.Client) -> None:
+    answer = client.post("/groups", json={"job": {"tags": ["g"]}, "seeds": [1, 2, 3]})
+    assert answer.status_code == 201
+    group = answer.json()
+    found = client.get("/jobs", params={"group": group["id"]}).json()["items"]
+    assert {job["id"] for job in found} == {job["id"] for job in group["jobs"]}
+    assert sorted(job["spec"]["seed"] for job in found) == [1, 2, 3]
+    for body, field in (
+        ({"job": {}}, "seeds"),
+        ({"job": {}, "seeds": [-1]}, "grid.seed"),
+        ({"job": {}, "grid": {"nonsense": [1]}}, "grid.nonsense"),
+        ({"job": {}, "grid": {"n_epochs": [1] * 17, "n_envs": [1] * 17}}, "grid"),
+    ):
+        assert problem(client.post("/groups", json=body), 422)["errors"][0]["field"] == field
+
+
+def test_nobody_without_a_token_gets_in(api: Any) -> None:
+    with httpx.Client(base_url=api.url) as stranger:
+        for method, path in (
+            ("GET", "/jobs"),
+            ("POST", "/jobs"),
+            ("GET", f"/jobs/{UNKNOWN}"),
+            ("DELETE", f"/jobs/{UNKNOWN}"),
+            ("GET", f"/jobs/{UNKNOWN}/stream"),
+            ("GET", "/jobs/stream"),
+            ("GET", "/workers"),
+            ("GET", "/metrics"),
+            ("GET", "/whoami"),
+        ):
+            answer = stranger.request(method, path)
+            assert problem(answer, 401)["errors"][0]["field"] == "Authorization"
+            assert answer.headers["www-authenticate"].startswith("Bearer")
+            for header in ("Bearer nao_wrong", "Basic YWRtaW46YWRtaW4=", "Bearer", "Bearer \u00ff"):
+                answer = stranger.request(method, path, headers={"Authorization": header.encode("latin-1")})
+                problem(answer, 401)
+
+
+def test_a_token_that_may_only_read_changes_nothing(make_client: Callable[..., httpx.Client]) -> None:
+    job = submit(make_client("reader", "submit"))["id"]
+    reader = make_client("reader", "read")
+    assert reader.get(f"/jobs/{job}").status_code == 200
+    assert reader.get("/whoami").json() == {"owner": "reader", "scopes": ["read"]}
+    for method, path in (
+        ("POST", "/jobs"),
+        ("POST", "/groups"),
+        ("POST", f"/jobs/{job}/cancel"),
+        ("POST", f"/jobs/{job}/pause"),
+        ("POST", f"/jobs/{job}/resume"),
+        ("POST", f"/jobs/{job}/retry"),
+        ("POST", f"/jobs/{job}/evaluations"),
+        ("DELETE", f"/jobs/{job}"),
+    ):
+        assert "submit" in problem(reader.request(method, path, json={}), 403)["errors"][0]["message"]
+    assert reader.get(f"/jobs/{job}").json()["state"] == "queued"
+
+
+def test_jobs_of_others_do_not_exist(
+    client: httpx.Client, admin: httpx.Client, make_client: Callable[..., httpx.Client]
+) -> None:
+    job = submit(client)["id"]
+    mallory = make_client("mallory", "submit")
+    for method, path in (
+        ("GET", ""),
+        ("GET", "/metrics"),
+        ("GET", "/logs"),
+        ("GET", "/events"),
+        ("GET", "/stream"),
+        ("GET", "/checkpoints"),
+        ("GET", "/evaluations"),
+        ("POST", "/evaluations"),
+        ("POST", "/cancel"),
+        ("POST", "/pause"),
+        ("POST", "/resume"),
+        ("POST", "/retry"),
+        ("DELETE", ""),
+    ):
+        theirs = problem(mallory.request(method, f"/jobs/{job}{path}"), 404)
+        nobodys = problem(mallory.request(method, f"/jobs/{UNKNOWN}{path}"), 404)
+        assert theirs["detail"].replace(job, UNKNOWN) == nobodys["detail"], "the answers must not tell them apart"
+    assert mallory.get("/jobs").json()["items"] == []
+    problem(mallory.get("/jobs", params={"owner": "alice"}), 404)
+    problem(mallory.post("/jobs", json={"parent_job_id": job}), 422)
+    assert admin.get(f"/jobs/{job}").json()["state"] == "queued"
+    assert admin.get("/jobs", params={"owner": "alice", "q": job}).json()["items"][0]["id"] == job
+    assert admin.post(f"/jobs/{job}/cancel").json()["state"] == "cancelled"
+
+
+def test_a_running_job_is_asked_to_stop(
+    client: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
+) -> None:
+    lease = run_job()
+    paused = client.post(f"/jobs/{lease.job_id}/pause").json()
+    assert (paused["state"], paused["pause_requested"], paused["worker"]) == ("pausing", True, "worker-1")
+    problem(client.post(f"/jobs/{lease.job_id}/resume"), 409)
+    cancelled = client.post(f"/jobs/{lease.job_id}/cancel").json()
+    assert (cancelled["state"], cancelled["cancel_requested"]) == ("pausing", True)
+    orders = lifecycle.heartbeat(sessions, lease)
+    assert (orders.cancel, orders.pause) == (True, True)
+    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    assert client.get(f"/jobs/{lease.job_id}").json()["state"] == "cancelled"
+
+
+def test_metrics_by_column_thinned_on_request(
+    client: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
+) -> None:
+    lease = run_job()
+    path = f"/jobs/{lease.job_id}/metrics"
+    assert client.get(path).json() == {"columns": {"step": []}, "rows": 0, "total_rows": 0, "last_seq": 0}
+    records.append_metrics(
+        sessions,
+        lease,
+        [{"step": 10 * n, "reward": float(n), **({"late": 1.0} if n > 900 else {})} for n in range(1, 1001)],
+    )
+    whole = client.get(path).json()
+    assert (whole["rows"], whole["total_rows"]) == (1000, 1000)
+    assert whole["columns"]["step"] == list(range(10, 10_001, 10))
+    assert whole["columns"]["late"][899:902] == [None, 1.0, 1.0]
+    for points in (2, 7, 100, 999, 1000):
+        thin = client.get(path, params={"max_points": points}).json()
+        steps = thin["columns"]["step"]
+        assert points // 2 < len(steps) <= points
+        assert steps[-1] == 10_000
+        assert steps == sorted(set(steps))
+        assert thin["columns"]["reward"] == [step / 10 for step in steps]
+        assert thin["total_rows"] == 1000
+    rest = client.get(path, params={"after_step": 9_980}).json()
+    assert rest["columns"]["step"] == [9_990, 10_000]
+    assert client.get(f"/jobs/{lease.job_id}").json()["latest_metrics"]["reward"] == 1000.0
+
+
+def test_logs_and_events_continue_behind_the_last(
+    client: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
+) -> None:
+    lease = run_job()
+    path = f"/jobs/{lease.job_id}/logs"
+    assert client.get(path).json() == {"items": [], "next_after": None}
+    records.append_logs(sessions, lease, [records.LogLine("info", f"line {n}") for n in range(25)])
+    found: list[str] = []
+    after = 0
+    while (page := client.get(path, params={"after": after, "limit": 10}).json())["items"]:
+        found += [line["message"] for line in page["items"]]
+        after = page["next_after"]
+    assert found == [f"line {n}" for n in range(25)]
+    tail = client.get(path, params={"tail": True, "limit": 2}).json()
+    assert [line["message"] for line in tail["items"]] == ["line 23", "line 24"]
+    events = client.get(f"/jobs/{lease.job_id}/events").json()["items"]
+    assert [event["kind"] for event in events] == ["queued", "claimed", "started", "running"]
+
+
+def test_workers_show_only_ones_own_jobs(
+    client: httpx.Client,
+    admin: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    sessions: sessionmaker[Session],
+    run_job: Callable[..., Lease],
+) -> None:
+    from naojobs import registry
+
+    lease = run_job()
+    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], version="1")
+    for who, sees in ((client, True), (admin, True), (make_client("mallory", "read"), False)):
+        (worker,) = who.get("/workers").json()
+        assert (worker["id"], worker["alive"]) == ("worker-1", True)
+        assert (lease.job_id in worker["jobs"]) is sees

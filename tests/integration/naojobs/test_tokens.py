@@ -1,0 +1,43 @@
+"""Tokens against a real Postgres."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import pytest
+from naojobs.tokens import Scope, create_token, list_tokens, revoke, verify
+from sqlalchemy import text
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
+
+
+def test_only_the_hash_is_kept(sessions: Sessions) -> None:
+    token_id, secret = create_token(sessions, name="n", owner="alice", scopes=[Scope.SUBMIT])
+    with sessions.begin() as session:
+        row = session.execute(text("SELECT * FROM tokens WHERE id = :id"), {"id": token_id}).one()
+    assert secret not in str(row)
+    principal = verify(sessions, secret)
+    assert principal is not None
+    assert (principal.owner, principal.scopes) == ("alice", {Scope.READ, Scope.SUBMIT})
+    assert not principal.is_admin
+    assert verify(sessions, secret[:-1]) is None
+    assert verify(sessions, row.sha256) is None
+
+
+def test_an_expired_or_revoked_token_is_no_token(sessions: Sessions) -> None:
+    _, expired = create_token(sessions, name="", owner="a", scopes=[Scope.READ], valid_for=timedelta(seconds=-1))
+    assert verify(sessions, expired) is None
+    token_id, secret = create_token(sessions, name="", owner="a", scopes=[Scope.ADMIN], valid_for=timedelta(minutes=1))
+    assert verify(sessions, secret) is not None
+    revoke(sessions, token_id)
+    assert verify(sessions, secret) is None
+    first = next(token for token in list_tokens(sessions) if token.id == token_id).revoked_at
+    revoke(sessions, token_id)
+    assert next(token for token in list_tokens(sessions) if token.id == token_id).revoked_at == first
+
+
+@pytest.mark.parametrize(("owner", "scopes"), [("", [Scope.READ]), ("a" * 201, [Scope.READ]), ("a", [])])
+def test_a_token_needs_an_owner_and_a_scope(sessions: Sessions, owner: str, scopes: list[Scope]) -> None:
+    with pytest.raises(ValueError, match=r"^(owner|scopes): give"):
+        create_token(sessions, name="", owner=owner, scopes=scopes)
