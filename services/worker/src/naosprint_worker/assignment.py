@@ -1,0 +1,48 @@
+"""What a worker hands to the child process that does the work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self
+
+from naojobs.lifecycle import CheckpointRef, Claim, Lease
+from naojobs.records import EvaluationClaim
+from naospec import EvaluationSpec, TrainingSpec
+from pydantic import BaseModel, ConfigDict
+
+ASSIGNMENT_FILE = "assignment.json"
+
+
+class _Assignment(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def write(self, workdir: Path) -> None:
+        """Store the assignment in ``workdir``."""
+        (workdir / ASSIGNMENT_FILE).write_text(self.model_dump_json(), encoding="utf-8")
+
+    @classmethod
+    def read(cls, workdir: Path) -> Self:
+        """Return the assignment in ``workdir``."""
+        return cls.model_validate_json((workdir / ASSIGNMENT_FILE).read_text(encoding="utf-8"))
+
+
+class TrainingAssignment(_Assignment):
+    """One attempt at a job: train, then evaluate."""
+
+    kind: Literal["training"] = "training"
+    lease: Lease
+    spec: TrainingSpec
+    evaluation: EvaluationSpec | None
+    initial_policy: CheckpointRef | None
+
+    @classmethod
+    def from_claim(cls, claim: Claim) -> Self:
+        """Return what the child needs of a claim; where to resume it finds out itself."""
+        return cls(lease=claim.lease, spec=claim.spec, evaluation=claim.evaluation, initial_policy=claim.initial_policy)
+
+
+class EvaluationAssignment(_Assignment):
+    """One attempt at an evaluation that a user asked for."""
+
+    kind: Literal["evaluation"] = "evaluation"
+    claim: EvaluationClaim

@@ -1,0 +1,169 @@
+"""What every child of a worker does around its own work: protection, signals, services, a proper ending."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import errno
+import logging
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from naojobs.database import make_sessions
+from naojobs.errors import LeaseLostError
+from naojobs.lifecycle import Sessions
+from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, MissingArtifactError, StoreError
+
+from naosprint_worker.database import DATABASE_TROUBLE, open_engine
+from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
+from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.retry import PatienceExhaustedError, describe, retry
+from naosprint_worker.settings import WorkerSettings
+
+logger = logging.getLogger(__name__)
+
+
+class StopRequestedError(Exception):
+    """Say that the child was asked to stop where it can stop at once."""
+
+
+class StopRequest:
+    """Whether this process was asked to stop (SIGTERM, or the worker's death)."""
+
+    def __init__(self) -> None:
+        """Nobody asked yet."""
+        self._event = threading.Event()
+        self._interruptible = False
+        #: Whether it was the worker's death that asked.
+        self.orphaned = False
+
+    def install(self) -> None:
+        """Listen to SIGTERM; SIGINT is ignored, a terminal's Ctrl-C being the worker's to handle."""
+        signal.signal(signal.SIGTERM, self._on_signal)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def worker_died(self) -> None:
+        """Ask this process to stop because its worker is gone; callable from any thread."""
+        self.orphaned = True
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    def requested(self) -> bool:
+        """Say whether to stop."""
+        return self._event.is_set()
+
+    @contextlib.contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Let a request end the block by `StopRequestedError`, at once or from now on."""
+        self._interruptible = True
+        try:
+            if self.requested():
+                raise StopRequestedError
+            yield
+        finally:
+            self._interruptible = False
+
+    def _on_signal(self, _signal: int, _frame: FrameType | None) -> None:
+        self._event.set()
+        if self._interruptible:
+            self._interruptible = False
+            raise StopRequestedError
+
+
+@dataclass(frozen=True)
+class Services:
+    """What a child needs to reach."""
+
+    settings: WorkerSettings
+    sessions: Sessions
+    store: ArtifactStore
+    workdir: Path
+    stop: StopRequest
+
+    def fetch(
+        self,
+        key: str,
+        folder: Path,
+        manifest: Manifest,
+        *,
+        on_retry: Callable[[Exception, float], None] | None = None,
+    ) -> None:
+        """Download an artifact into ``folder`` and verify it, waiting for a store that fails.
+
+        Raises:
+            MissingArtifactError: a file is gone.
+            CorruptArtifactError: a file is not what the manifest promises.
+            PatienceExhaustedError: the store failed for too long.
+        """
+
+        def download() -> StoreError | None:
+            try:
+                self.store.get_directory(key, folder, manifest)
+            except (CorruptArtifactError, MissingArtifactError) as error:
+                return error  # trying again would not help
+            return None
+
+        error = retry(
+            download,
+            what=f"fetching {key}",
+            transient=(StoreError,),
+            patience_s=self.settings.worker_patience_s,
+            on_retry=on_retry,
+        )
+        if error is not None:
+            raise error
+
+
+def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None = None) -> int:
+    """Do ``work`` protected and connected; return the exit status and leave an `Outcome` in the working folder."""
+    parser = argparse.ArgumentParser(description="Child process of a naosprint worker; started by the worker only.")
+    parser.add_argument("--workdir", type=Path, required=True, help="folder with assignment.json")
+    workdir: Path = parser.parse_args(argv).workdir
+    settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+    stop = StopRequest()
+    stop.install()
+    watch_parent(stop.worker_died, grace_s=settings.worker_orphan_grace_s)
+    prefer_as_oom_victim()
+    with contextlib.suppress(OSError):
+        os.nice(settings.worker_nice)
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    engine = open_engine(settings, pool_size=2, application_name="naosprint-child")
+    try:
+        store = ArtifactStore.from_settings(settings)
+        return int(work(Services(settings, make_sessions(engine), store, workdir, stop)))
+    except Exception as error:
+        code, outcome = judge(error)
+        logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
+        with contextlib.suppress(OSError):
+            outcome.write(workdir)
+        return int(code)
+    finally:
+        engine.dispose()
+
+
+def judge(error: Exception) -> tuple[ExitCode, Outcome]:
+    """Say what an error that ended the work means for the job."""
+    from naosprint import CheckpointError, TrainingDivergedError  # loads PyTorch, which is loaded by now anyway
+
+    text = "".join(traceback.format_exception(error))
+    if isinstance(error, StopRequestedError):
+        return ExitCode.STOPPED, Outcome("stopped", "stopped as asked")
+    if isinstance(error, LeaseLostError):
+        return ExitCode.FENCED, Outcome("lease_lost", describe(error))
+    if isinstance(error, TrainingDivergedError):
+        return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
+    if isinstance(error, CheckpointError | CorruptArtifactError | MissingArtifactError):
+        return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
+    if isinstance(error, (PatienceExhaustedError, StoreError, *DATABASE_TROUBLE)):
+        return ExitCode.TRANSIENT, Outcome("service_unavailable", describe(error), text)
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return ExitCode.TRANSIENT, Outcome("disk_full", f"no space for the attempt's files: {describe(error)}", text)
+    if isinstance(error, OSError | MemoryError):
+        return ExitCode.TRANSIENT, Outcome("system", describe(error), text)
+    return ExitCode.PERMANENT, Outcome("error", describe(error), text)

@@ -1,0 +1,39 @@
+"""The child's side of supervision: notice the worker's death, be the first to go when memory runs out."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+
+def watch_parent(on_lost: Callable[[], None], *, grace_s: float) -> threading.Thread:
+    """End this process's whole group ``grace_s`` seconds after the worker that started it has died.
+
+    Standard input must be the pipe the worker holds open. It is moved out of the way first, so that nothing this
+    process starts inherits it. On end-of-file ``on_lost`` is called (ask for a checkpoint there); whatever still runs
+    after the grace period is killed, this process included.
+    """
+    pipe = os.dup(0)  # close-on-exec, unlike descriptor 0
+    with open(os.devnull, "rb") as null:
+        os.dup2(null.fileno(), 0)
+
+    def watch() -> None:
+        while os.read(pipe, 4096):
+            pass
+        on_lost()
+        threading.Event().wait(grace_s)
+        os.killpg(os.getpgid(0), signal.SIGKILL)
+
+    thread = threading.Thread(target=watch, name="parent-watch", daemon=True)
+    thread.start()
+    return thread
+
+
+def prefer_as_oom_victim(score: int = 500) -> None:
+    """Ask the kernel to end this process before others when memory runs out (Linux; no effect elsewhere)."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")

@@ -1,0 +1,73 @@
+"""What a child process left behind: its exit status and, when it could write one, its own account."""
+
+from __future__ import annotations
+
+import enum
+import json
+import os
+import signal
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+OUTCOME_FILE = "outcome.json"
+
+
+class ExitCode(enum.IntEnum):
+    """Exit statuses of a child (numbers from sysexits.h where one fits)."""
+
+    FINISHED = 0
+    #: It cannot succeed by being tried again: bad input, diverged training, a defect.
+    PERMANENT = 65
+    #: Something outside failed (store, database, disk, simulator); another attempt may succeed.
+    TRANSIENT = 69
+    #: It was asked to stop and did, leaving a checkpoint behind.
+    STOPPED = 75
+    #: The row no longer belongs to this attempt; nothing may be written any more.
+    FENCED = 76
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A child's own account of how it ended."""
+
+    kind: str
+    message: str
+    traceback: str = ""
+
+    def write(self, workdir: Path) -> None:
+        """Store the account in ``workdir``; an earlier one is replaced as a whole."""
+        temporary = workdir / (OUTCOME_FILE + ".tmp")
+        temporary.write_text(json.dumps(asdict(self)), encoding="utf-8")
+        temporary.replace(workdir / OUTCOME_FILE)
+
+    @classmethod
+    def read(cls, workdir: Path) -> Outcome | None:
+        """Return the account in ``workdir``, or None where the child died before writing one."""
+        try:
+            data = json.loads((workdir / OUTCOME_FILE).read_text(encoding="utf-8"))
+            return cls(kind=str(data["kind"]), message=str(data["message"]), traceback=str(data.get("traceback", "")))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+
+def last_lines(path: Path, *, lines: int = 5, limit_bytes: int = 8192) -> str:
+    """Return the last non-empty lines of a text file, reading at most ``limit_bytes``; empty where there is none."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - limit_bytes))
+            text = file.read().decode("utf-8", errors="replace")
+    except OSError:
+        return ""
+    return "\n".join([line.rstrip() for line in text.splitlines() if line.strip()][-lines:])
+
+
+def describe_exit(returncode: int) -> str:
+    """Return an exit status in words: ``exit code 3`` or ``signal 9 (SIGKILL)``."""
+    if returncode >= 0:
+        return f"exit code {returncode}"
+    try:
+        name = signal.Signals(-returncode).name
+    except ValueError:
+        name = "unknown"
+    return f"signal {-returncode} ({name})"

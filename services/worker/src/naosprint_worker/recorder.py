@@ -1,0 +1,335 @@
+"""Carry what a training reports to the database and the store, from threads of its own."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from naosprint_worker.retry import describe, retry
+
+logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+#: Log lines kept while the database does not answer; beyond them the oldest are dropped and counted.
+MAX_PENDING_LOGS = 5_000
+#: Rows of one transaction.
+MAX_BATCH = 500
+
+
+@dataclass(frozen=True)
+class MetricsRow:
+    """Figures of one update of the policy."""
+
+    step: int
+    #: All figures by name, the step among them.
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """One line for the job's log."""
+
+    at: datetime
+    level: str
+    message: str
+
+
+@dataclass(frozen=True)
+class EventRecord:
+    """Something that happened to the attempt."""
+
+    kind: str
+    message: str
+    data: Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class StoredCheckpoint:
+    """A checkpoint whose files all lie in the store."""
+
+    step: int
+    key: str
+    manifest: Mapping[str, object]
+
+
+@dataclass
+class Batch:
+    """What one transaction writes, in the order of reporting within each kind."""
+
+    metrics: list[MetricsRow] = field(default_factory=list)
+    logs: list[LogLine] = field(default_factory=list)
+    events: list[EventRecord] = field(default_factory=list)
+    checkpoints: list[StoredCheckpoint] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.metrics) + len(self.logs) + len(self.events) + len(self.checkpoints)
+
+
+Item = MetricsRow | LogLine | EventRecord | StoredCheckpoint
+
+
+class Sink(Protocol):
+    """Where records go. Both calls may be repeated with the same arguments after an error."""
+
+    #: Errors after which a call is tried again.
+    transient: tuple[type[Exception], ...]
+
+    def write(self, batch: Batch) -> None:
+        """Store all of ``batch`` in one transaction, or nothing of it."""
+
+    def upload(self, directory: Path, step: int) -> StoredCheckpoint:
+        """Put the files of a checkpoint into the store, its manifest last."""
+
+
+class Recorder:
+    """The reporter of a training in a worker (`naosprint.reporter.Reporter`).
+
+    Reporting never waits for the database or the store. One thread writes rows in batches, another uploads checkpoints;
+    a checkpoint's row is written after every metrics row reported before it, so a checkpoint that can be found has its
+    metrics. While a service fails, its thread tries again for ``patience_s`` seconds; then `failure` is set, `failed`
+    turns true and nothing more is accepted.
+    """
+
+    def __init__(
+        self,
+        sink: Sink,
+        *,
+        spool: Path,
+        flush_s: float = 1.0,
+        patience_s: float = 300.0,
+        on_failure: Callable[[], None] | None = None,
+    ) -> None:
+        """Start the threads; checkpoints wait for their upload in ``spool``."""
+        self._sink = sink
+        self._spool = spool
+        self._flush_s = flush_s
+        self._patience_s = patience_s
+        self._on_failure = on_failure
+        self._changed = threading.Condition()
+        self._rows: deque[Item] = deque()
+        self._uploads: deque[tuple[Path, int]] = deque()
+        self._taken: set[int] = set()
+        self._previous: Path | None = None
+        self._writing = False
+        self._uploading = False
+        self._dropped = 0
+        self._hurry = False
+        self._closed = False
+        self._abandon = threading.Event()
+        self._told_at: dict[str, float] = {}
+        self.failure: Exception | None = None
+        self._threads = [
+            threading.Thread(target=self._run, args=(work,), name=name, daemon=True)
+            for name, work in (("record-rows", self._write_rows), ("record-checkpoints", self._upload_checkpoints))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    # What a training calls
+
+    def metrics(self, row: dict[str, float]) -> None:
+        """Record the figures of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
+        values = {key: float(value) for key, value in row.items() if math.isfinite(value)}
+        missing = sorted(row.keys() - values.keys())
+        if missing:
+            self.log("warning", f"metrics at step {row.get('step')}: not finite, left out: {', '.join(missing)}")
+        self._put(MetricsRow(int(values["step"]), values))
+
+    def checkpoint(self, path: Path, step: int) -> None:
+        """Take over a complete checkpoint directory for upload, and delete the directory of the one before it."""
+        if step in self._taken:
+            return  # keys are immutable: a step is stored once in an attempt
+        self._taken.add(step)
+        place = self._spool / f"{step:012d}"
+        self._spool.mkdir(parents=True, exist_ok=True)
+        unfinished = self._spool / f".{step:012d}"
+        # Hard links: no copy of the data, and independent of what happens to the original's names.
+        shutil.copytree(path, unfinished, copy_function=_link_or_copy)
+        unfinished.rename(place)
+        # Only the last one is of use to a training; hundreds of them would fill the disk.
+        if self._previous is not None and self._previous != path:
+            shutil.rmtree(self._previous, ignore_errors=True)
+        self._previous = path
+        with self._changed:
+            self._uploads.append((place, step))
+            self._changed.notify_all()
+
+    def log(self, level: str, message: str) -> None:
+        """Record a line of the job's log."""
+        self._put(LogLine(datetime.now(UTC), level, message))
+
+    # What the trainer around it calls
+
+    def already_stored(self, step: int) -> None:
+        """Take no checkpoint of ``step``: it is the one that the training resumed from."""
+        self._taken.add(step)
+
+    def event(self, kind: str, message: str, data: Mapping[str, object] | None = None) -> None:
+        """Record something that happened to the attempt."""
+        self._put(EventRecord(kind, message, data or {}))
+
+    @property
+    def failed(self) -> bool:
+        """Whether recording has ended because of `failure`."""
+        return self.failure is not None
+
+    def flush(self, timeout_s: float | None = None) -> None:
+        """Return when everything reported so far is stored.
+
+        Raises:
+            Exception: what `failure` holds.
+            TimeoutError: it was not stored within ``timeout_s`` seconds.
+        """
+        with self._changed:
+            self._hurry = True
+            self._changed.notify_all()
+            done = self._changed.wait_for(lambda: self.failed or self._idle(), timeout_s)
+            self._hurry = False
+        if self.failure is not None:
+            raise self.failure
+        if not done:
+            raise TimeoutError(f"records were not stored within {timeout_s} s")
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """Flush, then end the threads; raises as `flush` does, with the threads ended all the same."""
+        try:
+            self.flush(timeout_s)
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """End the threads at once and forget what is not stored yet."""
+        self._abandon.set()
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join(timeout=10)
+
+    # The threads
+
+    def _put(self, item: Item) -> None:
+        with self._changed:
+            if self._closed or self.failed:
+                return
+            if isinstance(item, LogLine) and len(self._rows) >= MAX_PENDING_LOGS:
+                self._drop_oldest_log()
+            self._rows.append(item)
+            self._changed.notify_all()
+
+    def _drop_oldest_log(self) -> None:
+        for index, item in enumerate(self._rows):
+            if isinstance(item, LogLine):
+                del self._rows[index]
+                self._dropped += 1
+                return
+
+    def _idle(self) -> bool:
+        return not (self._rows or self._uploads or self._writing or self._uploading)
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:
+            if not self._abandon.is_set():
+                logger.exception("recording ended")
+            with self._changed:
+                self.failure = self.failure or error
+                self._rows.clear()
+                self._uploads.clear()
+                self._changed.notify_all()
+            self._abandon.set()
+            if self._on_failure is not None:
+                self._on_failure()
+
+    def _write_rows(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._rows or self._closed)
+                if self._closed:
+                    return
+                # Gather for a moment, unless somebody waits for it.
+                self._changed.wait_for(self._should_write, self._flush_s)
+                batch = self._gather()
+                self._writing = True
+            if self._dropped:
+                dropped, self._dropped = self._dropped, 0
+                batch.logs.append(LogLine(datetime.now(UTC), "warning", f"{dropped} log lines were dropped"))
+            self._persist(lambda batch=batch: self._sink.write(batch), "writing to the database")  # type: ignore[misc]
+            with self._changed:
+                self._writing = False
+                self._changed.notify_all()
+
+    def _should_write(self) -> bool:
+        return self._hurry or self._closed or len(self._rows) >= MAX_BATCH
+
+    def _gather(self) -> Batch:
+        batch = Batch()
+        while self._rows and len(batch) < MAX_BATCH:
+            match self._rows.popleft():
+                case MetricsRow() as row:
+                    batch.metrics.append(row)
+                case LogLine() as line:
+                    batch.logs.append(line)
+                case EventRecord() as event:
+                    batch.events.append(event)
+                case StoredCheckpoint() as checkpoint:
+                    batch.checkpoints.append(checkpoint)
+        return batch
+
+    def _upload_checkpoints(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._uploads or self._closed)
+                if self._closed:
+                    return
+                directory, step = self._uploads.popleft()
+                self._uploading = True
+            stored = self._persist(
+                lambda directory=directory, step=step: self._sink.upload(directory, step),  # type: ignore[misc]
+                f"storing the checkpoint of step {step}",
+            )
+            self._put(stored)
+            with self._changed:
+                self._uploading = False
+                self._changed.notify_all()
+            shutil.rmtree(directory, ignore_errors=True)
+
+    def _persist(self, call: Callable[[], T], what: str) -> T:
+        return retry(
+            call,
+            what=what,
+            transient=self._sink.transient,
+            patience_s=self._patience_s,
+            stop=self._abandon,
+            on_retry=lambda error, pause_s: self._tell(what, error, pause_s),
+        )
+
+    def _tell(self, what: str, error: Exception, pause_s: float) -> None:
+        """Put a warning into the job's log, at most every ten seconds for each thing that fails."""
+        now = time.monotonic()
+        if now - self._told_at.get(what, -math.inf) < 10:
+            return
+        self._told_at[what] = now
+        message = f"{what} failed, next try in {pause_s:.1f} s: {describe(error)}"
+        logger.warning(message)
+        self.log("warning", message)
+
+
+def _link_or_copy(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)

@@ -1,0 +1,71 @@
+"""The settings of a worker and of the child processes it starts."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from naojobs.doorbell import QUEUES
+from naojobs.settings import ServiceSettings
+from pydantic import Field, field_validator, model_validator
+from pydantic_settings import NoDecode
+
+
+class WorkerSettings(ServiceSettings):
+    """Settings of a worker, read from the environment with the prefix `NAOSPRINT_`."""
+
+    worker_queues: Annotated[tuple[str, ...], NoDecode] = Field(
+        ("embedded",), description="Simulators that this worker has, comma separated: embedded, rcssserver3d."
+    )
+    worker_concurrency: int = Field(1, ge=1, le=256, description="Jobs that this worker runs side by side.")
+    worker_dir: Path = Field(
+        default_factory=lambda: Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}",
+        description="Folder for the files of running attempts; emptied attempt by attempt.",
+    )
+    worker_poll_s: float = Field(1.0, gt=0, le=60, description="Seconds between two looks at a job's flags.")
+    worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two looks for lost jobs.")
+    worker_ring_s: float = Field(
+        15.0, gt=0, le=3600, description="Seconds after which a waiting job is announced again while a worker is free."
+    )
+    worker_stop_grace_s: float = Field(
+        60.0, gt=0, le=3600, description="Seconds that a training has for its last checkpoint when it is stopped."
+    )
+    worker_orphan_grace_s: float = Field(
+        10.0, ge=0, le=600, description="Seconds that a training has for its last checkpoint when its worker has died."
+    )
+    worker_patience_s: float = Field(
+        300.0, gt=0, le=86400, description="Seconds for which a failing database or store is waited for."
+    )
+    worker_flush_s: float = Field(1.0, gt=0, le=60, description="Seconds of metrics and logs that one write gathers.")
+    worker_memory_mb: int | None = Field(
+        None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."
+    )
+    worker_evaluation_threads: int = Field(
+        2, ge=1, le=256, description="Simulator threads of an evaluation that a user asks for."
+    )
+    worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
+
+    @field_validator("worker_queues", mode="before")
+    @classmethod
+    def _split(cls, value: Any) -> Any:
+        return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @field_validator("worker_queues")
+    @classmethod
+    def _known_queues(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [queue for queue in value if queue not in QUEUES]
+        if unknown or not value:
+            wrong = f"unknown queue {unknown[0]!r}" if unknown else "no queue given"
+            raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(QUEUES)}")
+        return tuple(dict.fromkeys(value))
+
+    @model_validator(mode="after")
+    def _orphans_end_within_lease(self) -> Self:
+        if self.worker_orphan_grace_s >= self.lease_s:
+            raise ValueError(
+                "worker_orphan_grace_s: must be less than lease_s, "
+                "so that a training whose worker died is gone before its job starts elsewhere"
+            )
+        return self

@@ -1,0 +1,60 @@
+"""Where a recorder's records end up: rows under the job's lease, files under immutable keys."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from naojobs import records
+from naojobs.lifecycle import Lease, Sessions
+from naojobs.store import ArtifactStore, StoreError, checkpoint_key
+
+from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.recorder import Batch, StoredCheckpoint
+
+
+class JobSink:
+    """Write what one attempt at a job reports (`naosprint_worker.recorder.Sink`).
+
+    Every write checks the lease: an attempt that lost it gets `naojobs.errors.LeaseLostError` and changes nothing.
+    """
+
+    transient: tuple[type[Exception], ...] = (*DATABASE_TROUBLE, StoreError)
+
+    def __init__(self, sessions: Sessions, store: ArtifactStore, lease: Lease) -> None:
+        """Write under ``lease``."""
+        self._sessions = sessions
+        self._store = store
+        self._lease = lease
+        self._checkpoint_ids: dict[int, str] = {}
+
+    def write(self, batch: Batch) -> None:
+        """Write ``batch``; what is written is taken out of it, so a repeated call goes on where this one failed."""
+        sessions, lease = self._sessions, self._lease
+        if batch.metrics:
+            records.append_metrics(sessions, lease, [row.values for row in batch.metrics])
+            batch.metrics.clear()
+        if batch.logs:
+            records.append_logs(
+                sessions, lease, [records.LogLine(line.level, line.message, line.at) for line in batch.logs]
+            )
+            batch.logs.clear()
+        while batch.events:
+            event = batch.events[0]
+            records.record_event(sessions, lease, event.kind, event.message, event.data)
+            del batch.events[0]
+        while batch.checkpoints:
+            stored = batch.checkpoints[0]
+            self._checkpoint_ids[stored.step] = records.record_checkpoint(
+                sessions, lease, step=stored.step, key=stored.key, manifest=stored.manifest
+            )
+            del batch.checkpoints[0]
+
+    def upload(self, directory: Path, step: int) -> StoredCheckpoint:
+        """Put a checkpoint's files into the store."""
+        key = checkpoint_key(self._lease.job_id, step, self._lease.attempt)
+        manifest = self._store.put_directory(key, directory)
+        return StoredCheckpoint(step, key, manifest.model_dump(mode="json"))
+
+    def checkpoint_id(self, step: int) -> str | None:
+        """Return the id under which this attempt recorded the checkpoint of ``step``."""
+        return self._checkpoint_ids.get(step)

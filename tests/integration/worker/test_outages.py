@@ -1,0 +1,81 @@
+"""Broker, database and store fail for a while; jobs wait and lose nothing."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from naojobs.models import Log
+from naojobs.states import JobState
+from sqlalchemy import select
+
+from .conftest import ROLLOUT, Service, WorkerProcess
+
+
+def assert_whole(service: Service, job_id: str, steps: int) -> None:
+    """Every update has one row."""
+    assert [row.step for row in service.metrics(job_id)] == list(range(ROLLOUT, steps + 1, ROLLOUT))
+
+
+def test_broker_that_loses_everything(service: Service, worker: WorkerProcess) -> None:
+    """It dies with one job running and another waiting, and comes back empty."""
+    steps = ROLLOUT * 150
+    running = service.submit(evaluate=False, total_steps=steps)
+    service.until_state(running, JobState.RUNNING)
+    waiting = service.submit(evaluate=False, total_steps=ROLLOUT * 4)
+    service.broker.stop()
+    service.until_step(running, ROLLOUT * 20)
+    service.broker.start()
+    for job_id in (running, waiting):
+        service.until_state(job_id, JobState.SUCCEEDED)
+        assert service.job(job_id).attempt == 1
+    assert_whole(service, running, steps)
+
+
+def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess) -> None:
+    steps = ROLLOUT * 200
+    job_id = service.submit(total_steps=steps, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    service.postgres.stop()
+    assert training.is_running()
+    service.postgres.start()
+    job = service.until_state(job_id, JobState.SUCCEEDED)
+    assert (job.attempt, job.failures) == (1, 0)
+    assert_whole(service, job_id, steps)
+
+
+def test_store_that_refuses_writes_for_a_while(service: Service, worker: WorkerProcess, tmp_path: Path) -> None:
+    steps = ROLLOUT * 160
+    job_id = service.submit(total_steps=steps, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    folder, aside = service.artifacts / "jobs", tmp_path / "aside"
+    folder.rename(aside)
+    folder.write_text("in the way: nothing can be written below this name")
+    service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a complaint in the log")
+    service.until_step(job_id, ROLLOUT * 120)
+    known = len(service.checkpoints(job_id))
+    folder.unlink()
+    shutil.move(aside, folder)
+    job = service.until_state(job_id, JobState.SUCCEEDED)
+    assert job.attempt == 1
+    assert known < 9
+    assert [checkpoint.step for checkpoint in service.checkpoints(job_id)] == [
+        step * ROLLOUT for step in range(0, 161, 20)
+    ]
+    assert_whole(service, job_id, steps)
+
+
+def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> None:
+    service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
+    service.artifacts.mkdir(exist_ok=True)
+    (service.artifacts / "jobs").write_text("in the way")
+    job_id = service.submit(total_steps=10**9, max_attempts=1)
+    job = service.until_state(job_id, JobState.FAILED)
+    assert "storing the checkpoint of step 0: gave up" in (job.error or "")
+
+
+def log_text(service: Service, job_id: str) -> str:
+    """Return the job's log as one text."""
+    with service.sessions() as session:
+        return "\n".join(session.scalars(select(Log.message).where(Log.job_id == job_id)))

@@ -1,0 +1,89 @@
+"""Errors are judged by what they mean for the job; a request to stop interrupts only where it may."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+from naojobs.errors import LeaseLostError
+from naojobs.store import CorruptArtifactError, MissingArtifactError, StoreError
+from naosprint import CheckpointError, TrainingDivergedError
+from naosprint_worker.child_process import StopRequest, StopRequestedError, judge
+from naosprint_worker.outcome import ExitCode
+from naosprint_worker.retry import PatienceExhaustedError
+from sqlalchemy.exc import OperationalError
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "kind"),
+    [
+        (StopRequestedError(), ExitCode.STOPPED, "stopped"),
+        (LeaseLostError("gone"), ExitCode.FENCED, "lease_lost"),
+        (TrainingDivergedError("loss is nan"), ExitCode.PERMANENT, "diverged"),
+        (CheckpointError("damaged"), ExitCode.PERMANENT, "checkpoint"),
+        (CorruptArtifactError("damaged"), ExitCode.PERMANENT, "checkpoint"),
+        (MissingArtifactError("gone"), ExitCode.PERMANENT, "checkpoint"),
+        (StoreError("refused"), ExitCode.TRANSIENT, "service_unavailable"),
+        (PatienceExhaustedError("gave up"), ExitCode.TRANSIENT, "service_unavailable"),
+        (OperationalError("SELECT", {}, Exception("down")), ExitCode.TRANSIENT, "service_unavailable"),
+        (OSError(errno.ENOSPC, "No space left on device"), ExitCode.TRANSIENT, "disk_full"),
+        (ConnectionResetError("simulator"), ExitCode.TRANSIENT, "system"),
+        (MemoryError(), ExitCode.TRANSIENT, "system"),
+        (ValueError("n_envs: too many"), ExitCode.PERMANENT, "error"),
+    ],
+)
+def test_judgement(error: Exception, code: ExitCode, kind: str) -> None:
+    got, outcome = judge(error)
+    assert (got, outcome.kind) == (code, kind)
+    assert code is ExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
+
+
+def test_judgement_keeps_the_traceback() -> None:
+    try:
+        raise ValueError("n_envs: too many")
+    except ValueError as error:
+        _, outcome = judge(error)
+    assert "test_judgement_keeps_the_traceback" in outcome.traceback
+
+
+@pytest.fixture
+def stop() -> Iterator[StopRequest]:
+    """A request that listens to this process's SIGTERM."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    request = StopRequest()
+    request.install()
+    yield request
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_request_is_only_noted_outside_of_interruptible_blocks(stop: StopRequest) -> None:
+    assert not stop.requested()
+    os.kill(os.getpid(), signal.SIGTERM)
+    assert stop.requested()
+    assert not stop.orphaned
+
+
+def test_request_interrupts_a_block(stop: StopRequest) -> None:
+    with pytest.raises(StopRequestedError), stop.interruptible():
+        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pause()
+
+
+def test_earlier_request_keeps_a_block_from_starting(stop: StopRequest) -> None:
+    stop.worker_died()
+    entered = False
+    with pytest.raises(StopRequestedError), stop.interruptible():
+        entered = True
+    assert not entered
+    assert stop.orphaned
+
+
+def test_block_that_is_over_is_not_interrupted(stop: StopRequest) -> None:
+    with stop.interruptible():
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    assert stop.requested()

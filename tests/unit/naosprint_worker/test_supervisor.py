@@ -1,0 +1,196 @@
+"""A supervisor keeps the lease, obeys orders and never waits for ever; its children here are real processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from naojobs.errors import LeaseLostError
+from naojobs.lifecycle import Orders
+from naojobs.states import JobState
+from naosprint_worker.child import Child
+from naosprint_worker.outcome import ExitCode
+from naosprint_worker.runs import describe_ending
+from naosprint_worker.settings import WorkerSettings
+from naosprint_worker.supervisor import Ending, Intent, Supervisor
+from sqlalchemy.exc import OperationalError
+
+GO_ON = Orders(JobState.RUNNING, cancel=False, pause=False)
+
+OBEDIENT = """
+    import pathlib, signal, sys
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))
+    pathlib.Path("ready").write_text("")
+    signal.pause()
+"""
+STUBBORN = """
+    import pathlib, signal
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    pathlib.Path("ready").write_text("")
+    while True:
+        signal.pause()
+"""
+
+
+class Bench:
+    """A supervisor, and the answers that its database gives."""
+
+    def __init__(self, folder: Path, program: str, **settings: float) -> None:
+        os.mkfifo(folder / "ready")
+        self.answer: Orders | Exception = GO_ON
+        self.beats = 0
+        self.ready = threading.Event()
+        self._folder = folder
+        self._program = textwrap.dedent(program)
+        fields = {"worker_poll_s": 0.02, "heartbeat_s": 0.05, "worker_stop_grace_s": 30.0, **settings}
+        self.supervisor = Supervisor(
+            WorkerSettings.model_construct(**fields),  # type: ignore[arg-type]
+            start=self._start,
+            beat=self._beat,
+            look=self._look,
+            workdir=folder,
+            log_path=folder / "output.log",
+        )
+        self.ending: Ending | None = None
+        self._thread = threading.Thread(target=self._run)
+
+    def start(self) -> None:
+        """Run the supervisor and wait until its child is ready."""
+        self._thread.start()
+        (self._folder / "ready").read_text()
+
+    def join(self) -> Ending:
+        """Return how it ended."""
+        self._thread.join(30)
+        assert self.ending is not None
+        return self.ending
+
+    def _run(self) -> None:
+        self.ending = self.supervisor.run()
+
+    def _start(self, on_exit: Callable[[], None]) -> Child:
+        return Child(
+            [sys.executable, "-c", self._program],
+            env=dict(os.environ),
+            cwd=self._folder,
+            log_path=self._folder / "output.log",
+            on_exit=on_exit,
+        )
+
+    def _beat(self) -> Orders:
+        self.beats += 1
+        return self._look()
+
+    def _look(self) -> Orders:
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    """Build benches; what still runs at the end of the test is stopped."""
+    benches: list[Bench] = []
+
+    def build(program: str, **settings: float) -> Bench:
+        benches.append(Bench(tmp_path, program, **settings))
+        return benches[-1]
+
+    yield build
+    for each in benches:
+        each.answer = LeaseLostError("the test is over")
+        each.join()
+
+
+def test_child_that_ends_by_itself(bench: Callable[..., Bench]) -> None:
+    each = bench("import pathlib, sys; pathlib.Path('ready').write_text(''); print('bye'); sys.exit(3)")
+    each.start()
+    ending = each.join()
+    assert (ending.intent, ending.returncode, ending.last_output) == (Intent.NONE, 3, "bye")
+    assert describe_ending("trainer", ending) == "the trainer ended by exit code 3; last output: bye"
+
+
+@pytest.mark.parametrize(
+    ("orders", "intent"),
+    [
+        (Orders(JobState.RUNNING, cancel=True, pause=False), Intent.CANCEL),
+        (Orders(JobState.PAUSING, cancel=False, pause=True), Intent.PAUSE),
+        (Orders(JobState.PAUSING, cancel=True, pause=True), Intent.CANCEL),
+    ],
+)
+def test_orders_are_obeyed(bench: Callable[..., Bench], orders: Orders, intent: Intent) -> None:
+    each = bench(OBEDIENT)
+    each.start()
+    each.answer = orders
+    ending = each.join()
+    assert (ending.intent, ending.returncode, ending.overstayed) == (intent, ExitCode.STOPPED, False)
+
+
+def test_pause_asked_for_before_evaluation_began_does_not_stop_it(bench: Callable[..., Bench]) -> None:
+    each = bench(OBEDIENT)
+    each.start()
+    each.answer = Orders(JobState.EVALUATING, cancel=False, pause=True)
+    beats = each.beats
+    while each.beats < beats + 3:
+        assert each.ending is None
+    each.supervisor.shut_down()
+    assert each.join().intent is Intent.SHUTDOWN
+
+
+def test_child_that_does_not_stop_is_killed_after_the_grace_period(bench: Callable[..., Bench]) -> None:
+    each = bench(STUBBORN, worker_stop_grace_s=0.2)
+    each.start()
+    each.supervisor.shut_down()
+    ending = each.join()
+    assert (ending.intent, ending.returncode, ending.overstayed) == (Intent.SHUTDOWN, -signal.SIGKILL, True)
+    assert "did not stop within the grace period" in describe_ending("trainer", ending)
+
+
+def test_lost_lease_kills_at_once(bench: Callable[..., Bench]) -> None:
+    each = bench(STUBBORN)
+    each.start()
+    each.answer = LeaseLostError("another worker has it")
+    ending = each.join()
+    assert (ending.intent, ending.returncode, ending.overstayed) == (Intent.LEASE_LOST, -signal.SIGKILL, False)
+
+
+def test_database_that_is_away_for_a_while_stops_nothing(bench: Callable[..., Bench]) -> None:
+    each = bench(OBEDIENT, worker_patience_s=600)
+    each.start()
+    each.answer = OperationalError("SELECT 1", {}, ConnectionError("refused"))
+    beats = each.beats
+    while each.beats < beats + 5:
+        assert each.ending is None
+    each.answer = Orders(JobState.RUNNING, cancel=True, pause=False)
+    assert each.join().intent is Intent.CANCEL
+
+
+def test_database_that_stays_away_ends_the_attempt(bench: Callable[..., Bench]) -> None:
+    each = bench(OBEDIENT, worker_patience_s=0.2)
+    each.start()
+    each.answer = OperationalError("SELECT 1", {}, ConnectionError("refused"))
+    ending = each.join()
+    assert (ending.intent, ending.returncode) == (Intent.CUT_OFF, ExitCode.STOPPED)
+
+
+def test_child_over_the_memory_limit_is_killed(bench: Callable[..., Bench]) -> None:
+    hungry = "import pathlib, signal; x = bytes(96 << 20); pathlib.Path('ready').write_text(''); signal.pause()"
+    each = bench(hungry.replace("bytes(", "bytearray(b'x') * ("), worker_memory_mb=64)
+    each.start()
+    ending = each.join()
+    assert (ending.intent, ending.returncode) == (Intent.MEMORY, -signal.SIGKILL)
+    assert ending.peak_bytes > 64 << 20
+
+
+def test_child_killed_from_outside_is_told_apart(bench: Callable[..., Bench]) -> None:
+    each = bench("import os, pathlib, signal; pathlib.Path('ready').write_text(''); os.kill(os.getpid(), 9)")
+    each.start()
+    ending = each.join()
+    assert (ending.intent, ending.returncode) == (Intent.NONE, -signal.SIGKILL)
+    assert "signal 9 (SIGKILL)" in describe_ending("trainer", ending)
