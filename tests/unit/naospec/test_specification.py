@@ -29,6 +29,8 @@ def test_preset_paper_is_table_two() -> None:
     assert spec.hidden_sizes == (64, 64)
     assert spec.reward_scale == 100.0
     assert not spec.normalise_rewards
+    assert not spec.symmetric_policy
+    assert not spec.bootstrap_at_end
 
 
 def test_departures_name_what_was_overridden() -> None:
@@ -55,7 +57,7 @@ def test_min_height_comes_from_the_task(name: str) -> None:
 
 def test_json_round_trip_keeps_the_specification_and_its_digest() -> None:
     """What is stored comes back equal."""
-    spec = TrainingSpec(preset="paper", task="sprint2-erect", hidden_sizes=(32, 16), target_kl=None)
+    spec = TrainingSpec(preset="paper", task="sprint2-erect", hidden_sizes=(32, 15), target_kl=None)
     again = TrainingSpec.model_validate_json(spec.model_dump_json())
     assert again == spec
     assert again.digest() == spec.digest()
@@ -76,7 +78,9 @@ def test_digest_tells_specifications_apart() -> None:
         ({"robot_type": 5}, ["robot_type", "4"]),
         ({"simulator": "gazebo"}, ["simulator", "embedded"]),
         ({"n_envs": 0}, ["n_envs", "1"]),
-        ({"batch_size": 5000}, ["batch_size", "32768", "4096"]),
+        ({"batch_size": 5000}, ["batch_size", "8192", "4096"]),
+        ({"hidden_sizes": [64, 33]}, ["hidden_sizes", "even", "symmetric_policy"]),
+        ({"target_kl": None}, ["target_kl", "adaptive"]),
         ({"n_steps": 1_000_000, "batch_size": 1_000_000}, ["n_steps", "128000000"]),
         ({"min_height": 0.385}, ["min_height", "0.385", "standing height"]),
         ({"min_height": 0.4, "robot_type": 2}, ["min_height", "robot type 2"]),
@@ -112,8 +116,8 @@ def test_specification_is_frozen() -> None:
 def test_planned_steps_are_whole_rollouts() -> None:
     """Total steps are rounded up to whole rollouts."""
     spec = TrainingSpec(total_steps=200_000)
-    assert spec.rollout_steps == 32_768
-    assert spec.planned_steps == 7 * 32_768
+    assert spec.rollout_steps == 8_192
+    assert spec.planned_steps == 25 * 8_192
 
 
 def test_schema_documents_every_field() -> None:

@@ -37,6 +37,7 @@ def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.
         fallen=flags,
         arrived=~flags,
         joint_angles=np.zeros((1, 20)),
+        bodies=[],
     )
 
 
@@ -137,7 +138,8 @@ def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path)
     assert calls[-1] == (12, 12)
     assert first.summary["checkpoint"]["step"] == 512
 
-    figures, paths = first.save(tmp_path / "out")
+    figures, paths, *replays = first.save(tmp_path / "out")
+    assert [path.name for path in replays] == ["replay.json", "replay.npz"]
     assert json.loads(figures.read_text()) == first.summary
     with np.load(paths, allow_pickle=False) as saved:
         assert saved["x"].shape[0] == 4
@@ -162,6 +164,22 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
     long = evaluate(checkpoint, EvaluationSpec(episodes=8, n_envs=4, task="sprint2")).trajectories
     columns = short.x.shape[1]
     np.testing.assert_allclose(short.x[:4], long.x[:4, :columns], atol=1e-6)
+
+
+def test_replay_is_the_middle_one_of_the_first_episodes(checkpoint: Path) -> None:
+    """Its torso follows that episode's path, from the start to the end."""
+    evaluation = evaluate(checkpoint, EvaluationSpec(episodes=9, n_envs=4, task="sprint2"))
+    replay, paths = evaluation.replay, evaluation.trajectories
+    ends = []
+    for x in paths.x[:5]:
+        kept = x[~np.isnan(x)]
+        ends.append((round(float(kept[-1] - kept[0]), 1), -len(kept)))
+    middle = sorted(range(5), key=lambda i: ends[i])[2]
+    samples = len(replay.positions)
+    np.testing.assert_allclose(replay.positions[:, 0, 0], paths.x[middle, :samples], atol=1e-5)
+    np.testing.assert_allclose(replay.positions[:, 0, 2], paths.height[middle, :samples], atol=1e-5)
+    np.testing.assert_allclose(replay.foot_forces[:, 0], paths.left_foot_force[middle, :samples], atol=1e-3)
+    assert samples == int((~np.isnan(paths.x[middle])).sum())
 
 
 def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:

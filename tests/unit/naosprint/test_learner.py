@@ -11,6 +11,7 @@ import torch
 from naospec import TrainingSpec
 from naosprint.environment import open_training_batch
 from naosprint.learner import SprintPPO, TrainingDivergedError
+from naosprint.symmetry import Mirror
 from naosprint.vec_env import SprintVecEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
@@ -103,7 +104,13 @@ def test_update_is_that_of_stable_baselines3(
     open_learner: Open, entropy: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the same rollout and minibatches, PPO.train and ours arrive at the same weights."""
-    fields = {"entropy_coefficient": entropy, "n_epochs": 3, "target_kl": None, "learning_rate": 1e-3}
+    fields = {
+        "entropy_coefficient": entropy,
+        "n_epochs": 3,
+        "target_kl": None,
+        "learning_rate": 1e-3,
+        "learning_rate_schedule": "constant",
+    }
     ours, theirs = open_learner(**fields), open_learner(**fields)
     collect(ours)
     collect(theirs)
@@ -185,6 +192,69 @@ def test_learning_rate_falls_linearly_where_asked(open_learner: Open) -> None:
     assert learner.figures()["train/learning_rate"] == pytest.approx(5e-4)
 
 
+@pytest.mark.parametrize(("target_kl", "grows"), [(1e-6, False), (10.0, True)])
+def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: float, grows: bool) -> None:
+    """An update that went too far lowers the next one's rate, a timid one raises it."""
+    learner = open_learner(learning_rate_schedule="adaptive", learning_rate=1e-3, target_kl=target_kl)
+    for _ in range(2):
+        collect(learner)
+        learner.train()
+    assert learner.figures()["train/learning_rate"] == pytest.approx(1.2e-3 if grows else 1e-3 / 1.2)
+
+
+def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
+    """However long the updates are too small or too large."""
+    for rate, target_kl, bound in ((2e-5, 1e-12, 1e-5), (1e-3, 100.0, 1e-2)):
+        learner = open_learner(learning_rate_schedule="adaptive", learning_rate=rate, target_kl=target_kl, n_steps=8)
+        for _ in range(16):
+            collect(learner)
+            learner.train()
+        assert learner.figures()["train/learning_rate"] == pytest.approx(bound)
+
+
+def test_symmetric_policy_stays_symmetric(open_learner: Open) -> None:
+    """After updates the mirrored observation still gets the mirrored action, and the same value."""
+    learner = open_learner(symmetric_policy=True, batch_size=32)
+    for _ in range(3):
+        collect(learner)
+        learner.train()
+    batch = learner._sprint_env.batch
+    seen, done = Mirror.of_names(batch.observer.names), Mirror.of_names(batch.actuation.names)
+    state = learner.policy_state()
+    weights = state["mlp_extractor.policy_net.0.weight"]
+    half = len(weights) // 2
+    np.testing.assert_array_equal(weights[:half], weights[half:, seen.place] * seen.sign.astype(np.float32))
+    np.testing.assert_array_equal(state["log_std"], state["log_std"][done.place])
+    observations = learner.rollout_buffer.observations[0]
+    both = (observations, seen.apply(observations).astype(np.float32))
+    with torch.no_grad():
+        pair = [learner.policy.action_net(learner.policy.mlp_extractor.policy_net(torch.from_numpy(o))) for o in both]
+        values = [learner.policy.predict_values(torch.from_numpy(o)) for o in both]
+    np.testing.assert_allclose(pair[1].numpy(), done.apply(pair[0].numpy()), atol=1e-6)
+    np.testing.assert_allclose(values[1].numpy(), values[0].numpy(), atol=1e-6)
+    assert np.abs(pair[0].numpy()).max() > 1e-3
+
+
+def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> None:
+    """Tying projects a gradient onto the mean of itself and of its mirror image."""
+    learner = open_learner(symmetric_policy=True)
+    batch = learner._sprint_env.batch
+    seen = Mirror.of_names(batch.observer.names)
+    net = learner.policy.value_net, learner.policy.mlp_extractor.value_net
+    parameter = learner.policy.get_parameter("mlp_extractor.value_net.0.weight")
+    x = torch.randn((5, len(seen.place)), generator=torch.Generator().manual_seed(0))
+    mirrored = torch.from_numpy(seen.apply(x.numpy()).astype(np.float32))
+
+    def gradient(data: torch.Tensor) -> torch.Tensor:
+        learner.policy.zero_grad()
+        net[0](net[1](data)).square().mean().backward()
+        assert parameter.grad is not None
+        return parameter.grad.clone()
+
+    torch.testing.assert_close(gradient(x), gradient(mirrored), atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(gradient(x), gradient(torch.cat([x, mirrored])), atol=1e-6, rtol=1e-4)
+
+
 def test_loss_that_is_not_finite_is_reported(open_learner: Open) -> None:
     """The message says when and what."""
     learner = open_learner()
@@ -205,7 +275,9 @@ def test_observation_that_is_not_finite_is_named(open_learner: Open) -> None:
 
 def test_weight_that_is_not_finite_is_reported(open_learner: Open) -> None:
     """A learning rate that destroys the weights is noticed in the same update."""
-    learner = open_learner(target_kl=None, max_grad_norm=None, normalise_rewards=False)
+    learner = open_learner(
+        target_kl=None, learning_rate_schedule="constant", max_grad_norm=None, normalise_rewards=False
+    )
     collect(learner)
     weight = learner.policy.get_parameter("action_net.weight")
     hook = weight.register_hook(lambda grad: grad * float("inf"))  # type: ignore[no-untyped-call]

@@ -30,8 +30,8 @@ def test_help_lists_every_field(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"--{name.replace('_', '-')} VALUE" in text
 
 
-def test_train_resume_and_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From nothing to figures."""
+def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From nothing to a page and a policy to take away."""
     work = tmp_path / "run"
     assert main(["train", str(work), "--total-steps", "512", "--sensor-digits", "none", *SMALL]) == 0
     status, steps, path = capsys.readouterr().out.split()
@@ -50,6 +50,15 @@ def test_train_resume_and_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture
     assert printed == json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert printed["episodes"] == 3
 
+    arguments = ["report", str(tmp_path / "out"), str(tmp_path / "page"), "--metrics", str(work / "metrics.jsonl")]
+    assert main([*arguments, "--no-film", "--title", "Run 1"]) == 0
+    page = Path(capsys.readouterr().out.strip())
+    assert "<title>Run 1</title>" in page.read_text()
+
+    assert main(["export", path, str(tmp_path / "policy")]) == 0
+    names = [Path(line).name for line in capsys.readouterr().out.splitlines()]
+    assert names == ["policy.npz", "policy.onnx", "policy.json"]
+
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -60,6 +69,8 @@ def test_train_resume_and_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture
         (["evaluate", "nowhere"], "no checkpoint here"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),
         (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
+        (["report", "nowhere", "page"], "nowhere: no complete evaluation"),
+        (["export", "nowhere", "policy"], "no checkpoint here"),
     ],
 )
 def test_bad_input_is_explained(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from naosprint.normalisation import Normaliser, RunningMoments
+from naosprint.symmetry import Mirror
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 
@@ -86,3 +87,19 @@ def test_state_carries_over() -> None:
     assert np.array_equal(first.observations(raw), second.observations(raw))
     nobody = np.zeros(3, dtype=bool)
     assert np.array_equal(first.rewards(rewards, nobody), second.rewards(rewards, nobody))
+
+
+def test_mirrored_moments_are_those_of_samples_and_images() -> None:
+    """As if every sample had come with its mirror image, and the same on both sides, bit for bit."""
+    mirror = Mirror.of_names(("step", "llj1", "rlj1", "yaw"))
+    plain, mirrored = RunningMoments(4), RunningMoments(4, mirror)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        batch = rng.normal([1.0, 2.0, -1.0, 0.5], [1.0, 0.5, 2.0, 1.0], (50, 4))
+        plain.update(np.concatenate([batch, mirror.apply(batch)]))
+        mirrored.update(batch)
+    np.testing.assert_allclose(mirrored.mean, plain.mean, atol=1e-4)
+    np.testing.assert_allclose(mirrored.variance, plain.variance, rtol=1e-4)
+    np.testing.assert_array_equal(mirror.apply(mirrored.mean), mirrored.mean)
+    assert mirrored.variance[1] == mirrored.variance[2]
+    assert mirrored.mean[3] == 0.0

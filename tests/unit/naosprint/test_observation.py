@@ -29,6 +29,7 @@ class Readings:
     foot_right: Array = field(default_factory=lambda: np.full((1, 6), np.nan))
     torso_position: Array = field(default_factory=lambda: np.array([[-14.0, 0.0, 0.35]]))
     torso_rotation: Array = field(default_factory=lambda: _facing(0.0))
+    bodies: Array = field(default_factory=lambda: np.zeros((1, 23, 13)))
 
 
 def _facing(yaw: float) -> Array:

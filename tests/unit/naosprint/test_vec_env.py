@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +118,39 @@ def test_state_carries_over(open_env: Open) -> None:
         assert np.array_equal(ours.observations, theirs.observations)
         assert np.array_equal(ours.rewards, theirs.rewards)
     assert first.window.means() == second.window.means()
+
+
+@pytest.mark.parametrize("bootstrap", [True, False])
+def test_end_that_is_no_fall_is_cut_off_where_asked(
+    open_env: Open, bootstrap: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the finish line the last observation comes along, to value what would have followed; after a fall never."""
+    env = open_env(bootstrap_at_end=bootstrap)
+    batch = env.batch
+    # a finish line so near that the first stumbles cross it
+    monkeypatch.setattr(batch, "task", replace(batch.task, finish_x_m=-13.95))
+    env.reset()
+    rng = np.random.default_rng(4)
+    arrivals = falls = 0
+    for _ in range(200):
+        step = batch.step
+        ends: list[tuple[np.ndarray, np.ndarray]] = []
+
+        def watch(*arguments: object, step: Callable[..., object] = step, ends: list[Any] = ends) -> object:
+            observations = step(*arguments)
+            ends.append((np.flatnonzero(batch.arrived), np.flatnonzero(batch.fallen)))
+            return observations
+
+        monkeypatch.setattr(batch, "step", watch)
+        transition = env.advance(rng.uniform(-1, 1, (8, 20)))
+        monkeypatch.setattr(batch, "step", step)
+        (arrived, fallen) = ends[0]
+        assert np.array_equal(transition.cut_rows, arrived if bootstrap else [])
+        assert len(transition.cut_observations) == len(transition.cut_rows)
+        assert set(np.flatnonzero(transition.dones)) == {*arrived, *fallen}
+        arrivals, falls = arrivals + len(arrived), falls + len(fallen)
+    assert arrivals > 0
+    assert falls > 0
 
 
 def test_environments_share_one_batch(open_env: Open) -> None:

@@ -205,7 +205,7 @@ class TrainingSpec(_Specification):
     bootstrap_at_end: bool = Field(
         default=_fast("bootstrap_at_end"),
         title="Bootstrap at the end",
-        description="Where an episode ends by anything but a fall, count what would have followed, as after a time limit.",
+        description="Where an episode ends by anything but a fall, estimate what would have followed.",
     )
     reward_scale: float = Field(
         default=_fast("reward_scale"),

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="naosprint", description="Train and judge sprint policies.")
+    parser = argparse.ArgumentParser(prog="naosprint", description="Train, judge, show and export sprint policies.")
     commands = parser.add_subparsers(required=True, metavar="command")
 
     train = commands.add_parser("train", help="train a policy", description="Train a policy; Ctrl-C saves and ends.")
@@ -55,10 +55,31 @@ def _parser() -> argparse.ArgumentParser:
 
     evaluate = commands.add_parser("evaluate", help="judge a policy", description="Run a policy and print its figures.")
     evaluate.add_argument("checkpoint", type=Path, help="checkpoint directory")
-    evaluate.add_argument("--output", type=Path, help="directory for evaluation.json and trajectories.npz")
+    evaluate.add_argument("--output", type=Path, help="directory for evaluation.json, trajectories.npz and replay.json")
     evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     _add_fields(evaluate, EvaluationSpec)
     evaluate.set_defaults(run=_evaluate)
+
+    report = commands.add_parser(
+        "report",
+        help="write a page about a policy",
+        description="Write a self-contained page, pictures, tables and a film about an evaluated policy.",
+    )
+    report.add_argument("evaluation", type=Path, help="directory that `evaluate --output` wrote")
+    report.add_argument("output", type=Path, help="directory for report.html and what belongs to it")
+    report.add_argument("--metrics", type=Path, metavar="FILE", help="the training's metrics.jsonl, for its curve")
+    report.add_argument("--title", default="Sprint", help="headline (default: Sprint)")
+    report.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
+    report.set_defaults(run=_report)
+
+    export = commands.add_parser(
+        "export",
+        help="write a policy for use elsewhere",
+        description="Write policy.onnx, policy.npz and policy.json.",
+    )
+    export.add_argument("checkpoint", type=Path, help="checkpoint directory")
+    export.add_argument("output", type=Path, help="directory for the files")
+    export.set_defaults(run=_export)
     return parser
 
 
@@ -156,6 +177,28 @@ def _evaluate(options: argparse.Namespace) -> int:
     if options.output is not None:
         evaluation.save(options.output)
     sys.stdout.write(evaluation.to_json())
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from naosprint.report import write_report
+
+    page = write_report(
+        options.output,
+        evaluation=options.evaluation,
+        metrics=options.metrics,
+        title=options.title,
+        film=not options.no_film,
+    )
+    sys.stdout.write(f"{page}\n")
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from naosprint.export import export_policy
+
+    for path in export_policy(options.checkpoint, options.output):
+        sys.stdout.write(f"{path}\n")
     return 0
 
 

@@ -16,6 +16,7 @@ from naospec import EvaluationSpec, task
 from naosprint.actuation import CYCLE_S
 from naosprint.environment import open_batch
 from naosprint.policy import load_policy
+from naosprint.replay import Replay
 from naosprint.starts import draw_start_poses
 from naosprint.statistics import bootstrap_mean, wilson
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
     from naosprint.environment import SprintBatch
     from naosprint.policy import Policy
+
+REPLAY_CANDIDATES = 5
+"""Episodes from the first of which the middle one is kept as a replay."""
 
 START_LINES_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
 """Distances of the start lines from the start, metres."""
@@ -93,18 +97,20 @@ class Evaluation:
     summary: dict[str, Any]
     """All figures, ready for JSON; a figure that no episode supports is None."""
     trajectories: Trajectories
+    replay: Replay
+    """The middle one of the first episodes, as it looked."""
 
     def to_json(self) -> str:
         """Return all figures as JSON."""
         return json.dumps(self.summary, indent=2, allow_nan=False) + "\n"
 
-    def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write ``evaluation.json`` and ``trajectories.npz`` to ``directory`` and return their paths."""
+    def save(self, directory: Path) -> tuple[Path, ...]:
+        """Write ``evaluation.json``, ``trajectories.npz`` and the replay to ``directory`` and return their paths."""
         directory.mkdir(parents=True, exist_ok=True)
         figures, paths = directory / "evaluation.json", directory / "trajectories.npz"
         figures.write_text(self.to_json())
         self.trajectories.save(paths)
-        return figures, paths
+        return (figures, paths, *self.replay.save(directory))
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,8 @@ class _Runs:
     """(episodes,)"""
     joint_angles: FloatArray
     """(samples, A) of the first episode."""
+    bodies: list[FloatArray]
+    """(samples, B, 13) body states of each of the first few episodes."""
 
 
 def evaluate(
@@ -171,7 +179,7 @@ def evaluate(
         "evaluation": spec.model_dump(mode="json"),
         **_figures(runs, spec, the_task.max_steps),
     }
-    return Evaluation(summary, _trajectories(runs, spec.trajectories))
+    return Evaluation(summary, _trajectories(runs, spec.trajectories), _replay(runs, trained.robot_type))
 
 
 def _run(
@@ -193,6 +201,8 @@ def _run(
     owners: list[IntArray] = []
     samples: list[FloatArray] = []
     angles: list[FloatArray] = []
+    shown = min(REPLAY_CANDIDATES, episodes)
+    bodies: list[list[FloatArray]] = [[] for _ in range(shown)]
 
     def record(rows: IntArray) -> None:
         truth, feet = batch.simulator.truth, batch.observer
@@ -206,6 +216,11 @@ def _run(
         if len(first):
             row = rows[first[0]]
             angles.append(batch.actuation.angles(batch.simulator.perceptors.joint_angles[row : row + 1])[0])
+        watched = rows[episode[rows] < shown]
+        if len(watched):
+            states = truth.bodies
+            for row in watched.tolist():
+                bodies[int(episode[row])].append(states[row].copy())
 
     def begin(rows: IntArray) -> None:
         batch.restart(rows, episode[rows] % n_starts)
@@ -250,6 +265,7 @@ def _run(
         fallen=fallen,
         arrived=arrived,
         joint_angles=np.array(angles),
+        bodies=[np.array(states) for states in bodies],
     )
 
 
@@ -356,6 +372,21 @@ def _challenge(runs: _Runs, i: int) -> tuple[float, float, float, float]:
     speed = max(reached - CHALLENGE_LINE_M, 0.0) / duration
     off_ground = float(runs.airborne[i][first : last + 1].mean())
     return speed + off_ground, speed, off_ground, float(fell)
+
+
+def _replay(runs: _Runs, robot_type: int) -> Replay:
+    """Choose the middle one of the first episodes by distance covered, then by speed."""
+    count = len(runs.bodies)
+    # an episode's distance says how it went; those that arrive differ in their steps
+    order = sorted(range(count), key=lambda i: (round(runs.x[i][-1] - runs.x[i][0], 1), -len(runs.x[i])))
+    middle = order[count // 2]
+    return Replay.from_bodies(
+        robot_type,
+        runs.bodies[middle],
+        runs.feet[middle],
+        fallen=bool(runs.fallen[middle]),
+        arrived=bool(runs.arrived[middle]),
+    )
 
 
 def _trajectories(runs: _Runs, count: int) -> Trajectories:

@@ -80,9 +80,7 @@ class SprintPPO(PPO):
                 _initialise_unit_norm(self.policy)
             if spec.symmetric_policy:
                 batch = env.batch
-                tie_weights(
-                    self.policy, Mirror.of_names(batch.observer.names), Mirror.of_names(batch.actuation.names)
-                )
+                tie_weights(self.policy, Mirror.of_names(batch.observer.names), Mirror.of_names(batch.actuation.names))
         self.set_logger(Logger(folder=None, output_formats=[]))
         self.spec = spec
         self.generator = torch.Generator()
@@ -310,7 +308,7 @@ def _schedule(spec: TrainingSpec) -> float | Callable[[float], float]:
 
 
 def _adapted(factor: float, kl: float, spec: TrainingSpec) -> float:
-    """Lower the rate after an update whose last pass went too far from the rollout's policy, raise it after a timid one.
+    """Lower the rate after an update that went too far from the rollout's policy, raise it after a timid one.
 
     The rule is that of RSL-RL (Rudin et al., "Learning to Walk in Minutes", 2022), once an update instead of once a
     minibatch.

@@ -58,6 +58,10 @@ class Truth(Protocol):
     def torso_rotation(self) -> FloatArray:
         """Return (n, 3, 3) rotations from the torso's frame into the world's."""
 
+    @property
+    def bodies(self) -> FloatArray:
+        """Return (n, B, 13) states of all bodies: position, quaternion w x y z, velocity, angular velocity."""
+
 
 class Simulator(Protocol):
     """Run n robots, each on a field of its own."""

@@ -1,9 +1,9 @@
 """Know what the robot's left-right symmetry does to observations, actions and networks.
 
 The robot and its task look the same in a mirror: what is a good action in a state is, with the sides exchanged, a good
-action in the mirrored state. A network that respects this is half as large to learn and runs straight, see Abdolhosseini
-et al., "On Learning Symmetric Locomotion" (2019). Here its weights are tied, so that it respects it exactly: hidden
-units come in pairs of which each sees the mirror image of what the other sees.
+action in the mirrored state. A network that respects this has half as much to learn, see Abdolhosseini et al., "On
+Learning Symmetric Locomotion" (2019). Here its weights are tied, so that it respects it exactly: hidden units come in
+pairs of which each sees the mirror image of what the other sees.
 """
 
 from __future__ import annotations
@@ -132,9 +132,9 @@ def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> None:
         if columns is None:
             parameter.copy_(symmetric(parameter))
         else:
-            # a pair of units shares the mean of its norms
             norms = parameter.norm(dim=1, keepdim=True)
-            norms = 0.5 * (norms + norms[row_place])
             parameter.copy_(symmetric(parameter))
-            parameter.mul_(norms / parameter.norm(dim=1, keepdim=True))
-    parameter.register_hook(symmetric)
+            factors = norms / parameter.norm(dim=1, keepdim=True)
+            # one factor for both units of a pair, to the last bit
+            parameter.mul_(0.5 * (factors + factors[row_place]))
+    parameter.register_hook(symmetric)  # type: ignore[no-untyped-call]

@@ -1,0 +1,231 @@
+"""A client of the HTTP API: requests, errors in words, and streams that survive a lost connection."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+from httpx_sse import SSEError, connect_sse
+
+from naoctl import __version__
+from naoctl.config import Target
+from naoctl.errors import CliError, ExitCode, Unreachable
+
+Json = dict[str, Any]
+
+#: Seconds to wait for a connection and for an answer.
+TIMEOUT_S = httpx.Timeout(30.0, connect=5.0)
+#: Seconds without a byte after which a stream counts as lost; the service sends a comment more often than that.
+STREAM_SILENCE_S = 60.0
+#: Seconds between attempts to reach a stream again: doubled each time, up to the last.
+RECONNECT_FIRST_S, RECONNECT_LAST_S = 0.5, 10.0
+
+
+class ApiError(CliError):
+    """Report an answer of the service that is no success."""
+
+    def __init__(self, message: str, *, status: int, fix: str | None, code: ExitCode, problem: Json) -> None:
+        super().__init__(message, fix=fix, code=code)
+        self.status = status
+        self.problem = problem
+
+
+@dataclass(frozen=True)
+class Event:
+    """Hold one server-sent event: its type, its id and its decoded JSON."""
+
+    kind: str
+    id: str
+    data: Any
+
+
+class Client:
+    """Talk to one service with one token.
+
+    A connection that cannot be made raises ``Unreachable``; an answer of 400 or above raises ``ApiError``, whose
+    message names what the service said and whose fix says what to do.
+    """
+
+    def __init__(self, target: Target, *, transport: httpx.BaseTransport | None = None) -> None:
+        self.target = target
+        headers = {"User-Agent": f"naoctl/{__version__}", "Accept": "application/json"}
+        if target.token:
+            headers["Authorization"] = f"Bearer {target.token}"
+        # No proxy and no netrc from the environment for loopback addresses would be guessing; httpx's rules stand.
+        self._http = httpx.Client(
+            base_url=target.url, headers=headers, timeout=TIMEOUT_S, transport=transport, follow_redirects=False
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        json_body: Any = None,
+        params: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+    ) -> Any:
+        """Send a request and return the decoded JSON of the answer, or None when the answer has no body."""
+        given = {name: value for name, value in (params or {}).items() if value is not None}
+        try:
+            response = self._http.request(method, path, json=json_body, params=given, headers=headers)
+        except httpx.TransportError as error:
+            raise unreachable(self.target.url, error) from None
+        raise_for_problem(response)
+        if not response.content:
+            return None
+        try:
+            return response.json()
+        except ValueError:
+            raise CliError(
+                f"{self.target.url} answered {method} {path} with something that is no JSON",
+                fix="Check that the address is that of a naosprint service.",
+            ) from None
+
+    def get(self, path: str, **params: Any) -> Any:
+        """GET a path; parameters that are None are left out."""
+        return self.request("GET", path, params=params)
+
+    def post(self, path: str, body: Any = None, *, headers: Mapping[str, str] | None = None) -> Any:
+        """POST a JSON body, or nothing."""
+        return self.request("POST", path, json_body=body, headers=headers)
+
+    def pages(self, path: str, *, limit: int, **params: Any) -> Iterator[Json]:
+        """Yield up to ``limit`` items of a paged list, following its cursor."""
+        cursor: str | None = None
+        left = limit
+        while left > 0:
+            page = self.get(path, limit=min(left, 100), cursor=cursor, **params)
+            items = page["items"][:left]
+            yield from items
+            left -= len(items)
+            cursor = page.get("next_cursor")
+            if not cursor or not items:
+                return
+
+    def open_stream(self, path: str, headers: Mapping[str, str]) -> Any:
+        """Return the context manager of a streamed GET; the caller checks the answer."""
+        return self._http.stream("GET", path, headers=dict(headers))
+
+    def events(
+        self,
+        path: str,
+        *,
+        last_id: str = "",
+        patience_s: float = 300.0,
+        on_lost: Callable[[str, float], None] | None = None,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> Iterator[Event]:
+        """Yield server-sent events for ever; after a lost connection go on behind the last event that arrived.
+
+        Args:
+            path: the stream.
+            last_id: event id to start behind; empty for the stream's own beginning.
+            patience_s: seconds without any connection after which to give up.
+            on_lost: told the reason and the seconds until the next attempt, once per attempt.
+            sleep: waits between attempts.
+
+        Raises:
+            Unreachable: when the service stayed away longer than ``patience_s``.
+            ApiError: when the service answers but refuses.
+        """
+        wait_s, lost_at = RECONNECT_FIRST_S, None
+        while True:
+            headers = {"Last-Event-ID": last_id} if last_id else {}
+            reason = "the stream ended"
+            try:
+                timeout = httpx.Timeout(STREAM_SILENCE_S, connect=5.0)
+                with connect_sse(self._http, "GET", path, headers=headers, timeout=timeout) as source:
+                    raise_for_problem(source.response)
+                    for message in source.iter_sse():
+                        wait_s, lost_at = RECONNECT_FIRST_S, None
+                        last_id = message.id or last_id
+                        if message.data:
+                            yield Event(message.event, message.id, json.loads(message.data))
+            except ApiError as error:
+                # A service that is just starting or is restarted behind a proxy says so; everything else is final.
+                if error.status not in (429, 502, 503, 504):
+                    raise
+                reason = error.message
+            except (httpx.TransportError, SSEError, ValueError) as error:
+                reason = _reason(error)
+            now = time.monotonic()
+            lost_at = lost_at if lost_at is not None else now
+            if now - lost_at > patience_s:
+                raise Unreachable(self.target.url, reason)
+            if on_lost:
+                on_lost(reason, wait_s)
+            sleep(wait_s)
+            wait_s = min(2 * wait_s, RECONNECT_LAST_S)
+
+
+def unreachable(url: str, error: httpx.TransportError) -> CliError:
+    """Put a failed connection into words."""
+    return Unreachable(url, _reason(error))
+
+
+def raise_for_problem(response: httpx.Response) -> None:
+    """Raise an ``ApiError`` for an answer that is no success, in the words of its problem document if it has one."""
+    status = response.status_code
+    if status < 300:
+        return
+    response.read()
+    problem: Json = {}
+    try:
+        decoded = response.json()
+        if isinstance(decoded, dict):
+            problem = decoded
+    except ValueError:
+        pass
+    detail = str(problem.get("detail") or problem.get("title") or response.reason_phrase or f"HTTP {status}")
+    fields = [
+        f"{item.get('field')}: {item.get('message')}" for item in problem.get("errors") or () if isinstance(item, dict)
+    ]
+    told_by_field = fields and status in (400, 422)
+    message = "; ".join(fields) if told_by_field else detail[:1].upper() + detail[1:].rstrip(".")
+    # What others wrote must not steer the terminal it is shown on.
+    message = "".join(character if character.isprintable() else " " for character in message)
+    code, fix = ExitCode.FAILURE, None
+    if status in (301, 302, 303, 307, 308):
+        message = f"The service moved to {response.headers.get('location', 'another address')}"
+        fix = "Use that address with --url."
+    elif status == 401:
+        code, fix = ExitCode.DENIED, "Sign in with `naoctl login`, or set NAOCTL_TOKEN."
+        if not response.request.headers.get("Authorization"):
+            message = f"{response.request.url.copy_with(raw_path=b'/')} wants a token and none is known"
+    elif status == 403:
+        code, fix = ExitCode.DENIED, "Use a token that has this right; an administrator creates one."
+    elif status == 404:
+        code, fix = ExitCode.NOT_FOUND, "`naoctl list` shows the jobs there are."
+    elif status == 409:
+        code, fix = ExitCode.CONFLICT, "`naoctl status JOB` shows the job's state."
+    elif status in (400, 413, 415, 422):
+        code = ExitCode.USAGE
+    elif status == 429:
+        wait = response.headers.get("retry-after")
+        fix = f"Try again in {wait} s." if wait else "Try again later."
+    elif status >= 500:
+        message = f"The service failed with {status}: {message}"
+        fix = "Its log says why; on this machine `naoctl doctor` shows where that is."
+    raise ApiError(message, status=status, fix=fix, code=code, problem=problem)
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, httpx.ConnectTimeout | httpx.ReadTimeout | httpx.WriteTimeout | httpx.PoolTimeout):
+        return "no answer in time"
+    if isinstance(error, httpx.ConnectError) and "refused" in str(error).lower():
+        return "connection refused"
+    return str(error).strip() or type(error).__name__

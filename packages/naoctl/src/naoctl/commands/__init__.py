@@ -1,0 +1,3 @@
+"""The commands, one module per group."""
+
+from __future__ import annotations

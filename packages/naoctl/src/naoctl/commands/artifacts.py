@@ -1,0 +1,373 @@
+"""``naoctl download``, ``naoctl checkpoints`` and ``naoctl eval``: what training leaves behind."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from naospec import EvaluationSpec
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
+from rich.table import Table
+
+from naoctl.client import Client
+from naoctl.commands.submit import EVAL_PREFIX
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
+from naoctl.errors import CliError, ExitCode
+from naoctl.judgement import headline, newest_evaluation
+from naoctl.render import ago, cell, pairs, size, state_text
+from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
+from naoctl.transfer import RemoteFile, fetch
+
+#: Most rows of metrics that the service gives at once.
+MAX_POINTS = 5_000
+#: Seconds between two looks at an evaluation that runs.
+POLL_S = 0.5
+Job = Annotated[
+    str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
+]
+
+
+class What(StrEnum):
+    """Choose what to download."""
+
+    #: Everything below; an evaluation that does not exist yet is no error then.
+    ALL = "all"
+    CHECKPOINT = "checkpoint"
+    EVALUATION = "evaluation"
+    METRICS = "metrics"
+
+
+def download(
+    ctx: typer.Context,
+    job: Job = "last",
+    what: Annotated[What, typer.Option("--what", help="Which artifacts.")] = What.ALL,
+    checkpoint: Annotated[
+        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Download a job's policy, the newest judgement of it and its metrics; every file's SHA-256 is checked.
+
+    What is there already and right is not fetched again, and what an interrupted download left goes on.
+    """
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_job(client, job)
+        folder = output or Path(_folder_name(found))
+        chosen: list[tuple[str, Path, dict[str, Any]]] = []
+        if what in (What.ALL, What.CHECKPOINT):
+            point = choose_checkpoint(client, found, checkpoint)
+            chosen.append(("checkpoint", folder / f"checkpoint-{point['step']:012d}", point))
+        if what in (What.ALL, What.EVALUATION):
+            judged = newest_evaluation(client, found["id"])
+            if judged:
+                chosen.append(("evaluation", folder / "evaluation", judged))
+            elif what is What.EVALUATION:
+                raise CliError(
+                    f"Job {found['id']} has no finished evaluation",
+                    fix=f"Ask for one: naoctl eval {found['id']}",
+                    code=ExitCode.NOT_FOUND,
+                )
+        fetched = fetch_artifacts(context, client, chosen, quiet=as_json)
+        if what in (What.ALL, What.METRICS):
+            fetched.append(write_metrics(client, found["id"], folder / "metrics.jsonl"))
+    if as_json:
+        context.json(fetched)
+        return
+    for item in fetched:
+        checked = ", SHA-256 verified" if item["kind"] != "metrics" else ""
+        context.say(item["kind"].capitalize(), f"{item['path']} ({size(item['size'])}{checked})")
+
+
+def fetch_artifacts(
+    context: Context, client: Client, chosen: list[tuple[str, Path, dict[str, Any]]], *, quiet: bool = False
+) -> list[dict[str, Any]]:
+    """Download artifacts, each with its kind, into their folders and return where they lie.
+
+    Args:
+        context: for the progress bar.
+        client: the service.
+        chosen: kind, folder and the artifact as the service shows it (``id`` and ``files``).
+        quiet: show no progress.
+    """
+    fetched = []
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=context.err, disable=quiet or not context.err.is_terminal, transient=True) as bar:
+        for kind, folder, artifact in chosen:
+            paths = []
+            for file in artifact["files"]:
+                remote = RemoteFile(file["name"], file["url"], file["size"], file["sha256"])
+                task = bar.add_task(remote.name, total=remote.size)
+                paths.append(str(fetch(client, remote, folder, progress=_advance(bar, task))))
+            total = sum(file["size"] for file in artifact["files"])
+            fetched.append({"kind": kind, "id": artifact["id"], "path": str(folder), "size": total, "files": paths})
+    return fetched
+
+
+def write_metrics(client: Client, job_id: str, path: Path) -> dict[str, Any]:
+    """Write a job's metrics as one JSON object a line, as a training without the service does; return what was written.
+
+    Trainings of more than five thousand updates arrive thinned out.
+    """
+    columns = client.get(f"/jobs/{job_id}/metrics", max_points=MAX_POINTS)["columns"]
+    lines = []
+    for values in zip(*columns.values(), strict=True):
+        row = {name: value for name, value in zip(columns, values, strict=True) if value is not None}
+        lines.append(json.dumps(row) + "\n")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = "".join(lines)
+    path.write_text(text, encoding="utf-8")
+    return {"kind": "metrics", "id": job_id, "path": str(path), "size": len(text.encode()), "files": [str(path)]}
+
+
+def report(
+    ctx: typer.Context,
+    job: Job = "last",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+    ] = None,
+    film: Annotated[bool, typer.Option("--film/--no-film", help="Also write the film, which takes longest.")] = True,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write a page with curves, figures and a film about a job's policy; needs naosprint on this machine."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_job(client, job)
+        judged = newest_evaluation(client, found["id"])
+        if judged is None:
+            raise CliError(
+                f"Job {found['id']} has no finished evaluation",
+                fix=f"Ask for one: naoctl eval {found['id']}",
+                code=ExitCode.NOT_FOUND,
+            )
+        folder = output or Path(_folder_name(found))
+        fetch_artifacts(context, client, [("evaluation", folder / "evaluation", judged)], quiet=as_json)
+        write_metrics(client, found["id"], folder / "metrics.jsonl")
+    page = write_report(folder, title=found["name"], film=film)
+    if as_json:
+        context.json({"page": str(page)})
+    else:
+        context.say("Report", str(page))
+
+
+def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
+    """Write a report from the ``evaluation`` and ``metrics.jsonl`` in a folder and return the path of its page.
+
+    Raises:
+        CliError: when naosprint is not installed here or refuses.
+    """
+    arguments = [str(folder / "evaluation"), str(folder / "report"), "--title", title]
+    if (folder / "metrics.jsonl").stat().st_size:
+        arguments += ["--metrics", str(folder / "metrics.jsonl")]
+    run_naosprint("report", *arguments, *([] if film else ["--no-film"]))
+    return folder / "report" / "report.html"
+
+
+def export(
+    ctx: typer.Context,
+    job: Job = "last",
+    checkpoint: Annotated[
+        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Write a job's policy for use elsewhere (ONNX, NumPy, JSON); needs naosprint on this machine."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_job(client, job)
+        folder = output or Path(_folder_name(found))
+        point = choose_checkpoint(client, found, checkpoint)
+        source = folder / f"checkpoint-{point['step']:012d}"
+        fetch_artifacts(context, client, [("checkpoint", source, point)], quiet=as_json)
+    target = folder / f"export-{point['step']:012d}"
+    run_naosprint("export", str(source), str(target))
+    files = sorted(str(path) for path in target.iterdir())
+    if as_json:
+        context.json({"path": str(target), "files": files})
+    else:
+        context.say("Export", str(target))
+
+
+def run_naosprint(*words: str) -> str:
+    """Run ``python -m naosprint`` and return what it printed.
+
+    A process of its own: the command line itself stays light and never imports PyTorch.
+
+    Raises:
+        CliError: when naosprint is not installed here, or with its last words when it fails.
+    """
+    if importlib.util.find_spec("naosprint") is None:
+        raise CliError("naosprint is not installed here", fix="Run this where it is, or `make install` in a checkout.")
+    done = subprocess.run([sys.executable, "-m", "naosprint", *words], check=False, capture_output=True, text=True)
+    if done.returncode:
+        last = done.stderr.strip().splitlines()
+        raise CliError(f"naosprint {words[0]} failed: {last[-1] if last else f'exit code {done.returncode}'}")
+    return done.stdout
+
+
+def _advance(bar: Progress, task: TaskID) -> Callable[[int], None]:
+    return lambda done: bar.update(task, completed=done)
+
+
+def choose_checkpoint(client: Client, job: dict[str, Any], wanted: str | None) -> dict[str, Any]:
+    """Return the checkpoint that a user means by id or step; the newest when they name none.
+
+    Raises:
+        CliError: when there is none, or none like it.
+    """
+    points: list[dict[str, Any]] = sorted(
+        client.get(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
+    )
+    if not points:
+        raise CliError(
+            f"Job {job['id']} has no checkpoint yet",
+            fix="Wait for its first, or for its end.",
+            code=ExitCode.NOT_FOUND,
+        )
+    if wanted is None:
+        return points[-1]
+    for point in points[::-1]:
+        if wanted in (point["id"], str(point["step"])):
+            return point
+    steps = ", ".join(str(point["step"]) for point in points[-5:])
+    raise CliError(
+        f"Job {job['id']} has no checkpoint {wanted!r}",
+        fix=f"Its newest are at steps {steps}.",
+        code=ExitCode.NOT_FOUND,
+    )
+
+
+def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False) -> None:
+    """List a job's checkpoints."""
+    context = context_of(ctx)
+    with context.client() as client:
+        points = client.get(f"/jobs/{find_job(client, job)['id']}/checkpoints")
+    if as_json:
+        context.json(points)
+        return
+    table = Table("ID", "Step", "Size", "Saved", box=None, pad_edge=False, header_style="bold")
+    for point in sorted(points, key=lambda p: p["step"]):
+        table.add_row(point["id"], f"{point['step']:,}", size(point["size"]), ago(point["created_at"]))
+    context.out.print(table if points else "No checkpoint yet.")
+
+
+def evaluate(
+    ctx: typer.Context,
+    job: Job = "last",
+    checkpoint: Annotated[
+        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+    ] = None,
+    wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the figures.")] = True,
+    show: Annotated[bool, typer.Option("--list", help="Show the evaluations there are instead.")] = False,
+    as_json: JsonFlag = False,
+    evaluation: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
+) -> None:
+    """Judge a job's policy: run episodes and report distance, speed and falls with confidence intervals."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_job(client, job)
+        if show:
+            _list_evaluations(context, client.get(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
+            return
+        body: dict[str, Any] = {}
+        if checkpoint is not None:
+            body["checkpoint_id"] = choose_checkpoint(client, found, checkpoint)["id"]
+        if evaluation:
+            values = {"task": found["spec"]["task"], **parse_flags(EvaluationSpec, evaluation, prefix=EVAL_PREFIX)}
+            names = [name.removeprefix(EVAL_PREFIX) for name in evaluation]
+            body["spec"] = build(EvaluationSpec, values, from_flags=names).model_dump(mode="json")
+        asked = client.post(f"/jobs/{found['id']}/evaluations", body)
+        if wait:
+            asked = await_evaluation(client, asked)
+    if as_json:
+        context.json(asked)
+    else:
+        show_evaluation(context, asked)
+    if asked["state"] == "failed":
+        raise typer.Exit(ExitCode.JOB_FAILED)
+
+
+def await_evaluation(client: Client, evaluation: dict[str, Any]) -> dict[str, Any]:
+    """Return an evaluation once it has ended."""
+    while evaluation["state"] in ("queued", "running"):
+        time.sleep(POLL_S)
+        evaluation = client.get(f"/evaluations/{evaluation['id']}")
+    return evaluation
+
+
+def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
+    """Print an evaluation's main figures; ``--json`` and the downloaded ``evaluation.json`` have all of them."""
+    rows: list[tuple[str, Any]] = [
+        ("Evaluation", evaluation["id"]),
+        ("State", state_text(evaluation["state"])),
+        (
+            "Episodes",
+            f"{evaluation['spec']['episodes']:,}, seed {evaluation['spec']['seed']};"
+            f" intervals hold {evaluation['spec']['confidence']:.0%}",
+        ),
+    ]
+    rows += headline(evaluation.get("summary") or {}).items()
+    if evaluation.get("error"):
+        rows.append(("Error", cell(evaluation["error"])))
+    context.out.print(pairs(rows))
+
+
+def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as_json: bool) -> None:
+    if as_json:
+        context.json(evaluations)
+        return
+    table = Table("ID", "State", "Episodes", "Checkpoint", "Asked", box=None, pad_edge=False, header_style="bold")
+    for item in evaluations:
+        table.add_row(
+            item["id"],
+            state_text(item["state"]),
+            f"{item['spec']['episodes']:,}",
+            item["checkpoint_id"],
+            ago(item["created_at"]),
+        )
+    context.out.print(table if evaluations else "No evaluation yet.")
+
+
+def _folder_name(job: dict[str, Any]) -> str:
+    """Return a plain folder name for a job: its name where that is one, with its id's end to tell it from others."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", job["name"]).strip(".-")[:60] or "job"
+    return f"{name}-{job['id'][-6:]}"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for function in (checkpoints, download, report, export):
+        app.command(function.__name__)(function)
+    parameters = spec_parameters(
+        EvaluationSpec, panel="Evaluation", prefix=EVAL_PREFIX, leave_out=["task"], flag_prefix=""
+    )
+    app.command("eval")(with_parameters(evaluate, {"evaluation": parameters}))

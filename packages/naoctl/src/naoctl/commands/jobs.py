@@ -1,0 +1,210 @@
+"""The commands that look at jobs and steer them: list, status, cancel, pause, resume, retry, delete, compare."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.errors import InvalidInput
+from naoctl.follow import ENDED, follow
+from naoctl.judgement import headline, newest_evaluation
+from naoctl.render import FIGURES, MISSING, cell, figure, job_details, jobs_table, plain, state_text
+
+STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
+Jobs = Annotated[
+    list[str], typer.Argument(metavar="JOB...", help="Ids or names of jobs, or `last`.", autocompletion=complete_job)
+]
+WaitFlag = Annotated[bool, typer.Option("--wait", help="Return once it is so, not once it is asked for.")]
+
+
+def _complete_state(incomplete: str) -> list[str]:
+    return [state for state in STATES if state.startswith(incomplete)]
+
+
+def list_jobs(
+    ctx: typer.Context,
+    state: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--state", "-s", metavar="STATE", help="Only these; may be repeated.", autocompletion=_complete_state
+        ),
+    ] = None,
+    tag: Annotated[
+        list[str] | None, typer.Option("--tag", "-t", help="Only those with this tag; may be repeated.")
+    ] = None,
+    owner: Annotated[str | None, typer.Option(help="Only this owner's.")] = None,
+    group: Annotated[str | None, typer.Option(metavar="ID", help="Only those of this sweep.")] = None,
+    query: Annotated[str | None, typer.Option("--query", "-q", help="Only those whose name contains this.")] = None,
+    limit: Annotated[int, typer.Option("--limit", "-l", min=1, max=10_000, help="Most jobs to show.")] = 20,
+    as_json: JsonFlag = False,
+) -> None:
+    """List jobs, the newest first."""
+    context = context_of(ctx)
+    for word in state or []:
+        if word not in STATES:
+            raise InvalidInput(f"--state {word!r} is no state", fix=f"Choose from {', '.join(STATES)}.")
+    with context.client() as client:
+        jobs = list(
+            client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
+        )
+    if as_json:
+        context.json(jobs)
+    elif jobs:
+        context.out.print(jobs_table(jobs, context.out.width))
+        if len(jobs) == limit:
+            context.note(f"The newest {limit}; --limit shows more.")
+    else:
+        context.note(
+            "No jobs." if state or tag or owner or group or query else "No jobs yet. Submit one with `naoctl submit`."
+        )
+
+
+def status(
+    ctx: typer.Context,
+    job: Annotated[
+        str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
+    ] = "last",
+    as_json: JsonFlag = False,
+) -> None:
+    """Show one job: state, progress, figures, and why it failed if it did."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_job(client, job)
+    if as_json:
+        context.json(found)
+    else:
+        context.out.print(job_details(found))
+
+
+def _steer(
+    context: Context, references: list[str], verb: str, done: str, *, as_json: bool, until: frozenset[str] | None = None
+) -> None:
+    changed = []
+    with context.client() as client:
+        for reference in references:
+            job = client.post(f"/jobs/{find_job(client, reference)['id']}/{verb}")
+            if until and job["state"] not in until:
+                for update in follow(client, job):
+                    job = update.job
+                    if job["state"] in until:
+                        break
+            changed.append(job)
+            if not as_json:
+                asked = job["state"] not in (until or ENDED | {"paused", "queued"})
+                context.out.print(f"{job['id']}: {done if asked else job['state']}", markup=False)
+    if as_json:
+        context.json(changed)
+
+
+def cancel(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
+    """Cancel jobs for good; what they saved stays, and `retry` queues them again."""
+    _steer(context_of(ctx), jobs, "cancel", "cancel requested", as_json=as_json, until=ENDED if wait else None)
+
+
+def pause(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
+    """Pause jobs: they save a checkpoint and give their worker free."""
+    until = ENDED | {"paused"} if wait else None
+    _steer(context_of(ctx), jobs, "pause", "pause requested", as_json=as_json, until=until)
+
+
+def resume(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
+    """Let paused jobs go on from their last checkpoint."""
+    _steer(context_of(ctx), jobs, "resume", "resumed", as_json=as_json)
+
+
+def retry(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
+    """Queue failed or cancelled jobs again; they go on from their last checkpoint."""
+    _steer(context_of(ctx), jobs, "retry", "queued", as_json=as_json)
+
+
+def delete(
+    ctx: typer.Context,
+    jobs: Jobs,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Delete jobs that have ended, with their checkpoints, evaluations and figures."""
+    context = context_of(ctx)
+    gone = []
+    with context.client() as client:
+        found = [find_job(client, reference) for reference in jobs]
+        if not yes:
+            if not stdin_is_terminal():
+                raise InvalidInput("Deleting wants a confirmation and nobody can be asked", fix="Add --yes.")
+            typer.confirm(f"Delete {', '.join(plain(job['name']) for job in found)} and all they saved?", abort=True)
+        for job in found:
+            client.request("DELETE", f"/jobs/{job['id']}")
+            gone.append(job["id"])
+            if not as_json:
+                context.out.print(f"{job['id']}: deleted", markup=False)
+    if as_json:
+        context.json(gone)
+
+
+def compare(
+    ctx: typer.Context,
+    jobs: Annotated[
+        list[str], typer.Argument(metavar="JOB JOB...", help="Two or more jobs.", autocompletion=complete_job)
+    ],
+    as_json: JsonFlag = False,
+) -> None:
+    """Put jobs side by side: what they were told differently, and what came of it."""
+    context = context_of(ctx)
+    if len(jobs) < 2:
+        raise InvalidInput("compare wants two jobs or more", fix="Name another job.")
+    with context.client() as client:
+        found = [find_job(client, reference) for reference in jobs]
+        summaries = [(newest_evaluation(client, job["id"]) or {}).get("summary") for job in found]
+    if len({job["id"] for job in found}) < len(found):
+        raise InvalidInput("The same job is named twice", fix="`naoctl list` shows the ids of all.")
+    differing = [
+        field
+        for field in found[0]["spec"]
+        if any(job["spec"].get(field) != found[0]["spec"].get(field) for job in found[1:])
+    ]
+    if as_json:
+        context.json(
+            [
+                {
+                    "id": job["id"],
+                    "name": job["name"],
+                    "state": job["state"],
+                    "spec": {field: job["spec"].get(field) for field in differing},
+                    "latest_metrics": job.get("latest_metrics") or {},
+                    "evaluation": summary,
+                }
+                for job, summary in zip(found, summaries, strict=True)
+            ]
+        )
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("")
+    for job in found:
+        table.add_column(cell(job["name"]), justify="right", overflow="fold")
+    table.add_row("ID", *(job["id"] for job in found))
+    table.add_row("State", *(state_text(job["state"]) for job in found))
+    table.add_row("Steps", *(f"{job['progress_step']:,}" for job in found))
+    for field in differing:
+        table.add_row(field, *(cell(job["spec"].get(field)) for job in found))
+    for key, title, form in FIGURES:
+        cells = [figure(job.get("latest_metrics") or {}, key, form) for job in found]
+        if any(cell != MISSING for cell in cells):
+            table.add_row(title, *cells)
+    judged = [headline(summary or {}) for summary in summaries]
+    names = dict.fromkeys(name for figures in judged for name in figures)
+    if names:
+        table.add_row("[bold]Evaluation[/bold]", *("" for _ in found))
+        for name in names:
+            table.add_row(name, *(figures.get(name, MISSING) for figures in judged))
+    context.out.print(table)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("list")(list_jobs)
+    app.command("status")(status)
+    for function in (cancel, pause, resume, retry, delete, compare):
+        app.command(function.__name__)(function)

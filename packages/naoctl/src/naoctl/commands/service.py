@@ -1,0 +1,231 @@
+"""The commands about the service itself: login, logout, token, workers, version."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from naoctl import __version__
+from naoctl.client import Client
+from naoctl.config import Config, Target, normal_url, resolve_target
+from naoctl.context import DataDir, JsonFlag, context_of, stdin_is_terminal
+from naoctl.errors import CliError, ExitCode, InvalidInput, StackError
+from naoctl.render import ago, cell, plain
+
+PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
+token_app = typer.Typer(no_args_is_help=True, help="Make, list and revoke tokens of the stack on this machine.")
+
+
+def login(
+    ctx: typer.Context,
+    url: Annotated[str | None, typer.Argument(metavar="[URL]", help="Address of the service.")] = None,
+    token_stdin: Annotated[bool, typer.Option("--token-stdin", help="Read the token from standard input.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Sign in to a service: check a token there and keep it for later commands.
+
+    The token is asked for without showing it, or read from standard input. It is kept in a file that only you can read.
+    """
+    context = context_of(ctx)
+    chosen = normal_url(url) if url else resolve_target(context.url).url
+    if token_stdin:
+        token = sys.stdin.readline().strip()
+    elif stdin_is_terminal():
+        token = typer.prompt(f"Token for {chosen}", hide_input=True).strip()
+    else:
+        raise InvalidInput("There is no terminal to ask for the token", fix="Pipe it in and add --token-stdin.")
+    if not token:
+        raise InvalidInput("The token is empty", fix="Paste the token that an administrator gave you.")
+    with Client(Target(chosen, token)) as client:
+        who = client.get("/whoami")
+    path = Config.load().with_token(chosen, token).save()
+    if as_json:
+        context.json({"url": chosen, "config": str(path), **who})
+    else:
+        context.out.print(
+            f"Signed in to {chosen} as {plain(who['owner'])} ({', '.join(who['scopes'])}); kept in {path}",
+            markup=False,
+            soft_wrap=True,
+        )
+
+
+def logout(
+    ctx: typer.Context,
+    url: Annotated[str | None, typer.Argument(metavar="[URL]", help="Address of the service.")] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Forget the token of a service."""
+    context = context_of(ctx)
+    chosen = normal_url(url) if url else resolve_target(context.url).url
+    config = Config.load()
+    known = chosen in config.tokens
+    if known:
+        config.without(chosen).save()
+    if as_json:
+        context.json({"url": chosen, "forgotten": known})
+    else:
+        context.out.print(f"{'Signed out of' if known else 'No token was kept for'} {chosen}", markup=False)
+
+
+def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
+    """List the workers and what they work on."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = client.get("/workers")
+    if as_json:
+        context.json(found)
+        return
+    table = Table(
+        "ID", "Host", "Process", "Queues", "Jobs", "Heard of", "Version", box=None, pad_edge=False, header_style="bold"
+    )
+    for worker in found:
+        heard = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
+        table.add_row(
+            cell(worker["id"]),
+            cell(worker["host"]),
+            str(worker["pid"]),
+            ", ".join(worker["queues"]),
+            ", ".join(worker["jobs"]) or "-",
+            heard,
+            cell(worker["version"]),
+            style=None if worker["alive"] else "red",
+        )
+    context.out.print(table if found else "No workers. Jobs wait until one comes: `naoctl up` starts one.")
+
+
+def version(ctx: typer.Context, as_json: JsonFlag = False) -> None:
+    """Show the version of this program, of what is installed beside it, and of the service if it answers."""
+    context = context_of(ctx)
+    found: dict[str, Any] = {"naoctl": __version__, "python": sys.version.split()[0]}
+    for package in PACKAGES:
+        try:
+            found[package] = installed_version(package)
+        except PackageNotFoundError:
+            found[package] = None
+    target = context.target()
+    found["service"] = {"url": target.url, "version": None}
+    try:
+        with Client(target) as client:
+            found["service"]["version"] = client.get("/openapi.json")["info"]["version"]
+    except (CliError, KeyError, TypeError):
+        pass
+    if as_json:
+        context.json(found)
+        return
+    service = found.pop("service")
+    for name, value in found.items():
+        context.out.print(f"{name:<18}{value or 'not installed'}", markup=False)
+    context.out.print(f"{'service':<18}{service['version'] or 'no answer'} at {service['url']}", markup=False)
+
+
+@token_app.command("create")
+def token_create(
+    ctx: typer.Context,
+    owner: Annotated[str, typer.Option(help="Whose jobs it opens.")],
+    name: Annotated[str, typer.Option(help="What it is for.")] = "",
+    scope: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="read, submit or admin, each including those before; may be repeated.", show_default="submit"
+        ),
+    ] = None,
+    days: Annotated[float | None, typer.Option(min=0.001, help="Days until it expires.", show_default="never")] = None,
+    data_dir: DataDir = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Make a token for the stack that runs on this machine. Its secret is shown once."""
+    context = context_of(ctx)
+    for word in scope or []:
+        if word not in ("read", "submit", "admin"):
+            raise InvalidInput(f"--scope {word!r} is no scope", fix="Choose from read, submit, admin.")
+    arguments = ["create", "--owner", owner, "--name", name]
+    for word in scope or ["submit"]:
+        arguments += ["--scope", word]
+    if days is not None:
+        arguments += ["--days", str(days)]
+    made = _administer(data_dir, arguments)
+    if as_json:
+        context.json(made)
+        return
+    context.out.print(made["token"], markup=False, soft_wrap=True)
+    context.note(f"Token {made['id']} of {owner}; it cannot be shown again. Its user runs `naoctl login URL`.")
+
+
+@token_app.command("list")
+def token_list(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag = False) -> None:
+    """List the tokens of the stack that runs on this machine, without their secrets."""
+    context = context_of(ctx)
+    found = _administer(data_dir, ["list"])
+    if as_json:
+        context.json(found)
+        return
+    table = Table(
+        "ID", "Owner", "Name", "Scopes", "Made", "Expires", "State", box=None, pad_edge=False, header_style="bold"
+    )
+    for item in found:
+        table.add_row(
+            item["id"],
+            cell(item["owner"]),
+            cell(item["name"]),
+            ", ".join(item["scopes"]),
+            ago(item["created_at"]),
+            item["expires_at"] or "never",
+            "revoked" if item["revoked_at"] else "valid",
+        )
+    context.out.print(table)
+
+
+@token_app.command("revoke")
+def token_revoke(
+    ctx: typer.Context,
+    token_id: Annotated[str, typer.Argument(metavar="ID", help="The token's id, as `naoctl token list` shows it.")],
+    data_dir: DataDir = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Make a token of the stack on this machine useless from now on."""
+    context = context_of(ctx)
+    answer = _administer(data_dir, ["revoke", token_id])
+    if as_json:
+        context.json(answer)
+    else:
+        context.out.print(f"{token_id}: revoked", markup=False)
+
+
+def _administer(data_dir: Path | None, arguments: list[str]) -> Any:
+    """Run ``python -m naojobs token`` against the database of the stack on this machine."""
+    try:
+        from naoctl.stack.control import find_running
+        from naoctl.stack.environment import service_environment
+        from naoctl.stack.layout import Layout
+    except ImportError as error:
+        raise StackError(f"The stack is not installed here ({error.name})", fix="pip install 'naoctl[stack]'") from None
+    layout = Layout.at(data_dir)
+    find_running(layout)
+    done = subprocess.run(
+        [sys.executable, "-m", "naojobs", "token", *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **service_environment(layout)},
+        stdin=subprocess.DEVNULL,
+    )
+    if done.returncode:
+        words = done.stderr.strip().splitlines()
+        raise CliError(words[-1] if words else "The token was refused", code=ExitCode.FAILURE)
+    return json.loads(done.stdout)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for function in (login, logout, workers, version):
+        app.command(function.__name__)(function)
+    app.add_typer(token_app, name="token")

@@ -1,0 +1,195 @@
+"""The commands that run the service on this machine: up, down, doctor, demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from naoctl.config import Config
+from naoctl.context import Context, DataDir, JsonFlag, context_of
+from naoctl.errors import ExitCode, StackError
+
+#: Port, workers and queues of `naoctl up`.
+PortOption = Annotated[
+    int | None,
+    typer.Option(
+        "--port", "-p", min=1, max=65535, help="Port of API and dashboard.", show_default="8000 or a free one"
+    ),
+]
+
+
+def up(
+    ctx: typer.Context,
+    data_dir: DataDir = None,
+    port: PortOption = None,
+    workers: Annotated[int, typer.Option("--workers", min=1, max=256, help="Jobs that run side by side.")] = 1,
+    queues: Annotated[
+        str, typer.Option("--queues", help="Simulators that jobs may use: embedded, rcssserver3d.")
+    ] = "embedded",
+    detach: Annotated[
+        bool, typer.Option("--detach", "-d", help="Run in the background; `naoctl down` stops it.")
+    ] = False,
+    as_json: JsonFlag = False,
+    ready_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Run the whole service on this machine: API, dashboard, worker, Postgres, broker and artifacts.
+
+    Needs neither containers nor root; listens on 127.0.0.1 only. Everything lies in one folder, so a second start finds
+    all jobs again. Ctrl-C stops everything in order; a running job saves a checkpoint and goes on with the next start.
+    """
+    _need_stack()
+    from naoctl.stack.control import ReadyPipe, start_detached
+    from naoctl.stack.layout import Layout
+    from naoctl.stack.supervisor import Options, Supervisor
+
+    context = context_of(ctx)
+    layout = Layout.at(data_dir)
+    options = Options(port, workers, queues)
+    say = (lambda title, text: None) if as_json else context.say
+    if detach:
+        stack = start_detached(layout, options, say)
+        _announce(context, layout.root, stack, as_json=as_json, detached=True)
+        return
+    pipe = ReadyPipe(ready_fd) if ready_fd is not None else None
+
+    def tell(title: str, text: str) -> None:
+        say(title, text)
+        context.out.file.flush()
+        if pipe:
+            pipe.send(say=[title, text])
+
+    supervisor = Supervisor(layout, options, tell)
+    try:
+        supervisor.run(lambda: _ready(context, supervisor.running_stack(), layout.root, pipe, as_json=as_json))
+    except StackError as error:
+        if pipe:
+            pipe.send(error=error.message, fix=error.fix)
+        raise
+
+
+def _ready(context: Context, stack: object, root: Path, pipe: object, *, as_json: bool) -> None:
+    from naoctl.stack.control import ReadyPipe
+    from naoctl.stack.supervisor import RunningStack
+
+    assert isinstance(stack, RunningStack)
+    if isinstance(pipe, ReadyPipe):
+        pipe.send(ready=True)
+        pipe.close()
+    else:
+        _announce(context, root, stack, as_json=as_json, detached=False)
+
+
+def _announce(context: Context, root: Path, stack: object, *, as_json: bool, detached: bool) -> None:
+    """Say where the stack is and how to sign in, and make it the service that commands use."""
+    from naoctl.stack.supervisor import RunningStack
+
+    assert isinstance(stack, RunningStack)
+    config_path = Config.load().with_token(stack.url, stack.token).save()
+    if as_json:
+        context.json(
+            {
+                "url": stack.url,
+                "pid": stack.pid,
+                "data_dir": str(root),
+                "sign_in": stack.sign_in_url,
+                "config": str(config_path),
+            }
+        )
+        context.out.file.flush()
+        return
+    context.out.print()
+    context.say("Dashboard", stack.url)
+    context.say("Sign in", stack.sign_in_url)
+    context.say("Data", str(root))
+    context.say(
+        "Submit",
+        "naoctl submit --preset fast --steps 3000000 --watch   (in another terminal)"
+        if not detached
+        else "naoctl submit --preset fast --steps 3000000 --watch",
+    )
+    context.say("Stop", "naoctl down" if detached else "Ctrl-C, or naoctl down")
+    context.out.file.flush()
+
+
+def down(
+    ctx: typer.Context,
+    data_dir: DataDir = None,
+    now: Annotated[bool, typer.Option("--now", help="Kill instead of waiting for a running job's checkpoint.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Stop the service on this machine, however it was started; clear away what a killed one left behind."""
+    _need_stack()
+    from naoctl.stack import control
+    from naoctl.stack.layout import Layout
+
+    context = context_of(ctx)
+    layout = Layout.at(data_dir)
+    say = (lambda title, text: None) if as_json else context.say
+    done = control.stop(layout, say, now=now)
+    if as_json:
+        context.json({"data_dir": str(layout.root), "stopped": done})
+    else:
+        context.say(
+            "Stopped" if done else "Idle", "nothing is left running" if done else f"no stack runs on {layout.root}"
+        )
+
+
+def doctor(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag = False) -> None:
+    """Check what the service needs on this machine, and how the running one is."""
+    _need_stack()
+    from naoctl.stack.doctor import examine
+    from naoctl.stack.layout import Layout
+
+    context = context_of(ctx)
+    findings = list(examine(Layout.at(data_dir)))
+    if as_json:
+        context.json([finding.as_dict() for finding in findings])
+    else:
+        for finding in findings:
+            style = {"ok": "green", "warning": "yellow", "failed": "red"}[finding.verdict]
+            context.out.print(f"[{style}]{finding.verdict:<8}[/{style}]", end=" ")
+            context.out.print(f"{finding.subject:<18}{finding.text}", markup=False, soft_wrap=True)
+            if finding.fix:
+                context.out.print(f"{'':<27}{finding.fix}", markup=False, soft_wrap=True, style="bright_black")
+    if any(finding.verdict == "failed" for finding in findings):
+        raise typer.Exit(ExitCode.STACK)
+
+
+def demo(
+    ctx: typer.Context,
+    steps: Annotated[int, typer.Option("--steps", min=1, help="Environment steps to train for.")] = 3_000_000,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the training.")] = 0,
+    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes of the evaluation.")] = 1000,
+    data_dir: DataDir = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where the policy and its figures go.")
+    ] = None,
+    keep: Annotated[bool, typer.Option("--keep", help="Leave the service running at the end.")] = False,
+) -> None:
+    """Show everything once: start the service, train a robot live, judge its policy, fetch and check it, stop."""
+    _need_stack()
+    from naoctl.demo import Demo
+    from naoctl.stack.layout import Layout, default_data_dir
+
+    folder = data_dir or default_data_dir().with_name("naosprint-demo")
+    layout = Layout.at(folder)
+    Demo(context_of(ctx), layout, output or layout.root / "results").run(
+        steps=steps, seed=seed, episodes=episodes, keep=keep
+    )
+
+
+def _need_stack() -> None:
+    """Say how to install what the one-machine stack needs, if it is missing."""
+    import importlib.util
+
+    for module, package in (("psutil", "psutil"), ("redis", "redis")):
+        if importlib.util.find_spec(module) is None:
+            raise StackError(f"{package} is not installed", fix="pip install 'naoctl[stack]'")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for function in (up, down, doctor, demo):
+        app.command(function.__name__)(function)

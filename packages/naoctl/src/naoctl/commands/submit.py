@@ -1,0 +1,261 @@
+"""``naoctl submit``: from flags and files to a job."""
+
+from __future__ import annotations
+
+import itertools
+import uuid
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from naospec import EvaluationSpec, TrainingSpec
+from pydantic import TypeAdapter
+
+from naoctl.client import Client
+from naoctl.commands.watch import watch_job
+from naoctl.context import JsonFlag, complete_job, context_of, find_job
+from naoctl.errors import InvalidInput, Unreachable
+from naoctl.jobfile import load_job_file
+from naoctl.render import plain
+from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
+
+JOB_FIELDS = (
+    "name",
+    "tags",
+    "spec",
+    "evaluation",
+    "priority",
+    "max_attempts",
+    "parent_job_id",
+    "parent_checkpoint_id",
+)
+EVAL_PREFIX = "eval_"
+#: Most jobs of one sweep that are asked for without a file.
+MAX_SEEDS = 256
+#: Attempts to hand in a job when the answer is lost; the key keeps it from being made twice.
+SUBMIT_ATTEMPTS = 3
+
+
+def submit(
+    ctx: typer.Context,
+    file: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FILE]", help="Job as YAML, TOML or JSON; flags override what it says.", dir_okay=False
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option("--name", "-n", help="What to call the job.")] = None,
+    tag: Annotated[list[str] | None, typer.Option("--tag", "-t", help="Word to find it by; may be repeated.")] = None,
+    priority: Annotated[
+        int | None, typer.Option(min=0, max=9, help="0 to 9; higher goes first.", show_default="5")
+    ] = None,
+    parent: Annotated[
+        str | None,
+        typer.Option("--from", metavar="JOB", help="Start from this job's policy.", autocompletion=complete_job),
+    ] = None,
+    checkpoint: Annotated[
+        str | None, typer.Option("--from-checkpoint", metavar="ID", help="Which of its checkpoints; else the newest.")
+    ] = None,
+    seeds: Annotated[str | None, typer.Option(metavar="0-4|1,2,3", help="Make one job per seed, as a group.")] = None,
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FIELD=A,B", help="Make one job per value, as a group; repeat it for all combinations."),
+    ] = None,
+    evaluate: Annotated[
+        bool | None, typer.Option("--evaluate/--no-evaluate", help="Judge the final policy.", show_default="evaluate")
+    ] = None,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
+    key: Annotated[str | None, typer.Option("--idempotency-key", help="The same key never makes a second job.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything and show what would be sent.")] = False,
+    as_json: JsonFlag = False,
+    spec: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
+    evaluation: dict[str, Any] = {},  # noqa: B006
+) -> None:
+    """Submit a training.
+
+    Without any flag this trains task sprint1 with preset fast. Every field of the specification has a flag.
+    """
+    context = context_of(ctx)
+    body = make_body(
+        load_job_file(file) if file else {},
+        spec,
+        evaluation,
+        evaluate=evaluate,
+        where=f"{file}: " if file else "",
+    )
+    for field, value in (("name", name), ("tags", tag), ("priority", priority), ("parent_checkpoint_id", checkpoint)):
+        if value is not None:
+            body[field] = value
+    group = make_group(body, seeds, grid or [])
+    if checkpoint and not parent and not body.get("parent_job_id"):
+        raise InvalidInput("--from-checkpoint needs the job it belongs to", fix="Add --from JOB.")
+    if group and watch:
+        raise InvalidInput("--watch follows one job, and a sweep makes several", fix="Leave one of them out.")
+    if dry_run:
+        context.json(group or body)
+        return
+    with context.client() as client:
+        if parent:
+            body["parent_job_id"] = find_job(client, parent)["id"]
+        if group:
+            made = _hand_in(client, "/groups", {**group, "job": body}, key)
+            if as_json:
+                context.json(made)
+                return
+            context.out.print(f"Submitted {len(made['jobs'])} jobs as group {made['id']}", markup=False)
+            for job in made["jobs"]:
+                context.out.print(f"  {job['id']}  {plain(job['name'])}", markup=False)
+            return
+        job = _hand_in(client, "/jobs", body, key)
+        if as_json and not watch:
+            context.json(job)
+            return
+        if not as_json:
+            context.out.print(
+                f"Submitted {job['id']} ({plain(job['name'])}): {job['total_steps']:,} steps of {job['spec']['task']}",
+                markup=False,
+            )
+        if watch:
+            watch_job(context, client, job, as_json=as_json)
+        else:
+            context.note(f"Follow it with: naoctl watch {job['id']}")
+
+
+def make_body(
+    file: dict[str, Any],
+    spec_flags: dict[str, Any],
+    evaluation_flags: dict[str, Any],
+    *,
+    evaluate: bool | None = None,
+    where: str = "",
+) -> dict[str, Any]:
+    """Merge file and flags into the body of ``POST /jobs`` and check what can be checked here.
+
+    Only what the user chose is sent; the service fills in what the preset decides.
+
+    Args:
+        file: what the job file holds.
+        spec_flags: flags of the training as given, by field name.
+        evaluation_flags: flags of the evaluation as given, by field name with its prefix.
+        evaluate: whether to judge the policy at all; None leaves it to the file.
+        where: put before the names of fields that come from the file.
+
+    Raises:
+        InvalidInput: naming the flag or the file's field that is wrong.
+    """
+    for field in file:
+        if field not in JOB_FIELDS:
+            fix = (
+                "Put it below `spec:`." if field in TrainingSpec.model_fields else f"There are {', '.join(JOB_FIELDS)}."
+            )
+            raise InvalidInput(f"{where}{field}: no such field of a job", fix=fix)
+    body = dict(file)
+    spec = _table(file, "spec", where)
+    chosen = {**spec, **parse_flags(TrainingSpec, spec_flags)}
+    training = build(TrainingSpec, chosen, from_flags=spec_flags, where=f"{where}spec.")
+    dumped = training.model_dump(mode="json")
+    body["spec"] = {field: dumped[field] for field in TrainingSpec.model_fields if field in chosen}
+    if evaluate is False:
+        if evaluation_flags:
+            raise InvalidInput("--no-evaluate contradicts the --eval-… flags", fix="Leave one of them out.")
+        body["evaluation"] = None
+    elif evaluation_flags or file.get("evaluation") is not None:
+        asked = {
+            **_table(file, "evaluation", where),
+            **parse_flags(EvaluationSpec, evaluation_flags, prefix=EVAL_PREFIX),
+        }
+        names = [name.removeprefix(EVAL_PREFIX) for name in evaluation_flags]
+        judged = build(
+            EvaluationSpec,
+            {"task": training.task, **asked},
+            from_flags=names,
+            prefix=EVAL_PREFIX,
+            where=f"{where}evaluation.",
+        ).model_dump(mode="json")
+        body["evaluation"] = {field: judged[field] for field in asked}
+    elif evaluate:
+        body.pop("evaluation", None)
+    return body
+
+
+def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict[str, Any] | None:
+    """Return the body of ``POST /groups`` for a sweep, or None when none was asked for; every combination is checked.
+
+    Raises:
+        InvalidInput: naming the flag, and the combination that cannot be trained.
+    """
+    if seeds is None and not grid:
+        return None
+    numbers = parse_seeds(seeds) if seeds is not None else []
+    axes: dict[str, list[Any]] = {}
+    for entry in grid:
+        field, sign, values = entry.partition("=")
+        field = field.strip().lstrip("-").replace("-", "_")
+        items = [item.strip() for item in values.split(",") if item.strip()]
+        if not sign or not items:
+            raise InvalidInput(f"--grid {entry!r} is not FIELD=A,B", fix="For example --grid learning_rate=1e-4,3e-4.")
+        if field not in TrainingSpec.model_fields:
+            raise InvalidInput(f"--grid: {field} is no field of a training", fix="`naoctl submit --help` lists them.")
+        if field in axes:
+            raise InvalidInput(f"--grid: {field} is given twice", fix="Give all its values at once.")
+        axes[field] = [parse_flags(TrainingSpec, {field: item})[field] for item in items]
+    for picked in itertools.product(*axes.values()):
+        combination = dict(zip(axes, picked, strict=True))
+        if combination:
+            build(TrainingSpec, {**body["spec"], **combination}, where="--grid: ")
+    return {"job": body, "seeds": numbers, "grid": {field: _as_json(field, values) for field, values in axes.items()}}
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Read seeds: ``0-4`` or ``1,2,3`` or both, ``0-2,7``."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, sign, last = part.strip().partition("-")
+        try:
+            start = int(first)
+            end = int(last) if sign else start
+        except ValueError:
+            raise InvalidInput(f"--seeds {text!r} is neither 0-4 nor 1,2,3", fix="For example --seeds 0-4.") from None
+        if end < start or end - start >= MAX_SEEDS:
+            raise InvalidInput(f"--seeds: {part.strip()} holds no seed, or more than {MAX_SEEDS}")
+        found += range(start, end + 1)
+    if len(set(found)) != len(found):
+        raise InvalidInput("--seeds names a seed twice", fix="Name each once.")
+    return found
+
+
+def _as_json(field: str, values: list[Any]) -> list[Any]:
+    """Return grid values as the model reads them, so that 1e-4 is sent as a number."""
+    annotation: Any = TrainingSpec.model_fields[field].annotation
+    adapter: TypeAdapter[Any] = TypeAdapter(annotation)
+    return [adapter.dump_python(adapter.validate_python(value), mode="json") for value in values]
+
+
+def _table(file: dict[str, Any], field: str, where: str) -> dict[str, Any]:
+    value = file.get(field)
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InvalidInput(f"{where}{field} is no table of fields", fix=f"Write `{field}:` and its fields below it.")
+    return value
+
+
+def _hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -> dict[str, Any]:
+    headers = {"Idempotency-Key": key or uuid.uuid4().hex}
+    for attempt in range(1, SUBMIT_ATTEMPTS + 1):
+        try:
+            made: dict[str, Any] = client.post(path, body, headers=headers)
+            return made
+        except Unreachable as error:
+            if attempt == SUBMIT_ATTEMPTS or "refused" in error.message:
+                raise
+    raise AssertionError("unreachable")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command, with one flag per field of the specifications."""
+    training = spec_parameters(
+        TrainingSpec, panel="Training (left out: the preset's value)", aliases={"total_steps": ["--steps"]}
+    )
+    judging = spec_parameters(EvaluationSpec, panel="Evaluation", prefix=EVAL_PREFIX, leave_out=["task"])
+    app.command("submit")(with_parameters(submit, {"spec": training, "evaluation": judging}))

@@ -1,0 +1,225 @@
+"""``naoctl watch`` and ``naoctl logs``: follow a job live."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Annotated, Any
+
+import typer
+from rich.live import Live
+
+from naoctl.client import Client
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
+from naoctl.errors import CliError, ExitCode
+from naoctl.follow import follow, is_over, result_of
+from naoctl.render import Curve, clock, duration, figure, live_view, plain, print_json_line, progress_line
+
+#: Seconds between two lines of progress where there is no terminal.
+LINE_EVERY_S = 5.0
+LEVEL_STYLE = {"warning": "yellow", "error": "red", "critical": "red", "debug": "bright_black", "event": "cyan"}
+
+
+def watch(
+    ctx: typer.Context,
+    job: Annotated[
+        str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
+    ] = "last",
+    as_json: JsonFlag = False,
+) -> None:
+    """Follow a job live until it ends; the exit code is its result.
+
+    0 succeeded, 10 failed, 11 cancelled, 12 paused. Ctrl-C leaves the job running.
+    """
+    context = context_of(ctx)
+    with context.client() as client:
+        watch_job(context, client, find_job(client, job), as_json=as_json)
+
+
+def watch_job(context: Context, client: Client, job: dict[str, Any], *, as_json: bool) -> None:
+    """Show a job until it ends, then leave the program with its result unless it succeeded.
+
+    Raises:
+        typer.Exit: with the code of a job that did not succeed.
+    """
+    try:
+        if as_json:
+            last = _watch_json(context, client, job)
+        elif context.out.is_terminal:
+            last = _watch_live(context, client, job)
+        else:
+            last = _watch_lines(context, client, job)
+    except KeyboardInterrupt:
+        raise CliError(
+            "Stopped watching; the job goes on",
+            fix=f"`naoctl watch {job['id']}` follows it again.",
+            code=ExitCode.INTERRUPTED,
+        ) from None
+    code = result_of(last)
+    if not as_json:
+        say_result(context, last)
+    if code:
+        raise typer.Exit(code)
+
+
+def say_result(context: Context, job: dict[str, Any]) -> None:
+    """Say in one line how a job ended."""
+    metrics = job.get("latest_metrics") or {}
+    style = {"succeeded": "green", "failed": "red"}.get(job["state"], "yellow")
+    text = f"Job {job['id']} {job['state']} at {job['progress_step']:,} steps"
+    if job["state"] == "failed" and job.get("error"):
+        text += f": {plain(job['error'])}"
+    elif "distance_m" in metrics:
+        text += f": distance {figure(metrics, 'distance_m', '{:.2f} m')}"
+        text += f", speed {figure(metrics, 'speed_mps', '{:.2f} m/s')}"
+    context.out.print(text, style=style, markup=False, soft_wrap=True)
+    if job["state"] == "failed":
+        context.note(f"`naoctl logs {job['id']}` shows why; `naoctl retry {job['id']}` queues it again.")
+
+
+def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
+    curve = Curve()
+    console = context.out
+    ascii_only = not console.encoding.lower().startswith("utf")
+    note = ""
+
+    def picture() -> Any:
+        return live_view(job, curve, width=console.width, ascii_only=ascii_only, note=note)
+
+    with Live(picture(), console=console, refresh_per_second=4, transient=False) as live:
+
+        def lost(reason: str, wait_s: float) -> None:
+            live.update(
+                live_view(
+                    job,
+                    curve,
+                    width=console.width,
+                    ascii_only=ascii_only,
+                    note=f"Connection lost ({reason}); next attempt in {wait_s:g} s",
+                ),
+                refresh=True,
+            )
+
+        for update in follow(client, job, on_lost=lost):
+            job = update.job
+            if update.kind == "metrics":
+                curve.add(update.data)
+            elif update.kind == "event":
+                note = plain(update.data.get("message", ""))
+            elif update.kind == "job" and job["state"] == "running":
+                note = ""
+            live.update(picture())
+        note = ""
+        live.update(picture())
+    return job
+
+
+def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
+    state, printed_at, pending = "", 0.0, None
+
+    def lost(reason: str, wait_s: float) -> None:
+        context.note(f"Connection lost ({reason}); next attempt in {duration(wait_s)}")
+
+    for update in follow(client, job, on_lost=lost):
+        job = update.job
+        if update.kind == "job" and job["state"] != state:
+            if pending:
+                context.out.print(pending, markup=False, soft_wrap=True)
+                pending = None
+            state = job["state"]
+            context.out.print(state, markup=False)
+        elif update.kind == "metrics":
+            pending = progress_line(job, update.data)
+            if time.monotonic() - printed_at >= LINE_EVERY_S:
+                context.out.print(pending, markup=False, soft_wrap=True)
+                printed_at, pending = time.monotonic(), None
+        context.out.file.flush()
+    if pending:
+        context.out.print(pending, markup=False, soft_wrap=True)
+    return job
+
+
+def _watch_json(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
+    for update in follow(client, job):
+        job = update.job
+        print_json_line(context.out, {"kind": update.kind, "data": update.data})
+    return job
+
+
+def logs(
+    ctx: typer.Context,
+    job: Annotated[
+        str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
+    ] = "last",
+    follow_it: Annotated[
+        bool, typer.Option("--follow", "-f", help="Go on until the job ends; the exit code is its result.")
+    ] = False,
+    tail: Annotated[int | None, typer.Option("--tail", "-n", min=0, help="Show only the last so many lines.")] = None,
+    events: Annotated[bool, typer.Option("--events/--no-events", help="Also show what happened to the job.")] = True,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show what a job's trainer wrote and what happened to the job.
+
+    With --follow the exit code is the job's result: 0 succeeded, 10 failed, 11 cancelled, 12 paused.
+    """
+    context = context_of(ctx)
+    kinds = ("log", "event") if events else ("log",)
+    with context.client() as client:
+        found = find_job(client, job)
+        seen = {"log": 0, "event": 0}
+
+        def show(kind: str, line: dict[str, Any]) -> None:
+            if line["id"] > seen[kind]:
+                seen[kind] = line["id"]
+                _print_line(context, kind, line, as_json=as_json)
+
+        lines = [(kind, line) for kind in kinds for line in _stored(client, found["id"], kind)]
+        lines.sort(key=lambda item: str(item[1]["at"]))
+        for kind, line in lines if tail is None else lines[len(lines) - min(tail, len(lines)) :]:
+            show(kind, line)
+        if not follow_it:
+            return
+        # Lines that --tail left out count as seen.
+        for kind, line in lines:
+            seen[kind] = max(seen[kind], line["id"])
+        found = client.get(f"/jobs/{found['id']}")
+        try:
+            updates = follow(client, found, only=(*kinds, "state"), logs_after=seen["log"], events_after=seen["event"])
+            for update in () if is_over(found) else updates:
+                found = update.job
+                if update.kind in kinds:
+                    show(update.kind, update.data)
+        except KeyboardInterrupt:
+            raise CliError("Stopped reading; the job goes on", code=ExitCode.INTERRUPTED) from None
+        # What was written between the last look and the end.
+        for kind in kinds:
+            for line in _stored(client, found["id"], kind, after=seen[kind]):
+                show(kind, line)
+    code = result_of(found)
+    if code:
+        raise typer.Exit(code)
+
+
+def _stored(client: Client, job_id: str, kind: str, after: int = 0) -> Iterator[dict[str, Any]]:
+    while True:
+        page = client.get(f"/jobs/{job_id}/{kind}s", after=after, limit=1000)
+        yield from page["items"]
+        if not page["items"] or page["next_after"] is None:
+            return
+        after = page["next_after"]
+
+
+def _print_line(context: Context, kind: str, line: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        print_json_line(context.out, {"type": kind, **line})
+        return
+    level = str(line["level"]).lower() if kind == "log" else "event"
+    text = f"{clock(line['at'])}  {level:<7}  {plain(line['message'])}"
+    context.out.print(text, style=LEVEL_STYLE.get(level), markup=False, soft_wrap=True)
+    context.out.file.flush()
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("watch")(watch)
+    app.command("logs")(logs)

@@ -1,0 +1,119 @@
+"""What every command gets: consoles, the service's address, and one way to report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from naoctl.client import Client
+from naoctl.config import Target, resolve_target
+from naoctl.errors import CliError, ExitCode, InvalidInput
+from naoctl.render import make_console, print_json
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of text for people.")]
+JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="A job's id, the start of one, its name, or `last`.")]
+DataDir = Annotated[
+    Path | None,
+    typer.Option("--data-dir", metavar="FOLDER", help="Folder of the one-machine stack.", envvar="NAOCTL_DATA_DIR"),
+]
+
+
+@dataclass
+class Context:
+    """Hold the consoles and where the service is; made once per run of the program."""
+
+    url: str | None = None
+    out: Console = field(default_factory=make_console)
+    err: Console = field(default_factory=lambda: make_console(stderr=True))
+
+    def target(self) -> Target:
+        """Return the service and the token to show it."""
+        return resolve_target(self.url)
+
+    @contextmanager
+    def client(self) -> Iterator[Client]:
+        """Open a client of the service and close it afterwards."""
+        with Client(self.target()) as client:
+            yield client
+
+    def json(self, value: Any) -> None:
+        """Print a result for programs."""
+        print_json(self.out, value)
+
+    def say(self, title: str, text: str) -> None:
+        """Print one line of what happens, title first."""
+        self.out.print(f"[bold]{title:<12}[/bold]", end="")
+        self.out.print(text, markup=False, soft_wrap=True)
+
+    def note(self, text: str) -> None:
+        """Print a remark beside the result, where it cannot mix with it."""
+        self.err.print(text, markup=False, soft_wrap=True, style="bright_black")
+
+
+def context_of(command: typer.Context) -> Context:
+    """Return the context that the program's start put into a command."""
+    found = command.obj
+    assert isinstance(found, Context)
+    return found
+
+
+def find_job(client: Client, reference: str) -> dict[str, Any]:
+    """Return the job that a user means: by id, by the start of an id, by name, or the newest by ``last``.
+
+    Raises:
+        CliError: when there is no such job, or more than one.
+    """
+    text = reference.strip()
+    if not text:
+        raise InvalidInput("JOB is empty", fix="Give a job's id or name; `naoctl list` shows them.")
+    if text == "last":
+        newest = list(client.pages("/jobs", limit=1))
+        if not newest:
+            raise CliError("There is no job yet", fix="Submit one with `naoctl submit`.", code=ExitCode.NOT_FOUND)
+        return newest[0]
+    if _is_id(text):
+        found: dict[str, Any] = client.get(f"/jobs/{text}")
+        return found
+    named, begun = [], []
+    for job in client.pages("/jobs", limit=500, q=text):
+        if job["name"] == text:
+            named.append(job)
+        elif job["id"].startswith(text):
+            begun.append(job)
+    matches = named or begun
+    if not matches:
+        raise CliError(
+            f"There is no job {text!r}", fix="`naoctl list` shows the jobs there are.", code=ExitCode.NOT_FOUND
+        )
+    if len(matches) > 1:
+        ids = ", ".join(job["id"] for job in matches[:4]) + (", …" if len(matches) > 4 else "")
+        raise CliError(f"{text!r} means {len(matches)} jobs", fix=f"Give one of their ids: {ids}", code=ExitCode.USAGE)
+    return matches[0]
+
+
+def _is_id(text: str) -> bool:
+    return len(text) == 30 and text.startswith("job_") and text[4:].isalnum()
+
+
+def complete_job(incomplete: str) -> list[str]:
+    """Offer job ids for shell completion; silent when the service cannot be asked."""
+    try:
+        with Client(resolve_target()) as client:
+            return [job["id"] for job in client.pages("/jobs", limit=100) if job["id"].startswith(incomplete)]
+    except CliError:
+        return []
+
+
+def stdin_is_terminal() -> bool:
+    """Tell whether somebody can be asked."""
+    return os.isatty(0)
+
+
+Register = Callable[[typer.Typer], None]

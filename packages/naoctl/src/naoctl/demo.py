@@ -1,0 +1,181 @@
+"""Everything once, in front of the user: service, training, evaluation, download, and the proof that figures repeat."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from naoctl.client import Client
+from naoctl.commands.artifacts import (
+    choose_checkpoint,
+    fetch_artifacts,
+    run_naosprint,
+    show_evaluation,
+    write_metrics,
+    write_report,
+)
+from naoctl.commands.submit import make_body
+from naoctl.commands.watch import watch_job
+from naoctl.config import Target
+from naoctl.context import Context
+from naoctl.errors import CliError, ExitCode
+from naoctl.judgement import newest_evaluation
+from naoctl.render import duration
+from naoctl.stack.control import start_detached, stop
+from naoctl.stack.layout import Layout
+from naoctl.stack.supervisor import Options, RunningStack
+
+
+class Demo:
+    """Run the demonstration.
+
+    Args:
+        context: where to print.
+        layout: data folder of the service.
+        output: folder for what is fetched.
+    """
+
+    def __init__(self, context: Context, layout: Layout, output: Path) -> None:
+        self.context = context
+        self.layout = layout
+        self.output = output
+
+    def run(self, *, steps: int, seed: int, episodes: int, keep: bool) -> None:
+        """Do all of it; whatever happens, nothing is left running unless ``keep``.
+
+        Raises:
+            CliError: when the figures of the downloaded policy are not those the service reported.
+            typer.Exit: when the job did not succeed.
+        """
+        began = time.monotonic()
+        self._head("1. The service: API, worker, Postgres and broker on this machine")
+        stack = start_detached(self.layout, Options(), self.context.say, tied=not keep)
+        try:
+            self.context.say("Dashboard", stack.url)
+            self.context.say("Sign in", stack.sign_in_url)
+            with Client(Target(stack.url, stack.token)) as client:
+                job = self._train(client, steps, seed, episodes)
+                evaluation = self._show_figures(client, job)
+                checkpoint_folder = self._download(client, job, evaluation)
+            self._verify(checkpoint_folder, evaluation)
+            self._report(checkpoint_folder.parent)
+        finally:
+            if not keep:
+                self._head("7. Stop")
+                stop(self.layout, self.context.say)
+                self.context.say("Stopped", "nothing is left running")
+        self._say_goodbye(stack, duration(time.monotonic() - began), keep=keep)
+
+    def _head(self, text: str) -> None:
+        self.context.out.print()
+        self.context.out.print(text, style="bold", markup=False)
+        self.context.out.file.flush()
+
+    def _train(self, client: Client, steps: int, seed: int, episodes: int) -> dict[str, Any]:
+        self._head(f"2. A training job: sprint1, preset fast, {steps:,} steps")
+        flags = {"task": "sprint1", "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
+        body = make_body({}, flags, {"eval_episodes": str(episodes)})
+        job: dict[str, Any] = client.post("/jobs", {**body, "name": "demo", "tags": ["demo"]})
+        self.context.say("Submitted", job["id"])
+        watch_job(self.context, client, job, as_json=False)
+        job = client.get(f"/jobs/{job['id']}")
+        return job
+
+    def _show_figures(self, client: Client, job: dict[str, Any]) -> dict[str, Any]:
+        self._head("3. How good the policy is")
+        evaluation = newest_evaluation(client, job["id"])
+        if evaluation is None:
+            raise CliError(f"Job {job['id']} succeeded without an evaluation", fix=f"See {self.layout.log('worker')}.")
+        show_evaluation(self.context, evaluation)
+        return evaluation
+
+    def _download(self, client: Client, job: dict[str, Any], evaluation: dict[str, Any]) -> Path:
+        self._head("4. The policy, on disk")
+        checkpoint = choose_checkpoint(client, job, evaluation["checkpoint_id"])
+        folder = self.output / job["id"]
+        chosen: list[tuple[str, Path, dict[str, Any]]] = [
+            ("checkpoint", folder / f"checkpoint-{checkpoint['step']:012d}", checkpoint),
+            ("evaluation", folder / "evaluation", evaluation),
+        ]
+        for item in fetch_artifacts(self.context, client, chosen):
+            self.context.say(item["kind"].capitalize(), item["path"])
+        write_metrics(client, job["id"], folder / "metrics.jsonl")
+        return chosen[0][1]
+
+    def _report(self, folder: Path) -> None:
+        """Write the page and the film; without them the demonstration has still shown what it should."""
+        self._head("6. A page to look at, and a film")
+        try:
+            page = write_report(folder, title="naosprint demo")
+        except CliError as error:
+            self.context.say("Report", str(error))
+            return
+        self.context.say("Report", page.resolve().as_uri())
+        for film in sorted(page.parent.glob("*.mp4")):
+            self.context.say("Film", film.resolve().as_uri())
+
+    def _verify(self, checkpoint: Path, evaluation: dict[str, Any]) -> None:
+        """Judge the downloaded policy anew in a process of its own, without the service, and compare every figure."""
+        self._head("5. The same figures again, from the downloaded file alone")
+        flags = []
+        for field, value in evaluation["spec"].items():
+            flags += [
+                f"--{field.replace('_', '-')}",
+                "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value),
+            ]
+        self.context.say("Run", f"python -m naosprint evaluate {checkpoint}")
+        again = json.loads(run_naosprint("evaluate", str(checkpoint), *flags))
+        differing = differences(evaluation["summary"], again)
+        if differing:
+            raise CliError(
+                f"{len(differing)} figures of the downloaded policy are others than the service reported, "
+                f"first {differing[0]}",
+                code=ExitCode.FAILURE,
+            )
+        self.context.say("Same", f"all {count_numbers(again)} numbers are identical")
+
+    def _say_goodbye(self, stack: RunningStack, took: str, *, keep: bool) -> None:
+        self.context.out.print()
+        self.context.say("Done", f"after {took}")
+        self.context.say("Results", str(self.output))
+        if keep:
+            self.context.say("Dashboard", stack.sign_in_url)
+            self.context.say("Stop", f"naoctl down --data-dir {self.layout.root}")
+        else:
+            self.context.say(
+                "Again", f"naoctl up --data-dir {self.layout.root}   (the job, its curves and its policy are kept)"
+            )
+
+
+def differences(one: Any, other: Any, path: str = "") -> list[str]:
+    """Return the paths at which two JSON documents differ; numbers must be equal to the last bit."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = sorted(one.keys() | other.keys())
+        missing = object()
+        return [
+            found
+            for key in keys
+            for found in differences(one.get(key, missing), other.get(key, missing), f"{path}.{key}" if path else key)
+        ]
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        return [
+            found
+            for index, (a, b) in enumerate(zip(one, other, strict=True))
+            for found in differences(a, b, f"{path}[{index}]")
+        ]
+    same = one == other or (
+        isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
+    )
+    return [] if same else [path]
+
+
+def count_numbers(value: Any) -> int:
+    """Return how many numbers a JSON document holds."""
+    if isinstance(value, dict):
+        return sum(count_numbers(item) for item in value.values())
+    if isinstance(value, list):
+        return sum(count_numbers(item) for item in value)
+    return int(isinstance(value, int | float) and not isinstance(value, bool))

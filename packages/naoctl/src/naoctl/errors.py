@@ -1,0 +1,74 @@
+"""What can go wrong for a user of the command line, and the exit code each case has."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Tell a script why ``naoctl`` stopped."""
+
+    #: Done; for ``watch``, ``logs --follow`` and ``submit --watch`` the job succeeded.
+    OK = 0
+    #: Anything without a code of its own.
+    FAILURE = 1
+    #: A flag, a file or a value is wrong: nothing was sent, or the service refused it as invalid.
+    USAGE = 2
+    #: The service does not answer.
+    UNREACHABLE = 3
+    #: The token is missing, wrong, expired or lacks the scope.
+    DENIED = 4
+    #: No such job, checkpoint, evaluation or group.
+    NOT_FOUND = 5
+    #: The job's state does not allow it, or the same key was used for another job.
+    CONFLICT = 6
+    #: A downloaded file does not have the SHA-256 the service promised.
+    CORRUPT = 7
+    #: The one-machine stack could not start or stop, or another one holds the data folder.
+    STACK = 8
+    #: The followed job failed.
+    JOB_FAILED = 10
+    #: The followed job was cancelled.
+    JOB_CANCELLED = 11
+    #: The followed job was paused: it has no result yet.
+    JOB_PAUSED = 12
+    #: Interrupted with Ctrl-C.
+    INTERRUPTED = 130
+
+
+class CliError(Exception):
+    """Stop the command with one line that says what is wrong and, after it, how to put it right."""
+
+    def __init__(self, message: str, *, fix: str | None = None, code: ExitCode = ExitCode.FAILURE) -> None:
+        super().__init__(message)
+        self.message = message
+        self.fix = fix
+        self.code = code
+
+    def __str__(self) -> str:
+        return f"{self.message}. {self.fix}" if self.fix else self.message
+
+
+class InvalidInput(CliError):
+    """Report a flag, file or value that cannot be right, before anything is sent."""
+
+    def __init__(self, message: str, *, fix: str | None = None) -> None:
+        super().__init__(message, fix=fix, code=ExitCode.USAGE)
+
+
+class Unreachable(CliError):
+    """Report that nothing answers at the service's address."""
+
+    def __init__(self, url: str, reason: str) -> None:
+        super().__init__(
+            f"Nothing answers at {url} ({reason})",
+            fix="Start the service with `naoctl up`, or name another one with --url or NAOCTL_URL.",
+            code=ExitCode.UNREACHABLE,
+        )
+
+
+class StackError(CliError):
+    """Report that the one-machine stack cannot start, stop or be found."""
+
+    def __init__(self, message: str, *, fix: str | None = None) -> None:
+        super().__init__(message, fix=fix, code=ExitCode.STACK)

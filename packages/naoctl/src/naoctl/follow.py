@@ -1,0 +1,79 @@
+"""Follow a job from the service's stream until it ends, in whatever form the caller shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+
+from naoctl.client import Client
+from naoctl.errors import CliError, ExitCode
+
+#: States in which nothing more happens unless somebody asks for it.
+ENDED = frozenset({"succeeded", "failed", "cancelled"})
+#: The exit code that a job's last state stands for.
+RESULT = {
+    "succeeded": ExitCode.OK,
+    "failed": ExitCode.JOB_FAILED,
+    "cancelled": ExitCode.JOB_CANCELLED,
+    "paused": ExitCode.JOB_PAUSED,
+}
+
+
+@dataclass(frozen=True)
+class Update:
+    """Hold one thing that the stream told, and the job as it is known after it.
+
+    ``kind`` is ``job`` (its row changed), ``metrics`` (a row of figures), ``log`` or ``event``.
+    """
+
+    kind: str
+    data: dict[str, Any]
+    job: dict[str, Any]
+
+
+def follow(
+    client: Client,
+    job: dict[str, Any],
+    *,
+    only: Sequence[str] = (),
+    logs_after: int = 0,
+    events_after: int = 0,
+    on_lost: Callable[[str, float], None] | None = None,
+) -> Iterator[Update]:
+    """Yield what happens to a job, from its first metrics row and log line on, until it ends or is paused.
+
+    Args:
+        client: the service.
+        job: the job as ``GET /jobs/{id}`` shows it.
+        only: kinds of messages to ask for: metrics, log, event, state; all when empty.
+        logs_after: id of the last log line that is known.
+        events_after: id of the last event that is known.
+        on_lost: told when the connection is lost and when the next attempt is.
+    """
+    query = httpx.QueryParams({"only": list(only), "logs_after": logs_after, "events_after": events_after})
+    for event in client.events(f"/jobs/{job['id']}/stream?{query}", on_lost=on_lost):
+        data = event.data if isinstance(event.data, dict) else {}
+        if event.kind == "state":
+            job = {**job, **data}
+            yield Update("job", job, job)
+            if is_over(job):
+                return
+        elif event.kind in ("metrics", "log", "event"):
+            yield Update(event.kind, data, job)
+        elif event.kind == "gone":
+            raise CliError(f"Job {job['id']} was deleted", code=ExitCode.NOT_FOUND)
+        elif event.kind == "end":
+            return
+
+
+def is_over(job: dict[str, Any]) -> bool:
+    """Tell whether following a job makes no sense any more."""
+    return job["state"] in ENDED or job["state"] == "paused"
+
+
+def result_of(job: dict[str, Any]) -> ExitCode:
+    """Return the exit code for a job that was followed to its end."""
+    return RESULT.get(job["state"], ExitCode.FAILURE)

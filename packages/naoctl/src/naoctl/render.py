@@ -1,0 +1,301 @@
+"""How things look in a terminal: tables, curves, progress; plain lines where there is no terminal."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+Json = Mapping[str, Any]
+
+#: Colour by state of a job, of an evaluation.
+STATE_STYLE = {
+    "queued": "cyan",
+    "starting": "cyan",
+    "running": "blue",
+    "pausing": "yellow",
+    "paused": "yellow",
+    "evaluating": "magenta",
+    "succeeded": "green",
+    "failed": "red",
+    "cancelled": "bright_black",
+}
+BARS = "▁▂▃▄▅▆▇█"
+ASCII_BARS = "_.-=+*#%"
+MISSING = "-"
+
+#: The figures of a metrics row that people look at: key, heading, how to write it.
+FIGURES: tuple[tuple[str, str, str], ...] = (
+    ("reward", "Reward", "{:.2f}"),
+    ("distance_m", "Distance", "{:.2f} m"),
+    ("speed_mps", "Speed", "{:.2f} m/s"),
+    ("fall_rate", "Falls", "{:.0%}"),
+    ("steps_per_s", "Pace", "{:,.0f} steps/s"),
+)
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """Return a console that never wraps or colours what is not shown on a terminal."""
+    console = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(stderr=stderr, highlight=False, width=200, no_color=True)
+    return console
+
+
+def print_json(console: Console, value: Any) -> None:
+    """Print JSON as it is: no colour, no wrapping."""
+    console.file.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+
+
+def print_json_line(console: Console, value: Any) -> None:
+    """Print one JSON document in one line, at once."""
+    console.file.write(json.dumps(value, ensure_ascii=False) + "\n")
+    console.file.flush()
+
+
+def sparkline(values: Sequence[float | None], width: int = 40, *, ascii_only: bool = False) -> str:
+    """Draw values as one line of bars, from the least to the greatest.
+
+    Args:
+        values: in order; None and non-finite values are left out.
+        width: most characters; longer series are averaged in groups of neighbours.
+        ascii_only: use characters every terminal has.
+    """
+    known = [v for v in values if v is not None and math.isfinite(v)]
+    if not known or width < 1:
+        return ""
+    if len(known) > width:
+        edges = [round(i * len(known) / width) for i in range(width + 1)]
+        known = [sum(known[a:b]) / (b - a) for a, b in itertools.pairwise(edges)]
+    low, high = min(known), max(known)
+    bars = ASCII_BARS if ascii_only else BARS
+    if high <= low:
+        return bars[len(bars) // 2] * len(known)
+    return "".join(bars[min(len(bars) - 1, int((v - low) / (high - low) * len(bars)))] for v in known)
+
+
+def duration(seconds: float | None) -> str:
+    """Write a time span as people say it: ``42 s``, ``3:07 min``, ``1:02:03 h``, ``3 d 4 h``, ``40 d``."""
+    if seconds is None or not math.isfinite(seconds):
+        return MISSING
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    if whole < 86400:
+        return f"{whole // 3600}:{whole % 3600 // 60:02d}:{whole % 60:02d} h"
+    days, hours = whole // 86400, whole % 86400 // 3600
+    return f"{days} d {hours} h" if days < 10 else f"{days} d"
+
+
+def size(count: int) -> str:
+    """Write a number of bytes: ``512 B``, ``1.5 kB``, ``31.2 MB``."""
+    amount = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if amount < 1000:
+            return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
+        amount /= 1000
+    return f"{amount:.1f} TB"
+
+
+def parse_time(text: str | None) -> datetime | None:
+    """Read a time of the service (ISO 8601 with zone)."""
+    if not text:
+        return None
+    moment = datetime.fromisoformat(text)
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
+def ago(text: str | None, now: datetime | None = None) -> str:
+    """Write how long ago a time of the service was."""
+    moment = parse_time(text)
+    if moment is None:
+        return MISSING
+    return f"{duration(((now or datetime.now(UTC)) - moment).total_seconds())} ago"
+
+
+def clock(text: str | None) -> str:
+    """Write a time of the service as the local wall clock shows it, without zone: hours to milliseconds."""
+    moment = parse_time(text)
+    return moment.astimezone().strftime("%H:%M:%S.%f")[:-3] if moment else MISSING
+
+
+def plain(text: object) -> str:
+    """Return text from the service without control characters: a log line must not steer the terminal."""
+    return "".join(c if c.isprintable() or c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
+
+
+def cell(text: object) -> Text:
+    """Return text from the service for a table: no control characters, and nothing in it is markup."""
+    return Text(plain(text))
+
+
+def state_text(state: str) -> Text:
+    """Write a state in its colour."""
+    return Text(state, style=STATE_STYLE.get(state, ""))
+
+
+def percent(job: Json) -> float:
+    """Return the share of a job's steps that is done, 0 to 1."""
+    total = job.get("total_steps") or 0
+    return min(1.0, job.get("progress_step", 0) / total) if total else 0.0
+
+
+def figure(metrics: Json, key: str, form: str) -> str:
+    """Write one figure of a metrics row, or a dash where the row has none."""
+    value = metrics.get(key)
+    return form.format(value) if isinstance(value, int | float) and math.isfinite(value) else MISSING
+
+
+#: Columns of the list of jobs beside id, name and state: heading, least terminal width at which it is shown.
+LIST_COLUMNS = (("Done", 0), ("Steps", 100), ("Reward", 112), ("Distance", 78), ("Submitted", 90))
+
+
+def jobs_table(jobs: Iterable[Json], width: int = 200) -> Table:
+    """Return the list of jobs, with as many columns as the width has room for; the name gives way first."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("ID", no_wrap=True, min_width=30)
+    table.add_column("Name", no_wrap=True, overflow="ellipsis", max_width=40)
+    table.add_column("State", no_wrap=True, min_width=10)
+    shown = [heading for heading, least in LIST_COLUMNS if width >= least]
+    for heading in shown:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for job in jobs:
+        metrics = job.get("latest_metrics") or {}
+        cells = {
+            "Done": f"{percent(job):.0%}",
+            "Steps": f"{job['total_steps']:,}",
+            "Reward": figure(metrics, "reward", "{:.2f}"),
+            "Distance": figure(metrics, "distance_m", "{:.2f} m"),
+            "Submitted": ago(job.get("created_at")),
+        }
+        # A table that is too wide shrinks all its columns; only the name can lose characters without losing sense.
+        room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in shown) - 4
+        name = plain(job["name"])
+        short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
+        table.add_row(cell(job["id"]), cell(short), state_text(job["state"]), *(cells[heading] for heading in shown))
+    return table
+
+
+def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
+    """Return a table of names and values without lines."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="bright_black", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(name, value)
+    return table
+
+
+def job_details(job: Json) -> Table:
+    """Return everything about one job that people ask for."""
+    spec = job["spec"]
+    started, finished = parse_time(job.get("started_at")), parse_time(job.get("finished_at"))
+    took = ((finished or datetime.now(UTC)) - started).total_seconds() if started else None
+    state = state_text(job["state"])
+    wishes = [
+        w for w in ("cancel", "pause") if job.get(f"{w}_requested") and job["state"] not in ("cancelled", "paused")
+    ]
+    if wishes:
+        state.append(f" ({' and '.join(wishes)} requested)")
+    rows: list[tuple[str, RenderableType]] = [
+        ("Job", job["id"]),
+        ("Name", cell(job["name"])),
+        ("State", state),
+        ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
+        ("Training", f"{spec['task']}, preset {spec['preset']}, seed {spec['seed']}, {spec['simulator']}"),
+        ("Owner", cell(job["owner"])),
+        ("Tags", cell(", ".join(job["tags"]) or MISSING)),
+        ("Attempt", f"{job['attempt']} ({job.get('failures', 0)} of at most {job['max_attempts']} lost)"),
+        ("Worker", cell(job.get("worker") or MISSING)),
+        ("Submitted", ago(job.get("created_at"))),
+        ("Took" if finished else "Running for", duration(took)),
+    ]
+    if job.get("parent_job_id"):
+        rows.append(("Parent", job["parent_job_id"]))
+    if job.get("group_id"):
+        rows.append(("Group", job["group_id"]))
+    metrics = job.get("latest_metrics") or {}
+    rows += [(title, figure(metrics, key, form)) for key, title, form in FIGURES if key in metrics]
+    if job.get("error"):
+        rows.append(("Error", Text(plain(job["error"]), style="red")))
+    return pairs(rows)
+
+
+class Curve:
+    """Keep the figures of a job over time, as many as a terminal is wide and no more than memory allows."""
+
+    #: Points kept per figure; beyond it every second one is dropped.
+    LIMIT = 4096
+
+    def __init__(self) -> None:
+        self.series: dict[str, list[float]] = {}
+        self.latest: dict[str, float] = {}
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Add one metrics row."""
+        for key, value in row.items():
+            if not isinstance(value, int | float) or not math.isfinite(value):
+                continue
+            self.latest[key] = value
+            values = self.series.setdefault(key, [])
+            values.append(float(value))
+            if len(values) > self.LIMIT:
+                del values[1::2]
+
+
+def live_view(job: Json, curve: Curve, *, width: int, ascii_only: bool, note: str = "") -> RenderableType:
+    """Return the picture that ``watch`` keeps on the screen: progress, figures and curves of one job."""
+    latest = curve.latest
+    step = max(int(latest.get("step", 0)), int(job.get("progress_step") or 0))
+    total = job["total_steps"]
+    head = Text.assemble((plain(job["name"]), "bold"), "  ", state_text(job["state"]), f"  {job['id']}")
+    bar_width = max(10, min(60, width - 44))
+    line = Table.grid(padding=(0, 2))
+    eta = duration(latest.get("eta_s")) if job["state"] == "running" else MISSING
+    line.add_row(
+        ProgressBar(total=max(total, 1), completed=min(step, total), width=bar_width),
+        f"{min(step, total):,} of {total:,} steps",
+        f"ETA {eta}",
+    )
+    table = Table(box=None, pad_edge=False, header_style="bright_black")
+    table.add_column("")
+    table.add_column("Now", justify="right", no_wrap=True)
+    table.add_column("Best", justify="right", no_wrap=True)
+    table.add_column("Course", no_wrap=True)
+    for key, title, form in FIGURES:
+        values = curve.series.get(key)
+        if not values:
+            continue
+        best = min(values) if key == "fall_rate" else max(values)
+        table.add_row(
+            title,
+            form.format(values[-1]),
+            form.format(best),
+            sparkline(values, max(10, min(60, width - 44)), ascii_only=ascii_only),
+        )
+    parts: list[RenderableType] = [head, line]
+    if curve.series:
+        parts += ["", table]
+    if note:
+        parts += ["", Text(note, style="yellow")]
+    return Group(*parts)
+
+
+def progress_line(job: Json, metrics: Json) -> str:
+    """Return one line that says how far a job is, for output that is no terminal."""
+    step, total = int(metrics.get("step", job.get("progress_step", 0))), job["total_steps"]
+    figures = "  ".join(
+        f"{title.lower()} {figure(metrics, key, form)}" for key, title, form in FIGURES if key in metrics
+    )
+    share = min(1.0, step / total) if total else 0.0
+    return f"{step:>12,} of {total:,} steps {share:>4.0%}  {figures}  ETA {duration(metrics.get('eta_s'))}"

@@ -1,0 +1,242 @@
+"""One command-line flag per field of a specification, derived from the model."""
+
+from __future__ import annotations
+
+import inspect
+import types
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+import typer
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from typer.models import OptionInfo
+
+from naoctl.errors import InvalidInput
+
+#: What a user writes to set a nullable field to null.
+NULL_WORDS = frozenset({"none", "null"})
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def flag_name(field: str, prefix: str = "") -> str:
+    """Return the flag of a field: ``n_envs`` becomes ``--n-envs``, or ``--eval-n-envs`` with the prefix ``eval_``."""
+    return "--" + (prefix + field).replace("_", "-")
+
+
+def choices_of(info: FieldInfo) -> tuple[str, ...]:
+    """Return the words a field allows, or nothing if it is not a choice."""
+    extra = info.json_schema_extra
+    if isinstance(extra, dict) and isinstance(extra.get("enum"), list):
+        return tuple(str(word) for word in extra["enum"])  # type: ignore[union-attr]
+    words: list[str] = []
+    for part in _alternatives(info.annotation):
+        if get_origin(part) is Literal:
+            words += [str(word) for word in get_args(part)]
+        elif part is type(None):
+            words.append("none")
+        else:
+            return ()
+    return tuple(words)
+
+
+def spec_parameters(
+    model: type[BaseModel],
+    *,
+    panel: str,
+    prefix: str = "",
+    aliases: Mapping[str, Iterable[str]] | None = None,
+    flag_prefix: str | None = None,
+    leave_out: Iterable[str] = (),
+) -> list[inspect.Parameter]:
+    """Return one keyword parameter per field for a Typer command; a parameter is None unless the user gave its flag.
+
+    Args:
+        model: the specification.
+        panel: heading above the flags in ``--help``.
+        prefix: put before field names, to keep two models apart in one command.
+        flag_prefix: the prefix that users see in flags, when it is another.
+        aliases: further flags by field name, for example ``{"total_steps": ["--steps"]}``.
+        leave_out: fields that get no flag.
+    """
+    aliases = aliases or {}
+    skipped = set(leave_out)
+    parameters = []
+    for field, info in model.model_fields.items():
+        if field in skipped:
+            continue
+        name = flag_name(field, prefix if flag_prefix is None else flag_prefix)
+        choices = choices_of(info)
+        annotation: Any = str | None
+        declarations = [name, *aliases.get(field, ())]
+        metavar: str | None = _metavar(info, choices)
+        if info.annotation is bool:
+            annotation, metavar = bool | None, None
+            declarations = [f"{name}/--no-{name[2:]}"]
+        option: OptionInfo = typer.Option(
+            *declarations,
+            help=_help(info),
+            metavar=metavar,
+            show_default=False,
+            rich_help_panel=panel,
+            autocompletion=_completion(choices) if choices else None,
+        )
+        parameters.append(
+            inspect.Parameter(
+                prefix + field,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=None,
+                annotation=Annotated[annotation, option],
+            )
+        )
+    return parameters
+
+
+def with_parameters(function: Callable[..., None], named: Mapping[str, list[inspect.Parameter]]) -> Callable[..., None]:
+    """Give a command more parameters; they reach ``function`` as one dictionary per name in ``named``.
+
+    Args:
+        function: a command that has a keyword parameter for every key of ``named``.
+        named: the parameters that each of these dictionaries collects; those the user did not give are left out of it.
+    """
+    own = [p for p in inspect.signature(function, eval_str=True).parameters.values() if p.name not in named]
+    added = [parameter for group in named.values() for parameter in group]
+
+    def command(**values: Any) -> None:
+        groups = {key: {p.name: values.pop(p.name) for p in group} for key, group in named.items()}
+        given = {
+            key: {name: value for name, value in group.items() if value is not None} for key, group in groups.items()
+        }
+        function(**values, **given)
+
+    command.__name__ = function.__name__
+    command.__doc__ = function.__doc__
+    keyword = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+    command.__signature__ = inspect.Signature([*keyword, *added])  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in [*keyword, *added]}
+    return command
+
+
+def parse_flags(model: type[BaseModel], flags: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
+    """Turn flag values into field values: ``none`` into null where the field may be null, ``64,64`` into a list."""
+    values: dict[str, Any] = {}
+    for name, raw in flags.items():
+        field = name.removeprefix(prefix)
+        info = model.model_fields[field]
+        parts = _alternatives(info.annotation)
+        value: Any = raw
+        if isinstance(raw, str):
+            text = raw.strip()
+            if type(None) in parts and text.lower() in NULL_WORDS:
+                value = None
+            elif any(get_origin(part) in (tuple, list) for part in parts):
+                value = [item.strip() for item in text.split(",") if item.strip()]
+            elif _literal_numbers(parts):
+                value = _number(text)
+            else:
+                value = text
+        values[field] = value
+    return values
+
+
+def build(
+    model: type[ModelT],
+    values: Mapping[str, Any],
+    *,
+    from_flags: Iterable[str] = (),
+    prefix: str = "",
+    where: str = "",
+) -> ModelT:
+    """Validate ``values`` and build the model.
+
+    Raises:
+        InvalidInput: naming every wrong field, as its flag if it came from one, and what would be right.
+    """
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        raise InvalidInput(*explain(model, error, from_flags=from_flags, prefix=prefix, where=where)) from None
+
+
+def explain(
+    model: type[BaseModel],
+    error: ValidationError,
+    *,
+    from_flags: Iterable[str] = (),
+    prefix: str = "",
+    where: str = "",
+) -> tuple[str, ...]:
+    """Put a validation error into words: one line, every wrong field by the name the user gave it."""
+    flags = set(from_flags)
+    lines = []
+    for item in error.errors(include_url=False, include_context=False):
+        path = [str(part) for part in item["loc"]]
+        message = item["msg"].removeprefix("Value error, ")
+        if not path and ":" in message and message.split(":", 1)[0] in model.model_fields:
+            field, message = message.split(":", 1)
+            path, message = [field], message.strip()
+        if not path:
+            lines.append(message)
+            continue
+        field = path[0]
+        name = flag_name(field, prefix) if field in flags else where + ".".join(path)
+        if item["type"] == "extra_forbidden":
+            known = ", ".join(model.model_fields)
+            lines.append(f"{name}: no such field; there are {known}")
+        else:
+            given = item.get("input")
+            shown = f" (got {given!r})" if isinstance(given, str | int | float | bool) else ""
+            lines.append(f"{name}: {message[:1].lower()}{message[1:]}{shown}")
+    return ("; ".join(lines),)
+
+
+def _alternatives(annotation: Any) -> tuple[Any, ...]:
+    if get_origin(annotation) in (Union, types.UnionType):
+        return get_args(annotation)
+    return (annotation,)
+
+
+def _literal_numbers(parts: Iterable[Any]) -> bool:
+    return any(get_origin(p) is Literal and any(isinstance(a, int) for a in get_args(p)) for p in parts)
+
+
+def _number(text: str) -> int | str:
+    try:
+        return int(text)
+    except ValueError:
+        return text
+
+
+def _metavar(info: FieldInfo, choices: tuple[str, ...]) -> str:
+    if choices:
+        return "|".join(choices)
+    parts = _alternatives(info.annotation)
+    for part in parts:
+        if get_origin(part) in (tuple, list):
+            return "INT,INT,..."
+    word = "INTEGER" if int in parts else "NUMBER" if float in parts else "TEXT"
+    return f"{word}|none" if type(None) in parts else word
+
+
+def _help(info: FieldInfo) -> str:
+    text = info.description or info.title or ""
+    bounds = {
+        name: getattr(item, name) for item in info.metadata for name in ("ge", "gt", "le", "lt") if hasattr(item, name)
+    }
+    signs = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+    limits = " and ".join(
+        f"{signs[name]} {value:,}" if isinstance(value, int) else f"{signs[name]} {value:g}"
+        for name, value in bounds.items()
+        if value is not None
+    )
+    if limits:
+        text += f" [{limits}]"
+    return text.replace("[", "\\[")
+
+
+def _completion(choices: tuple[str, ...]) -> Callable[[str], list[str]]:
+    def complete(incomplete: str) -> list[str]:
+        return [choice for choice in choices if choice.startswith(incomplete)]
+
+    return complete

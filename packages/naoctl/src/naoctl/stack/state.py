@@ -1,0 +1,139 @@
+"""What a supervisor writes down about its processes, so that others can find, stop or clear them away."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import uuid
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import psutil
+
+from naoctl.config import write_private
+from naoctl.errors import StackError
+from naoctl.stack.layout import Layout
+
+#: Environment variable that marks every process of a stack, and everything those start, with the stack's id.
+MARK = "NAOSPRINT_STACK_ID"
+#: Start times closer than this many seconds are the same: they come from the same clock, printed and read back.
+SAME_TIME_S = 0.05
+
+
+@dataclass(frozen=True)
+class ProcessRecord:
+    """Name one process beyond doubt: a pid is used again, a pid with its start time is not."""
+
+    name: str
+    pid: int
+    started_at: float
+
+    @classmethod
+    def of(cls, name: str, pid: int) -> Self:
+        """Return the record of a living process."""
+        return cls(name, pid, psutil.Process(pid).create_time())
+
+    def process(self) -> psutil.Process | None:
+        """Return the process if it is still the one recorded and no zombie."""
+        try:
+            process = psutil.Process(self.pid)
+            same = abs(process.create_time() - self.started_at) < SAME_TIME_S
+            return process if same and process.status() != psutil.STATUS_ZOMBIE else None
+        except psutil.Error:
+            return None
+
+
+@dataclass
+class StackState:
+    """Hold what ``naoctl up`` knows of a stack: its id for life, its ports, and the processes of the latest start."""
+
+    stack_id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    api_port: int | None = None
+    broker_port: int | None = None
+    ready: bool = False
+    supervisor: ProcessRecord | None = None
+    processes: dict[str, ProcessRecord] = field(default_factory=dict)
+
+    @property
+    def url(self) -> str | None:
+        """The API's address, known once a port was chosen."""
+        return f"http://127.0.0.1:{self.api_port}" if self.api_port else None
+
+    @classmethod
+    def load(cls, layout: Layout) -> StackState | None:
+        """Read the state of a folder, or return None if no stack was ever started there.
+
+        Raises:
+            StackError: when the file is damaged.
+        """
+        try:
+            data: dict[str, Any] = json.loads(layout.state.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise StackError(f"{layout.state} is damaged ({error})", fix="Remove that file; data stays.") from None
+        try:
+            supervisor = data.pop("supervisor")
+            processes = data.pop("processes")
+            return cls(
+                **data,
+                supervisor=ProcessRecord(**supervisor) if supervisor else None,
+                processes={name: ProcessRecord(**record) for name, record in processes.items()},
+            )
+        except (KeyError, TypeError, AttributeError):
+            raise StackError(f"{layout.state} is damaged", fix="Remove that file; data stays.") from None
+
+    def save(self, layout: Layout) -> None:
+        """Write the state, whole or not at all."""
+        write_private(layout.state, json.dumps(asdict(self), indent=2) + "\n")
+
+
+class FolderLock:
+    """Hold a data folder for one supervisor; the kernel frees it when the supervisor dies, however it dies."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: int | None = None
+
+    def acquire(self) -> bool:
+        """Take the lock if nobody has it, and tell whether it is ours now."""
+        # Descriptors of Python are closed on exec: no child inherits the lock.
+        file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            return False
+        self._file = file
+        return True
+
+    def release(self) -> None:
+        """Give the lock back."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+def is_locked(layout: Layout) -> bool:
+    """Tell whether a supervisor holds the folder."""
+    if not layout.lock.exists():
+        return False
+    lock = FolderLock(layout.lock)
+    free = lock.acquire()
+    lock.release()
+    return not free
+
+
+def marked_processes(stack_id: str) -> list[psutil.Process]:
+    """Return all living processes that carry the stack's mark, the caller excepted."""
+    found = []
+    for process in psutil.process_iter():
+        if process.pid == os.getpid():
+            continue
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.status() != psutil.STATUS_ZOMBIE and process.environ().get(MARK) == stack_id:
+                found.append(process)
+    return found

@@ -1,0 +1,135 @@
+"""Fetch files that are whole and right: partial downloads go on where they stopped, and every SHA-256 is checked."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import httpx
+
+from naoctl.client import Client, raise_for_problem, unreachable
+from naoctl.errors import CliError, ExitCode
+
+#: Attempts to go on after a lost connection before giving up.
+ATTEMPTS = 5
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """Name a file of the service: where it lies, how long it is (bytes) and its SHA-256 in hexadecimal digits."""
+
+    name: str
+    url: str
+    size: int
+    sha256: str
+
+
+def safe_relative(name: str) -> Path:
+    """Return the local relative path for a file name given by the service.
+
+    Raises:
+        CliError: when the name would leave the folder it is put in.
+    """
+    pure = PurePosixPath(name)
+    odd = not name or pure.is_absolute() or "\\" in name or "\0" in name
+    if odd or any(part in ("..", ".") or ":" in part for part in name.split("/")) or name.endswith("/"):
+        raise CliError(
+            f"The service named a file {name!r} that would lie outside the folder",
+            fix="Nothing was written; do not trust this service.",
+        )
+    return Path(*pure.parts)
+
+
+def fetch(
+    client: Client,
+    remote: RemoteFile,
+    folder: Path,
+    *,
+    progress: Callable[[int], None] | None = None,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Path:
+    """Download one file into a folder and return its path.
+
+    A file that is there already and right is left alone. Bytes arrive in ``NAME.part``; a part that an interrupted
+    download left behind is continued by a range request. The file takes its name only once its SHA-256 is right.
+
+    Args:
+        client: the service.
+        remote: the file.
+        folder: where to put it; made if missing.
+        progress: told the number of bytes of this file that are here, from time to time.
+        sleep: waits between attempts.
+
+    Raises:
+        CliError: with ``ExitCode.CORRUPT`` when the bytes are not those the service promised; the part is removed.
+    """
+    report = progress or (lambda _: None)
+    target = folder / safe_relative(remote.name)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if target.is_file() and target.stat().st_size == remote.size and file_sha256(target) == remote.sha256:
+        report(remote.size)
+        return target
+    part = target.with_name(target.name + ".part")
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            _continue(client, remote, part, report)
+            break
+        except httpx.TransportError as error:
+            if attempt == ATTEMPTS:
+                raise unreachable(client.target.url, error) from None
+            sleep(min(0.5 * 2**attempt, 5.0))
+    actual = file_sha256(part)
+    if actual != remote.sha256:
+        part.unlink()
+        raise CliError(
+            f"{remote.name} arrived with SHA-256 {actual[:12]}… instead of {remote.sha256[:12]}…",
+            fix="Nothing was kept; run the same command again, and if it repeats, the store is damaged.",
+            code=ExitCode.CORRUPT,
+        )
+    part.replace(target)
+    return target
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a file as hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _continue(client: Client, remote: RemoteFile, part: Path, report: Callable[[int], None]) -> None:
+    have = part.stat().st_size if part.exists() else 0
+    if have > remote.size:
+        part.unlink()
+        have = 0
+    if have == remote.size and have > 0:
+        return
+    headers = {"Accept": "*/*", "Accept-Encoding": "identity"}
+    if have:
+        headers["Range"] = f"bytes={have}-"
+    with client.open_stream(remote.url, headers) as response:
+        raise_for_problem(response)
+        if response.status_code == 206:
+            match = re.match(r"bytes (\d+)-", response.headers.get("content-range", ""))
+            if not match or int(match[1]) != have:
+                raise CliError("The service answered with another range than asked for", fix="Remove the .part file.")
+        else:
+            have = 0
+        with part.open("ab" if have else "wb") as file:
+            for chunk in response.iter_raw():
+                have += len(chunk)
+                if have > remote.size:
+                    part.unlink()
+                    raise CliError(
+                        f"{remote.name} is longer than the {remote.size:,} bytes promised",
+                        fix="Nothing was kept; the store is damaged.",
+                        code=ExitCode.CORRUPT,
+                    )
+                file.write(chunk)
+                report(have)
+            file.flush()
+            os.fsync(file.fileno())

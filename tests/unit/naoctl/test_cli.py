@@ -1,0 +1,338 @@
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from naoctl import __version__
+from naoctl.cli import build_app, main
+from naoctl.config import Config
+from naoctl.errors import ExitCode
+from typer.testing import CliRunner
+
+Jobs = Callable[..., dict[str, Any]]
+
+
+class Ran:
+    """What one run of the program printed and how it ended."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+@pytest.fixture
+def naoctl(server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
+    """Run the program against the playing service, as the shell would."""
+    monkeypatch.setenv("NAOCTL_URL", server.url)
+    monkeypatch.setenv("NAOCTL_TOKEN", "nao_test")
+
+    def run(*words: str) -> Ran:
+        code = 0
+        try:
+            main(list(words))
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else 1 if ended.code else 0
+        out, err = capfd.readouterr()
+        return Ran(code, out, err)
+
+    return run
+
+
+def test_submit_sends_what_was_chosen_once(server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path) -> None:
+    server.on("POST", "/jobs")(lambda request: request.json(job(state="queued"), 201))
+    path = tmp_path / "job.toml"
+    path.write_text('name = "night"\n[spec]\npreset = "paper"\nseed = 3\n')
+    ran = naoctl("submit", str(path), "--seed", "4", "-t", "a", "-t", "b", "--priority", "9", "--no-evaluate")
+    assert ran.code == 0, ran.err
+    assert "Submitted job_01m7y0yae5d2d9p46g58mkcxxh" in ran.out
+    asked = server.received[0]
+    assert asked.body == {
+        "name": "night",
+        "spec": {"preset": "paper", "seed": 4},
+        "evaluation": None,
+        "tags": ["a", "b"],
+        "priority": 9,
+    }
+    assert len(asked.headers["Idempotency-Key"]) == 32
+
+
+def test_submit_prints_the_job_as_json(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("POST", "/jobs")(lambda request: request.json(job(), 201))
+    ran = naoctl("submit", "--json", "--idempotency-key", "mine")
+    assert json.loads(ran.out) == job()
+    assert ran.err == ""
+    assert server.received[0].headers["Idempotency-Key"] == "mine"
+
+
+def test_submit_from_another_jobs_policy(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
+    server.on("POST", "/jobs")(lambda request: request.json(job(), 201))
+    assert naoctl("submit", "--task", "sprint2", "--from", "first").code == 0
+    assert server.received[-1].body["parent_job_id"] == job()["id"]
+    assert naoctl("submit", "--from-checkpoint", "x").code == ExitCode.USAGE
+
+
+def test_a_sweep_is_one_request(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("POST", "/groups")(lambda request: request.json({"id": "group_1", "jobs": [job(), job()]}, 201))
+    ran = naoctl("submit", "--seeds", "0-1", "--name", "sweep")
+    assert "2 jobs as group group_1" in ran.out
+    assert server.received[0].body == {"job": {"spec": {}, "name": "sweep"}, "seeds": [0, 1], "grid": {}}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["submit", "--n-envs", "0"], "--n-envs"),
+        (["submit", "--task", "sprint9"], "sprint1, sprint2"),
+        (["submit", "missing.yaml"], "missing.yaml"),
+        (["submit", "--seeds", "0-1", "--watch"], "--watch"),
+        (["list", "--state", "dead"], "queued, starting"),
+        (["compare", "a"], "two jobs"),
+        (["delete", "job_01m7y0yae5d2d9p46g58mkcxxh"], "--yes"),
+        (["login", "not a url"], "http address"),
+        (["token", "create", "--owner", "x", "--scope", "root"], "read, submit, admin"),
+    ],
+)
+def test_wrong_input_is_told_before_anything_is_sent(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("naoctl.commands.jobs.stdin_is_terminal", lambda: False)
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    ran = naoctl(*words)
+    assert ran.code == ExitCode.USAGE
+    assert said in ran.err
+    assert ran.out == ""
+    assert all(asked.method == "GET" for asked in server.received)
+
+
+def test_errors_are_one_line_for_people_and_json_for_programs(server: Any, naoctl: Callable[..., Ran]) -> None:
+    server.on("GET", "/jobs")(lambda request: request.problem(401, "the token is unknown"))
+    ran = naoctl("list")
+    assert ran.code == ExitCode.DENIED
+    assert ran.err == "naoctl: The token is unknown. Sign in with `naoctl login`, or set NAOCTL_TOKEN.\n"
+    ran = naoctl("list", "--json")
+    assert ran.code == ExitCode.DENIED
+    assert json.loads(ran.err)["code"] == 4
+
+
+def test_list_filters_and_prints(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
+    ran = naoctl("list", "-s", "running", "-s", "queued", "--tag", "try", "-q", "fir", "--group", "group_1")
+    assert "first" in ran.out
+    query = server.received[0].query
+    assert query["state"] == ["running", "queued"]
+    assert query["tag"] == ["try"]
+    assert query["q"] == ["fir"]
+    assert query["group"] == ["group_1"]
+    assert json.loads(naoctl("list", "--json").out) == [job()]
+
+
+@pytest.mark.parametrize("reference", ["first", "job_01m7y0", "last", "job_01m7y0yae5d2d9p46g58mkcxxh"])
+def test_a_job_can_be_named_in_several_ways(server: Any, naoctl: Callable[..., Ran], job: Jobs, reference: str) -> None:
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    assert json.loads(naoctl("status", reference, "--json").out)["id"] == job()["id"]
+
+
+def test_a_name_that_means_several_jobs_is_refused(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    twins = [job(), job(id="job_" + "2" * 26)]
+    server.on("GET", "/jobs")(lambda request: request.json({"items": twins, "next_cursor": None}))
+    ran = naoctl("cancel", "first")
+    assert ran.code == ExitCode.USAGE
+    assert "job_22222" in ran.err
+    assert naoctl("status", "nothing-like-it").code == ExitCode.NOT_FOUND
+
+
+@pytest.mark.parametrize("verb", ["cancel", "pause", "resume", "retry"])
+def test_steering(server: Any, naoctl: Callable[..., Ran], job: Jobs, verb: str) -> None:
+    path = f"/jobs/{job()['id']}"
+    server.on("GET", path)(lambda request: request.json(job()))
+    server.on("POST", f"{path}/{verb}")(lambda request: request.json(job(state="running")))
+    ran = naoctl(verb, job()["id"])
+    assert ran.code == 0
+    assert job()["id"] in ran.out
+    server.on("POST", f"{path}/{verb}")(lambda request: request.problem(409, "the job has ended"))
+    ran = naoctl(verb, job()["id"])
+    assert ran.code == ExitCode.CONFLICT
+    assert "The job has ended" in ran.err
+
+
+@pytest.mark.parametrize(("state", "code"), [("succeeded", 0), ("failed", 10), ("cancelled", 11), ("paused", 12)])
+def test_the_exit_code_of_watch_is_the_jobs_result(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str], state: str, code: int
+) -> None:
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    server.on("GET", f"/jobs/{job()['id']}/stream")(
+        lambda request: request.stream(
+            event("metrics", {"step": 500, "reward": 2.0}, "1-0-0"),
+            event("state", job(state=state, progress_step=500, error="lost its worker" if state == "failed" else None)),
+            event("end", {"state": state}),
+        )
+    )
+    ran = naoctl("watch", job()["id"])
+    assert ran.code == code
+    assert "500 of 1,000 steps" in ran.out
+    assert f"{state} at 500 steps" in ran.out
+    assert ("lost its worker" in ran.out) == (state == "failed")
+    lines = [json.loads(line) for line in naoctl("watch", job()["id"], "--json").out.splitlines()]
+    assert [line["kind"] for line in lines] == ["metrics", "job"]
+
+
+def test_logs_follow_without_gap_or_repetition(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str]
+) -> None:
+    path = f"/jobs/{job()['id']}"
+    lines = [
+        {"id": n, "at": f"2026-01-02T03:04:0{n}Z", "attempt": 1, "level": "info", "message": f"line {n}"}
+        for n in range(1, 6)
+    ]
+
+    def stored(request: Any) -> None:
+        after = int(server.received[-1].query["after"][0])
+        # The first look comes before the last three lines are written.
+        known = lines if any(asked.path.endswith("/stream") for asked in server.received) else lines[:2]
+        items = [line for line in known if line["id"] > after]
+        request.json({"items": items, "next_after": items[-1]["id"] if items else None})
+
+    server.on("GET", path)(lambda request: request.json(job()))
+    server.on("GET", f"{path}/logs")(stored)
+    server.on("GET", f"{path}/events")(lambda request: request.json({"items": [], "next_after": None}))
+    server.on("GET", f"{path}/stream")(
+        lambda request: request.stream(
+            event("log", lines[1], "0-2-0"),
+            event("log", lines[2], "0-3-0"),
+            event("log", lines[3], "0-4-0"),
+            event("state", job(state="failed")),
+        )
+    )
+    ran = naoctl("logs", "-f", job()["id"])
+    assert ran.code == ExitCode.JOB_FAILED
+    assert [line.split()[-1] for line in ran.out.splitlines()] == ["1", "2", "3", "4", "5"]
+    assert naoctl("logs", "-n", "1", job()["id"]).out.split()[-2:] == ["line", "5"]
+
+
+def test_download_checks_every_file(server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path) -> None:
+    import hashlib
+
+    content = b"weights"
+    path = f"/jobs/{job()['id']}"
+    file = {
+        "name": "policy.npz",
+        "size": 7,
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "url": "/checkpoints/c/files/policy.npz",
+    }
+    points = [
+        {"id": "ckpt_1", "attempt": 1, "step": 10, "files": [file], "size": 7},
+        {"id": "ckpt_2", "attempt": 1, "step": 20, "files": [file], "size": 7},
+    ]
+    server.on("GET", path)(lambda request: request.json(job()))
+    server.on("GET", f"{path}/checkpoints")(lambda request: request.json(points))
+    server.on("GET", f"{path}/evaluations")(lambda request: request.json([]))
+    server.on("GET", file["url"])(lambda request: request.raw(content))
+    ran = naoctl("download", job()["id"], "-o", str(tmp_path / "out"), "--json")
+    assert [item["id"] for item in json.loads(ran.out)] == ["ckpt_2"]
+    assert (tmp_path / "out" / "checkpoint-000000000020" / "policy.npz").read_bytes() == content
+    assert naoctl("download", job()["id"], "-c", "10", "-o", str(tmp_path / "out")).code == 0
+    assert naoctl("download", job()["id"], "-c", "11").code == ExitCode.NOT_FOUND
+    assert naoctl("download", job()["id"], "--what", "evaluation").code == ExitCode.NOT_FOUND
+    server.on("GET", file["url"])(lambda request: request.raw(b"WEIGHTS"))
+    assert naoctl("download", job()["id"], "-o", str(tmp_path / "other")).code == ExitCode.CORRUPT
+
+
+def test_evaluate_waits_for_the_figures(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("naoctl.commands.artifacts.POLL_S", 0.001)
+    judged = {
+        "id": "eval_1",
+        "state": "queued",
+        "error": None,
+        "summary": None,
+        "spec": {"episodes": 10, "seed": 5, "confidence": 0.95},
+    }
+    done = {**judged, "state": "succeeded", "summary": {"distance_m": {"mean": 3.5, "ci": [3.0, 4.0]}}}
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(judged, 202))
+    server.on("GET", "/evaluations/eval_1")(lambda request: request.json(judged if len(server.received) < 4 else done))
+    ran = naoctl("eval", job()["id"], "--episodes", "10", "--seed", "5")
+    assert ran.code == 0, ran.err
+    assert "3.50 m [3.00, 4.00]" in ran.out
+    body = server.received[1].body
+    assert (body["spec"]["episodes"], body["spec"]["seed"], body["spec"]["task"]) == (10, 5, "sprint1")
+    assert naoctl("eval", job()["id"], "--episodes", "0").code == ExitCode.USAGE
+
+
+def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    other = job(id="job_" + "2" * 26, name="other", spec={**job()["spec"], "learning_rate": 1e-3})
+    for one in (job(), other):
+        server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request: request.json([]))
+    ran = naoctl("compare", job()["id"], other["id"])
+    assert "learning_rate" in ran.out
+    assert "0.0005" in ran.out and "0.001" in ran.out
+    assert "preset" not in ran.out
+    found = json.loads(naoctl("compare", job()["id"], other["id"], "--json").out)
+    assert [item["spec"] for item in found] == [{"learning_rate": 5e-4}, {"learning_rate": 1e-3}]
+
+
+def test_login_keeps_a_token_that_works(
+    server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, home: Any
+) -> None:
+    server.on("GET", "/whoami")(lambda request: request.json({"owner": "ada", "scopes": ["submit"]}))
+    monkeypatch.setattr("sys.stdin", io.StringIO("nao_good\n"))
+    ran = naoctl("login", server.url, "--token-stdin")
+    assert ran.code == 0, ran.err
+    assert "ada" in ran.out
+    assert "nao_good" not in ran.out + ran.err
+    assert Config.load(home.config).tokens == {server.url: "nao_good"}
+    assert server.received[0].headers["Authorization"] == "Bearer nao_good"
+    assert naoctl("logout", server.url).code == 0
+    assert Config.load(home.config).tokens == {}
+
+
+def test_login_forgets_a_token_that_does_not(
+    server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, home: Any
+) -> None:
+    server.on("GET", "/whoami")(lambda request: request.problem(401, "unknown"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("nao_bad\n"))
+    assert naoctl("login", server.url, "--token-stdin").code == ExitCode.DENIED
+    assert not home.config.exists()
+
+
+def test_version_works_without_a_service(naoctl: Callable[..., Ran], server: Any) -> None:
+    assert __version__ in naoctl("version").out
+    assert json.loads(naoctl("version", "--json").out)["service"]["version"] is None
+    assert naoctl("--version").out.strip() == __version__
+
+
+def test_every_command_has_help_and_json(naoctl: Callable[..., Ran]) -> None:
+    from typer.main import get_command
+
+    group = get_command(build_app())
+    commands = dict(group.commands)  # type: ignore[attr-defined]
+    commands |= {f"token {name}": sub for name, sub in commands.pop("token").commands.items()}
+    for name, command in commands.items():
+        assert command.help, name
+        flags = {flag for parameter in command.params for flag in parameter.opts}
+        assert "--json" in flags or name == "demo", name
+
+
+def test_shell_completion_is_offered() -> None:
+    ran = CliRunner().invoke(build_app(), ["--show-completion", "bash"], env={"SHELL": "/bin/bash"})
+    assert "naoctl" in ran.output.lower()
+
+
+def test_the_client_needs_neither_torch_nor_the_service() -> None:
+    code = (
+        "import sys, naoctl.cli; naoctl.cli.build_app(); "
+        "heavy = {'torch', 'numpy', 'sqlalchemy', 'celery', 'redis', 'psutil', 'naojobs', 'naosprint', 'naosim'}; "
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"

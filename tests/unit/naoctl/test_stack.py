@@ -1,0 +1,351 @@
+"""Parts of the one-machine stack, with real processes, locks and sockets."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from naoctl.errors import StackError
+from naoctl.stack import child as child_module
+from naoctl.stack import launch, ports
+from naoctl.stack.broker import Broker
+from naoctl.stack.child import Child, Program, rotate, tail
+from naoctl.stack.doctor import examine
+from naoctl.stack.layout import Layout
+from naoctl.stack.passwords import read_secrets
+from naoctl.stack.postgres import Postgres, find_programs, launch_command, missing_rights
+from naoctl.stack.state import MARK, FolderLock, ProcessRecord, StackState, is_locked, marked_processes
+from naoctl.stack.supervisor import clear_leftovers, find_migrations
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
+
+
+@pytest.fixture
+def layout(tmp_path: Path) -> Layout:
+    made = Layout.at(tmp_path / "data")
+    made.make()
+    return made
+
+
+@pytest.fixture
+def sleeper() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Start processes that only wait, and see that none stays."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(**environment: str) -> subprocess.Popen[bytes]:
+        code = "import sys, time; print('up', flush=True); time.sleep(600)"
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, env={**os.environ, **environment}
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_taken_port_is_not_free_and_another_is_chosen() -> None:
+    with socket.socket() as taken:
+        taken.bind((ports.HOST, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert not ports.is_free(port)
+        other = ports.choose([port])
+        assert other != port
+        assert ports.is_free(other)
+    assert ports.is_free(port)
+    assert ports.choose([port]) == port
+
+
+def test_the_data_folder_is_closed_to_others(layout: Layout) -> None:
+    assert stat.S_IMODE(layout.root.stat().st_mode) & 0o066 == 0
+    for folder in (layout.artifacts, layout.work, layout.logs, layout.broker):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_a_data_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StackError, match="--data-dir"):
+        Layout.at(tmp_path / "file" / "data").make()
+
+
+def test_passwords_are_made_once_and_kept_private(layout: Layout) -> None:
+    made = read_secrets(layout)
+    assert made == read_secrets(layout)
+    assert made.postgres != made.broker
+    assert stat.S_IMODE(layout.secrets.stat().st_mode) == 0o600
+    layout.secrets.write_text("{}")
+    with pytest.raises(StackError, match="damaged"):
+        read_secrets(layout)
+
+
+def test_state_survives_a_round_trip(layout: Layout) -> None:
+    assert StackState.load(layout) is None
+    own = ProcessRecord.of("api", os.getpid())
+    state = StackState("abc", 8000, 6000, ready=True, supervisor=own, processes={"api": own})
+    state.save(layout)
+    assert StackState.load(layout) == state
+    layout.state.write_text('{"stack_id": 1}')
+    with pytest.raises(StackError, match="damaged"):
+        StackState.load(layout)
+
+
+def test_a_pid_that_is_used_again_is_not_mistaken() -> None:
+    own = ProcessRecord.of("x", os.getpid())
+    assert own.process() is not None
+    assert ProcessRecord("x", own.pid, own.started_at - 5).process() is None
+
+
+def test_the_folder_lock_ends_with_its_process(layout: Layout) -> None:
+    code = textwrap.dedent(
+        f"""
+        import pathlib, subprocess, sys, time
+        from naoctl.stack.state import FolderLock
+        lock = FolderLock(pathlib.Path({str(layout.lock)!r}))
+        assert lock.acquire()
+        # A child must not keep the lock alive.
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        print(child.pid, flush=True)
+        time.sleep(600)
+        """
+    )
+    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert holder.stdout is not None
+    grandchild = psutil.Process(int(holder.stdout.readline()))
+    try:
+        assert is_locked(layout)
+        assert not FolderLock(layout.lock).acquire()
+        holder.kill()
+        holder.wait(5)
+        assert not is_locked(layout)
+    finally:
+        holder.kill()
+        grandchild.kill()
+        holder.communicate()
+        grandchild.wait(5)
+
+
+@LINUX
+def test_a_launched_process_dies_with_its_parent() -> None:
+    code = textwrap.dedent(
+        """
+        import subprocess, time
+        from naoctl.stack.postgres import launch_command
+        waits = ["sh", "-c", "trap 'exit 7' INT; echo up; while :; do sleep 0.02; done"]
+        process = subprocess.Popen(launch_command(waits, death_signal=2), start_new_session=True)
+        print(process.pid, flush=True)
+        time.sleep(600)
+        """
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert parent.stdout is not None
+    words = {parent.stdout.readline().strip() for _ in range(2)}
+    assert b"up" in words
+    child = psutil.Process(int(next(word for word in words if word != b"up")))
+    parent.kill()
+    parent.wait()
+    child.wait(5)
+    parent.stdout.close()
+
+
+@LINUX
+def test_a_process_whose_parent_is_gone_already_does_not_start() -> None:
+    command = [sys.executable, "-I", "-S", launch.__file__, "1", "9", launch.SAME_ACCOUNT, "/bin/echo", "started"]
+    done = subprocess.run(command, check=False, capture_output=True)
+    assert done.returncode == 1
+    assert done.stdout == b""
+
+
+@LINUX
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has rights to give up")
+def test_giving_up_root_leaves_one_right_at_most(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o700)
+    (closed / "inside").mkdir(mode=0o755)
+    show = [
+        "sh",
+        "-c",
+        f"id -u; id -G; ls -d {closed}/inside; touch {closed}/x 2>/dev/null || echo no; grep CapEff /proc/self/status",
+    ]
+
+    def run(account: str) -> list[str]:
+        command = [sys.executable, "-I", "-S", launch.__file__, str(os.getpid()), "9", account, *show]
+        return subprocess.run(command, check=False, capture_output=True, text=True).stdout.split()
+
+    assert run("65534:65534:0") == ["65534", "65534", "no", "CapEff:", "0000000000000000"]
+    kept = run("65534:65534:1")
+    assert kept[:3] == ["65534", "65534", f"{closed}/inside"]
+    assert bin(int(kept[-1], 16)).count("1") == 1
+
+
+def test_marked_processes_are_found_and_no_others(sleeper: Callable[..., subprocess.Popen[bytes]]) -> None:
+    ours, other = sleeper(**{MARK: "stack-of-this-test"}), sleeper(**{MARK: "another"})
+    assert [process.pid for process in marked_processes("stack-of-this-test")] == [ours.pid]
+    assert other.poll() is None
+
+
+def test_leftovers_are_cleared_only_if_they_are_provably_ours(sleeper: Callable[..., subprocess.Popen[bytes]]) -> None:
+    marked, recorded, stranger, reused = sleeper(**{MARK: "left"}), sleeper(), sleeper(), sleeper()
+    state = StackState(
+        "left",
+        processes={
+            "worker": ProcessRecord.of("worker", recorded.pid),
+            "api": ProcessRecord("api", reused.pid, time.time() - 1000),
+        },
+    )
+    assert clear_leftovers(state, grace_s=5.0) == 2
+    assert not any(psutil.pid_exists(process.pid) for process in (marked, recorded))
+    assert stranger.poll() is None
+    assert reused.poll() is None
+    assert clear_leftovers(state, grace_s=5.0) == 0
+
+
+def program(layout: Layout, code: str) -> Program:
+    return Program("api", "API", [sys.executable, "-c", code], {"X": "y"}, layout.log("api"), lambda: True)
+
+
+def test_a_child_that_dies_is_started_again_later_and_later(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    child = Child(program(layout, "import os; print(os.environ['X'], 'of this run'); raise SystemExit(3)"))
+    waits = []
+    for _ in range(8):
+        child.start()
+        assert child.process is not None
+        child.process.wait(10)
+        assert not child.is_alive
+        waits.append(child.note_death())
+        assert child.exit_code == 3
+        assert child.record is None
+    assert waits == [0.5, 1, 2, 4, 8, 16, 30, 30]
+    assert child.last_words(1) == "y of this run"
+    monkeypatch.setattr(child_module, "WELL_AFTER_S", 0.0)
+    child.start()
+    assert child.process is not None
+    child.process.wait(10)
+    assert child.note_death() == 0.5
+
+
+def test_a_child_leads_a_session_that_is_killed_whole(layout: Layout) -> None:
+    code = (
+        "import subprocess, sys, time; "
+        "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']); "
+        "print(p.pid, flush=True); time.sleep(600)"
+    )
+    child = Child(program(layout, code))
+    child.start()
+    deadline = time.monotonic() + 10
+    while not child.last_words(1) and time.monotonic() < deadline:
+        select.select([], [], [], 0.01)
+    grandchild = psutil.Process(int(child.last_words(1)))
+    assert child.process is not None
+    assert os.getsid(child.process.pid) == child.process.pid
+    child.stop_now()
+    grandchild.wait(5)
+
+
+def test_logs_are_set_aside_when_they_grow_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = tmp_path / "api.log"
+    log.write_text("".join(f"line {n}\n" for n in range(10_000)))
+    assert tail(log, 2) == "line 9998\nline 9999"
+    rotate(log)
+    assert log.exists()
+    monkeypatch.setattr(child_module, "MAX_LOG_BYTES", 1000)
+    rotate(log)
+    assert not log.exists()
+    assert (tmp_path / "api.log.1").exists()
+    assert tail(log, 2) == ""
+
+
+def test_postgres_is_reached_by_a_socket_of_short_name_only(tmp_path: Path) -> None:
+    near = Postgres(Layout.at(tmp_path), "secret")
+    assert near.socket_dir == tmp_path / "run"
+    assert "listen_addresses=" in near.command()
+    assert near.url.startswith("postgresql://naosprint:secret@/naosprint?host=/")
+    for name in ("x" * 120, "a,b", 'a"b'):
+        far = Postgres(Layout.at(tmp_path / name), "secret")
+        assert len(str(far.socket_dir)) < 60
+        assert far.socket_dir == Postgres(Layout.at(tmp_path / name), "other").socket_dir
+        assert far.socket_dir != near.socket_dir
+
+
+def test_a_root_without_its_rights_is_told_from_one_with_them(tmp_path: Path) -> None:
+    status = tmp_path / "status"
+    assert missing_rights(status) == ""
+    status.write_text("Name:\tx\nCapEff:\t00000000a80425fb\n")  # a container's default
+    assert missing_rights(status) == ""
+    status.write_text("CapEff:\t0000000000000000\n")
+    assert missing_rights(status) == "CHOWN, DAC_OVERRIDE, KILL, SETGID, SETUID"
+
+
+def test_data_of_an_unknown_postgres_is_refused(layout: Layout) -> None:
+    layout.postgres.mkdir()
+    newest = find_programs(layout.postgres)
+    (layout.postgres / "PG_VERSION").write_text("9\n")
+    assert find_programs(layout.postgres) == newest  # an interrupted initdb: made anew
+    (layout.postgres / ".finished").touch()
+    with pytest.raises(StackError, match="is of Postgres 9"):
+        find_programs(layout.postgres)
+
+
+def test_the_brokers_password_stands_in_a_private_file_alone(layout: Layout) -> None:
+    broker = Broker(layout, "secret", 6000)
+    broker.make()
+    path = layout.broker / "valkey.conf"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    text = path.read_text()
+    assert "requirepass secret" in text
+    assert "bind 127.0.0.1" in text
+    assert "appendonly yes" in text
+    assert "secret" not in " ".join(broker.command())
+    assert not broker.is_ready()
+
+
+def test_migrations_are_found_beside_the_source_or_where_the_user_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert (find_migrations() / "versions").is_dir()
+    monkeypatch.setenv("NAOSPRINT_MIGRATIONS", str(tmp_path))
+    with pytest.raises(StackError, match="NAOSPRINT_MIGRATIONS"):
+        find_migrations()
+    (tmp_path / "env.py").touch()
+    assert find_migrations() == tmp_path.resolve()
+
+
+def test_the_doctor_looks_at_everything_without_leaving_a_trace(tmp_path: Path) -> None:
+    findings = {finding.subject: finding for finding in examine(Layout.at(tmp_path / "none"))}
+    wanted = {
+        "Python",
+        "Processor",
+        "Memory",
+        "Disk",
+        "Packages",
+        "Engine",
+        "Postgres",
+        "Broker",
+        "Migrations",
+        "Stack",
+        "Port",
+    }
+    assert wanted <= findings.keys()
+    assert [finding for finding in findings.values() if finding.verdict == "failed"] == []
+    assert "10 cycles of 2 robots" in findings["Engine"].text
+    assert not (tmp_path / "none").exists()
+
+
+def test_launch_command_names_this_very_process() -> None:
+    command = launch_command(["true"], death_signal=signal.SIGINT)
+    assert command[4:7] == [str(os.getpid()), "2", launch.SAME_ACCOUNT]

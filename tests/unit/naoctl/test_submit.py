@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from naoctl.commands.submit import make_body, make_group, parse_seeds
+from naoctl.errors import InvalidInput
+from naospec import EvaluationSpec, TrainingSpec
+
+
+def test_only_what_the_user_chose_is_sent() -> None:
+    body = make_body({}, {"preset": "paper", "total_steps": "5000", "target_kl": "none"}, {"eval_episodes": "10"})
+    assert body == {
+        "spec": {"preset": "paper", "total_steps": 5000, "target_kl": None},
+        "evaluation": {"episodes": 10},
+    }
+    assert make_body({}, {}, {}) == {"spec": {}}
+
+
+def test_flags_override_the_file() -> None:
+    file = {"name": "night", "spec": {"preset": "paper", "seed": 1}, "evaluation": {"episodes": 5, "seed": 2}}
+    body = make_body(file, {"seed": "7"}, {"eval_episodes": "50"})
+    assert body["name"] == "night"
+    assert body["spec"] == {"preset": "paper", "seed": 7}
+    assert body["evaluation"] == {"episodes": 50, "seed": 2}
+
+
+def test_the_body_means_the_same_to_the_service() -> None:
+    flags = {"preset": "paper", "n_envs": "8", "batch_size": "64", "hidden_sizes": "32,32", "sensor_digits": "none"}
+    body = make_body({}, flags, {})
+    spec = TrainingSpec.model_validate(body["spec"])
+    assert (spec.n_envs, spec.batch_size, spec.hidden_sizes, spec.sensor_digits) == (8, 64, (32, 32), None)
+    assert spec.clip_range == TrainingSpec(preset="paper").clip_range
+
+
+def test_evaluation_can_be_left_out_or_asked_back() -> None:
+    assert make_body({}, {}, {}, evaluate=False)["evaluation"] is None
+    assert make_body({"evaluation": None}, {}, {})["evaluation"] is None
+    assert "evaluation" not in make_body({"evaluation": None}, {}, {}, evaluate=True)
+    with pytest.raises(InvalidInput, match="contradicts"):
+        make_body({}, {}, {"eval_episodes": "5"}, evaluate=False)
+
+
+def test_evaluation_is_checked_with_its_own_flags() -> None:
+    with pytest.raises(InvalidInput, match="--eval-episodes"):
+        make_body({}, {"seed": "1"}, {"eval_episodes": "0"})
+    assert EvaluationSpec.model_validate(make_body({}, {}, {"eval_seed": "3"})["evaluation"]).seed == 3
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ({"task": "sprint1"}, "task: no such field of a job. Put it below `spec:`."),
+        ({"nme": "x"}, "nme: no such field of a job. There are name"),
+        ({"spec": {"total_step": 3}}, "job.yaml: spec.total_step: no such field"),
+        ({"spec": {"seed": "x"}}, "job.yaml: spec.seed"),
+        ({"spec": [1]}, "job.yaml: spec is no table"),
+        ({"evaluation": {"episodes": -1}}, "job.yaml: evaluation.episodes"),
+    ],
+)
+def test_errors_of_the_file_name_its_field(file: dict[str, Any], words: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        make_body(file, {}, {}, where="job.yaml: ")
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"), [("0-4", [0, 1, 2, 3, 4]), ("1,2,3", [1, 2, 3]), ("0-2, 7", [0, 1, 2, 7]), ("5", [5])]
+)
+def test_seeds(text: str, seeds: list[int]) -> None:
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["", "a", "3-1", "0-999999", "1,1", "0-2,1", "-1"])
+def test_seeds_that_make_no_sense(text: str) -> None:
+    with pytest.raises(InvalidInput, match="--seeds"):
+        parse_seeds(text)
+
+
+def test_a_sweep_is_one_request() -> None:
+    body = make_body({}, {"total_steps": "1000"}, {})
+    group = make_group(body, "0-1", ["learning-rate=1e-4,3e-4", "hidden_sizes=32"])
+    assert group == {
+        "job": body,
+        "seeds": [0, 1],
+        "grid": {"learning_rate": [1e-4, 3e-4], "hidden_sizes": [[32]]},
+    }
+    assert make_group(body, None, []) is None
+
+
+@pytest.mark.parametrize(
+    ("grid", "words"),
+    [
+        (["learning_rate"], "FIELD=A,B"),
+        (["learning_rate="], "FIELD=A,B"),
+        (["speed=1"], "no field"),
+        (["seed=1", "seed=2"], "twice"),
+        (["n_envs=64,63"], "does not divide"),
+        (["clip_range=2"], "clip_range"),
+    ],
+)
+def test_every_combination_of_a_sweep_is_checked_first(grid: list[str], words: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        make_group(make_body({}, {}, {}), None, grid)
+    assert words in str(caught.value)
