@@ -1,0 +1,104 @@
+/** Talk to the HTTP API of the same origin: bearer token, problem+json errors, downloads. */
+
+// This module lives in <root>/ui/js/, so the API's root is two levels up, behind any path prefix of a proxy.
+const ROOT = new URL("../../", import.meta.url);
+const KEY = "naosprint.token";
+
+function stores() {
+  const found = [];
+  for (const name of ["sessionStorage", "localStorage"]) {
+    try { found.push(window[name]); } catch { /* storage refused by the browser */ }
+  }
+  return found;
+}
+
+let memory = null;
+/** Return the stored token or null. */
+export function token() {
+  for (const store of stores()) if (store.getItem(KEY)) return store.getItem(KEY);
+  return memory;
+}
+
+/** Keep the token for this tab, or for this browser when `remember`. */
+export function setToken(value, remember) {
+  clearToken();
+  memory = value;
+  try { (remember ? localStorage : sessionStorage).setItem(KEY, value); } catch { /* memory only */ }
+}
+
+export function clearToken() {
+  memory = null;
+  for (const store of stores()) store.removeItem(KEY);
+}
+
+/** An answer that is no success. `fields` maps field names to messages. */
+export class ApiError extends Error {
+  constructor(status, problem, requestId) {
+    super(problem.detail || problem.title || `The service answered ${status}`);
+    this.status = status;
+    this.problem = problem;
+    this.requestId = requestId;
+    this.fields = new Map((problem.errors ?? []).map((e) => [e.field, e.message]));
+  }
+}
+
+/** The service could not be reached at all. */
+export class OfflineError extends Error {}
+
+let unauthorised = () => {};
+/** Set what happens on a 401 from any call but the sign-in's own. */
+export function onUnauthorised(handler) { unauthorised = handler; }
+
+export const url = (path) => new URL(path.replace(/^\//, ""), ROOT);
+
+/** Fetch with the token; raise ApiError or OfflineError. Returns the Response. */
+export async function request(path, { method = "GET", body, headers = {}, signal, quiet401 = false, as = token() } = {}) {
+  const all = { Accept: "application/json", ...headers };
+  if (as) all.Authorization = `Bearer ${as}`;
+  if (body !== undefined) all["Content-Type"] = "application/json";
+  let response;
+  try {
+    response = await fetch(url(path), { method, headers: all, body: body === undefined ? undefined : JSON.stringify(body), signal, cache: "no-store", credentials: "omit" });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new OfflineError("The service does not answer.");
+  }
+  if (response.ok) return response;
+  let problem = {};
+  try { problem = await response.json(); } catch { /* no JSON body: the status must do */ }
+  const error = new ApiError(response.status, problem, response.headers.get("x-request-id"));
+  if (response.status === 401 && !quiet401) unauthorised(error);
+  throw error;
+}
+
+/** Fetch JSON. */
+export async function call(path, options) {
+  const response = await request(path, options);
+  return response.status === 204 ? null : response.json();
+}
+
+/** Return "?a=1&b=2" leaving out empty values; arrays repeat the key. */
+export function query(params) {
+  const q = new URLSearchParams();
+  for (const [key, value] of Object.entries(params)) {
+    for (const v of Array.isArray(value) ? value : [value]) if (v !== null && v !== undefined && v !== "") q.append(key, v);
+  }
+  const text = q.toString();
+  return text ? `?${text}` : "";
+}
+
+/** Download a file that needs the token: the browser saves it under `name`. */
+export async function download(path, name) {
+  const response = await request(path, { headers: { Accept: "*/*" } });
+  save(await response.blob(), name);
+}
+
+/** Let the browser save a blob. */
+export function save(blob, name) {
+  const href = URL.createObjectURL(blob);
+  const a = document.createElement("a");
+  a.href = href;
+  a.download = name;
+  a.click();
+  setTimeout(() => URL.revokeObjectURL(href), 10_000);
+}

@@ -1,0 +1,43 @@
+/** What the dashboard asks of jobs: actions, derived figures, names. */
+
+import { call } from "./api.js";
+import { confirmDialog, toast } from "./dom.js";
+
+/** Newest metrics row of a job, or an empty one. */
+export const latest = (job) => job.latest_metrics ?? {};
+
+/** Share of the steps that are done, 0 to 1. */
+export const progress = (job) => (job.total_steps > 0 ? Math.min(1, job.progress_step / job.total_steps) : 0);
+
+/** Seconds that the job has run, or null before its start. */
+export function elapsed(job) {
+  if (!job.started_at) return null;
+  const end = job.finished_at ? new Date(job.finished_at) : Date.now();
+  return Math.max(0, (end - new Date(job.started_at)) / 1000);
+}
+
+/** Seconds until the training ends as the trainer sees it; null when not training. */
+export const remaining = (job) => (job.state === "running" ? latest(job).eta_s ?? null : null);
+
+/** "sprint1 · fast · type 0". */
+export const recipe = (job) => [job.spec.task, job.spec.preset, `type ${job.spec.robot_type}`, job.spec.simulator === "embedded" ? null : job.spec.simulator].filter(Boolean).join(" · ");
+
+const QUESTIONS = {
+  cancel: (job) => ({ title: `Cancel ${job.name}?`, body: "The trainer stops at once. Checkpoints and figures so far are kept, and the job can be retried from its last checkpoint.", action: "Cancel job", danger: true }),
+  delete: (job) => ({ title: `Delete ${job.name}?`, body: "Its figures, log, checkpoints and evaluations are deleted. This cannot be undone.", action: "Delete job", danger: true }),
+};
+const DONE = { pause: "will pause at its next checkpoint", resume: "is queued again", retry: "is queued again", cancel: "is being cancelled", delete: "was deleted" };
+
+/** Ask the service for an action, after a question where work would be lost; returns the job as it is then, null for "no". */
+export async function act(job, name) {
+  if (QUESTIONS[name] && !(name === "cancel" && job.state === "queued" && !job.progress_step) && !(await confirmDialog(QUESTIONS[name](job)))) return null;
+  try {
+    const path = `jobs/${encodeURIComponent(job.id)}`;
+    const answer = name === "delete" ? await call(path, { method: "DELETE" }) : await call(`${path}/${name}`, { method: "POST" });
+    toast(`${job.name} ${DONE[name]}.`);
+    return answer ?? job;
+  } catch (error) {
+    toast(`${job.name}: ${error.message}`, "error");
+    return null;
+  }
+}

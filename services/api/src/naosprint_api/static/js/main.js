@@ -1,0 +1,193 @@
+/** Start the dashboard: frame, sign-in, routes, keyboard. */
+
+import { call, clearToken, OfflineError, onUnauthorised, setToken, token } from "./api.js";
+import { fill, h, icon, isTyping, toast } from "./dom.js";
+import { onConnection } from "./stream.js";
+import { setTheme, theme } from "./theme.js";
+import { problem } from "./views/messages.js";
+
+/** Path pattern, module and the page's name; modules load on first use. */
+const ROUTES = [
+  [/^\/?$/, () => import("./views/jobs.js"), "jobs"],
+  [/^\/submit$/, () => import("./views/submit.js"), "submit"],
+  [/^\/compare$/, () => import("./views/compare.js"), "compare"],
+  [/^\/workers$/, () => import("./views/workers.js"), "workers"],
+  [/^\/jobs\/(?<id>[^/]+)(?:\/(?<tab>[a-z]+))?(?:\/(?<sub>[^/]+))?$/, () => import("./views/job.js"), "jobs"],
+];
+
+const main = document.getElementById("main");
+const top = document.getElementById("top");
+let current = null;
+let turn = 0;
+
+/** Split "#/jobs/x?tab=1" into path and parameters. */
+function place() {
+  const [path, search = ""] = decodeURI(location.hash.replace(/^#/, "") || "/").split("?");
+  return { path, params: new URLSearchParams(search) };
+}
+
+/** Go to a place of the dashboard. */
+export function go(path, { replace = false } = {}) {
+  if (replace) {
+    history.replaceState(null, "", `#${path}`);
+    show();
+  } else location.hash = path;
+}
+
+async function show() {
+  const mine = ++turn;
+  const { path, params } = place();
+  if (params.has("token")) {
+    setToken(params.get("token"), false);
+    params.delete("token");
+    history.replaceState(null, "", `#${path === "/sign-in" ? "/" : path}${params.size ? `?${params}` : ""}`);
+    return show();
+  }
+  if (!token()) return signIn();
+  const found = ROUTES.map(([pattern, load, name]) => ({ match: pattern.exec(path), load, name })).find((r) => r.match);
+  // A view may take over a change of place within itself (another tab, another filter) without being built anew.
+  const where = { path, params, ...(found?.match.groups ?? {}) };
+  if (found && current?.update && current.name === found.name && current.update(where)) {
+    frame(found.name);
+    return;
+  }
+  leave();
+  frame(found?.name);
+  if (!found) {
+    document.title = "Not found · naosprint";
+    fill(main, h("div", { class: "card empty" }, h("h1", null, "There is no such page"), h("p", null, `Nothing lives at ${path}.`), h("a", { class: "button primary", href: "#/" }, "Show all jobs")));
+    return;
+  }
+  const controller = new AbortController();
+  current = { name: found.name, controller };
+  try {
+    const module = await found.load().catch(() => { throw new OfflineError("A part of this page could not be loaded."); });
+    if (mine !== turn) return;
+    const view = await module.mount(main, { ...where, signal: controller.signal, go });
+    if (mine !== turn) { view?.destroy?.(); return; }
+    current = { name: found.name, controller, destroy: view?.destroy, update: view?.update };
+  } catch (error) {
+    if (error.name === "AbortError" || mine !== turn) return;
+    // A module that failed to load stays failed until the page is loaded anew.
+    fill(main, problem(error, error instanceof OfflineError ? () => location.reload() : show));
+  }
+  focusTitle();
+}
+
+function leave() {
+  current?.controller?.abort();
+  current?.destroy?.();
+  current = null;
+}
+
+function focusTitle() {
+  const title = main.querySelector("h1");
+  if (!title || document.activeElement?.closest?.("main")) return;
+  title.tabIndex = -1;
+  title.focus({ preventScroll: true });
+  scrollTo(0, 0);
+}
+
+const THEMES = { auto: ["light", "auto", "System theme"], light: ["dark", "sun", "Light theme"], dark: ["auto", "moon", "Dark theme"] };
+
+function themeButton() {
+  const button = h("button", { class: "ghost square", onclick: () => { setTheme(THEMES[theme()][0]); paint(); } });
+  const paint = () => {
+    const [, glyph, label] = THEMES[theme()];
+    fill(button, icon(glyph));
+    button.setAttribute("aria-label", `${label}; switch`);
+    button.title = label;
+  };
+  paint();
+  return button;
+}
+
+const linkState = h("span", { class: "link-state", "data-state": "idle", hidden: true });
+onConnection((state) => {
+  linkState.dataset.state = state;
+  const words = { idle: "", live: "Live", connecting: "Connecting", offline: "No connection" };
+  fill(linkState, h("span", null, words[state]));
+  linkState.title = { idle: "Nothing is followed here", live: "Figures arrive as they are made", connecting: "Connecting to the service", offline: "The service does not answer; trying again" }[state];
+  linkState.hidden = state === "idle";
+});
+
+function frame(name) {
+  const link = (href, text, key) => h("a", { href, "aria-current": key === name ? "page" : null }, text);
+  fill(top,
+    h("a", { class: "brand", href: "#/", "aria-label": "naosprint: all jobs" }, h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }), h("span", null, "naosprint")),
+    h("nav", { "aria-label": "Main" }, link("#/", "Jobs", "jobs"), link("#/compare", "Compare", "compare"), link("#/workers", "Workers", "workers")),
+    h("span", { class: "space" }), linkState, themeButton(),
+    h("button", { class: "ghost square wide-only", "aria-label": "Keyboard shortcuts", title: "Keyboard shortcuts (?)", onclick: showKeys }, "?"),
+    h("button", { class: "ghost square", "aria-label": "Sign out", title: "Sign out", onclick: () => { clearToken(); leave(); signIn(); } }, icon("out")),
+    h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")));
+}
+
+/** Show the sign-in form; the place stays in the address and is opened afterwards. */
+function signIn(message) {
+  turn += 1;
+  leave();
+  fill(top);
+  top.hidden = true;
+  document.title = "Sign in · naosprint";
+  const input = h("input", { id: "token", name: "token", type: "password", autocomplete: "current-password", required: true, spellcheck: "false", "aria-describedby": "token-hint token-problem" });
+  const remember = h("input", { type: "checkbox", id: "remember" });
+  const trouble = h("p", { class: "problem", id: "token-problem", role: "alert" }, message ?? "");
+  const button = h("button", { class: "primary", type: "submit" }, "Sign in");
+  const submit = async (event) => {
+    event.preventDefault();
+    const value = input.value.trim();
+    if (!value) { fill(trouble, "Paste a token first."); input.focus(); return; }
+    button.disabled = true;
+    fill(trouble);
+    try {
+      await call("whoami", { as: value, quiet401: true });
+      setToken(value, remember.checked);
+      top.hidden = false;
+      show();
+    } catch (error) {
+      input.setAttribute("aria-invalid", "true");
+      fill(trouble, error.status === 401 ? "The service does not know this token. Check that it is complete, not expired and not revoked." : error.status === 403 ? "This token may not read jobs. Ask for one with the scope “read”." : error.message);
+      input.focus();
+      input.select();
+    } finally {
+      button.disabled = false;
+    }
+  };
+  fill(main, h("div", { class: "sign-in" }, h("form", { class: "card", onsubmit: submit, novalidate: true },
+    h("div", null, h("span", { class: "brand" }, h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }), "naosprint"), h("h1", { class: "sr" }, "Sign in to naosprint"),
+      h("p", { class: "soft" }, "Sign in with an access token to see and submit training jobs.")),
+    h("input", { type: "text", name: "username", autocomplete: "username", value: "naosprint", hidden: true, readonly: true, tabindex: -1 }), // password managers ask for a name
+    h("div", { class: "field" }, h("label", { for: "token" }, "Access token"), input, h("p", { class: "hint", id: "token-hint" }, h("code", null, "naoctl up"), " prints one when it starts the service on this machine; elsewhere ask your administrator."), trouble),
+    h("label", { class: "row", for: "remember" }, remember, "Keep me signed in on this device"), button)));
+  input.focus();
+}
+
+function showKeys() {
+  const key = (k) => h("span", { class: "kbd" }, k);
+  const rows = [[["n"], "New job"], [["g", "j"], "All jobs"], [["g", "c"], "Compare"], [["g", "w"], "Workers"], [["/"], "Search jobs"], [["j", "k"], "Next, previous job"], [["Enter"], "Open job"], [["x"], "Select job for comparison"], [["t"], "Change theme"], [["?"], "This list"]];
+  const dialog = h("dialog", { class: "modal", "aria-labelledby": "keys-title" }, h("form", { method: "dialog" }, h("h2", { id: "keys-title" }, "Keyboard"),
+    h("dl", { class: "keys" }, rows.map(([keys, text]) => [h("dt", null, keys.map((k) => [key(k), " "])), h("dd", null, text)])), h("div", { class: "row end" }, h("button", { value: "ok" }, "Close"))));
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+let prefix = 0;
+addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || isTyping(event) || document.querySelector("dialog[open]") || !token()) return;
+  const after = Date.now() - prefix < 1200;
+  prefix = 0;
+  if (after && { j: 1, c: 1, w: 1 }[event.key]) { event.preventDefault(); go({ j: "/", c: "/compare", w: "/workers" }[event.key]); event.stopImmediatePropagation(); return; }
+  if (event.key === "g") prefix = Date.now();
+  else if (event.key === "n") { event.preventDefault(); go("/submit"); }
+  else if (event.key === "?") showKeys();
+  else if (event.key === "t") { setTheme(THEMES[theme()][0]); toast(THEMES[theme()][2]); frame(current?.name); }
+});
+
+onUnauthorised(() => {
+  clearToken();
+  top.hidden = true;
+  signIn("The token is no longer valid. Sign in again.");
+});
+addEventListener("hashchange", show);
+show();

@@ -1,0 +1,7 @@
+// Runs before the first paint so that a stored theme never flashes; everything else is in theme.js.
+(function () {
+  try {
+    var theme = localStorage.getItem("naosprint.theme");
+    if (theme === "light" || theme === "dark") document.documentElement.dataset.theme = theme;
+  } catch (_) { /* storage refused: follow the system */ }
+})();

@@ -1,0 +1,251 @@
+/** Several jobs over each other: curves, groups with mean and band, final figures. */
+
+import { call, query, save } from "../api.js";
+import { Chart, PALETTE, smooth } from "../charts.js";
+import { Columns } from "../columns.js";
+import { CURVES, refsOf, X_AXES } from "../curves.js";
+import { fill, h, icon, scroller } from "../dom.js";
+import { compact, fixed, integer, percent } from "../format.js";
+import { latest, progress, recipe } from "../jobs.js";
+import { isEnded, stateBadge, stateNote } from "../states.js";
+import { follow } from "../stream.js";
+import { color, onTheme } from "../theme.js";
+import { figuresOf } from "../evaluation.js";
+import { loading, notice } from "./messages.js";
+
+const MAX_JOBS = 32;
+const GRID = 400;
+const DASHES = [undefined, [6, 4], [2, 3], [10, 4, 2, 4]];
+
+/** What "group by" can do: the label that jobs of one group share. */
+const GROUPINGS = {
+  none: ["Each job", null],
+  recipe: ["All but the seed", (job) => recipe(job) + departures(job)],
+  preset: ["Preset", (job) => job.spec.preset],
+  task: ["Task", (job) => job.spec.task],
+  robot: ["Robot type", (job) => `type ${job.spec.robot_type}`],
+  simulator: ["Simulator", (job) => job.spec.simulator],
+  tag: ["First tag", (job) => job.tags[0] ?? "no tag"],
+  group: ["Sweep", (job) => job.group_id ?? "single"],
+};
+
+let varying = [];
+const departures = (job) => varying.map((k) => ` · ${k} ${JSON.stringify(job.spec[k])}`).join("");
+
+/** Read a curve at `x` by linear interpolation; null outside of it. */
+export function interpolate(xs, ys, x) {
+  let low = 0, high = xs.length - 1;
+  if (high < 0 || x < xs[0] || x > xs[high]) return null;
+  while (high - low > 1) { const mid = (low + high) >> 1; if (xs[mid] <= x) low = mid; else high = mid; }
+  const a = ys[low], b = ys[high];
+  if (a === null || b === null || xs[high] === xs[low]) return b ?? a;
+  return a + ((b - a) * (x - xs[low])) / (xs[high] - xs[low]);
+}
+
+/** Mean and standard deviation of several curves on a common grid, where at least half of them have a value. */
+export function band(curves, grid) {
+  const mean = [], low = [], high = [];
+  for (const x of grid) {
+    const values = curves.map(([xs, ys]) => interpolate(xs, ys, x)).filter((v) => v !== null);
+    if (values.length * 2 < curves.length || !values.length) { mean.push(null); low.push(null); high.push(null); continue; }
+    const m = values.reduce((a, b) => a + b, 0) / values.length;
+    const sd = values.length > 1 ? Math.sqrt(values.reduce((a, b) => a + (b - m) ** 2, 0) / (values.length - 1)) : 0;
+    mean.push(m);
+    low.push(m - sd);
+    high.push(m + sd);
+  }
+  return { mean, low, high };
+}
+
+/** Drop the x and y where y is missing. */
+function dense(xs, ys) {
+  const x = [], y = [];
+  for (let i = 0; i < xs.length; i++) if (ys[i] !== null && ys[i] !== undefined && xs[i] !== null) { x.push(xs[i]); y.push(ys[i]); }
+  return [x, y];
+}
+
+class CompareView {
+  constructor(root, { params, signal, go }) {
+    this.root = root;
+    this.signal = signal;
+    this.go = go;
+    this.group = params.get("group");
+    this.ids = (params.get("jobs") ?? "").split(",").filter(Boolean);
+    this.by = GROUPINGS[params.get("by")] ? params.get("by") : this.group ? "recipe" : "none";
+    this.x = "step";
+    this.weight = 0.6;
+    this.items = [];
+    this.charts = [];
+  }
+
+  async start() {
+    document.title = "Compare · naosprint";
+    fill(this.root, h("div", { class: "card" }, loading("Loading jobs")));
+    if (this.group) this.ids = (await call(`jobs${query({ group: this.group, limit: 200 })}`, { signal: this.signal })).items.map((j) => j.id).toReversed();
+    const missing = [];
+    await Promise.all(this.ids.slice(0, MAX_JOBS).map(async (id, i) => {
+      try { this.items[i] = await this.item(id); } catch (error) { if (error.name === "AbortError") throw error; missing.push(`${id}: ${error.message}`); }
+    }));
+    this.items = this.items.filter(Boolean);
+    this.missing = missing;
+    if (this.ids.length > MAX_JOBS) this.missing.push(`Only the first ${MAX_JOBS} of ${this.ids.length} jobs are shown.`);
+    this.build();
+    follow("jobs/stream", { signal: this.signal, onEvent: (type, job) => type === "job" && this.onJob(job) });
+    this.stopTheme = onTheme(() => this.paintTable());
+  }
+
+  async item(id) {
+    const path = `jobs/${encodeURIComponent(id)}`;
+    const get = (p, params = {}) => call(`${p}${query(params)}`, { signal: this.signal });
+    const [job, metrics, evaluations] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), get(`${path}/evaluations`)]);
+    const columns = new Columns();
+    columns.load(metrics.columns);
+    const best = evaluations.filter((e) => e.state === "succeeded").toSorted((a, b) => new Date(b.created_at) - new Date(a.created_at))[0] ?? null;
+    return { job, metrics: columns, evaluation: best };
+  }
+
+  destroy() {
+    for (const { chart } of this.charts) chart.destroy();
+    clearTimeout(this.refresh);
+    this.stopTheme?.();
+  }
+
+  build() {
+    const keys = new Set(this.items.flatMap(({ job }) => Object.keys(job.spec)));
+    varying = [...keys].filter((k) => k !== "seed" && new Set(this.items.map(({ job }) => JSON.stringify(job.spec[k]))).size > 1 && !["task", "preset", "robot_type", "simulator"].includes(k));
+    this.picker = h("input", { type: "search", placeholder: "Add a job by name or id", "aria-label": "Add a job", list: "compare-found", autocomplete: "off", oninput: () => this.suggest(), onchange: () => this.add(this.picker.value) });
+    this.found = h("datalist", { id: "compare-found" });
+    const head = h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Compare"), h("div", { class: "filters", style: { margin: 0 } }, h("div", { class: "search" }, icon("search"), this.picker, this.found)));
+    if (!this.items.length) {
+      fill(this.root, head, this.missing.map((m) => notice("warn", "", m)), h("div", { class: "card empty" }, h("h2", null, "Nothing to compare yet"), h("p", null, "Select jobs in the list and press Compare, or add them here by name."), h("div", { class: "row" }, h("a", { class: "button primary", href: "#/" }, "Choose jobs"))));
+      return;
+    }
+    const grouping = h("select", { "aria-label": "Group by", style: { width: "auto" }, onchange: () => { this.by = grouping.value; this.rebuildCharts(); } }, Object.entries(GROUPINGS).map(([key, [label]]) => h("option", { value: key }, label)));
+    grouping.value = this.by;
+    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => { this.x = key; Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key))); this.draw(); } }, axis.label));
+    const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
+    this.legend = h("div", { class: "legend" });
+    this.grid = h("div", { class: "charts" });
+    this.table = scroller("Jobs compared");
+    fill(this.root, head, this.missing.map((m) => notice("warn", "", m)),
+      h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.table),
+      h("div", { class: "chart-tools" }, h("label", null, "Group by", grouping), h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range),
+        h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => this.csv() }, icon("download"), "CSV")),
+      this.legend, h("div", { style: { height: "0.86rem" } }), this.grid);
+    this.rebuildCharts();
+  }
+
+  /** Jobs by group label, in order of first appearance. */
+  groups() {
+    const of = GROUPINGS[this.by][1];
+    const map = new Map();
+    for (const item of this.items) {
+      const label = of ? of(item.job) : item.job.id;
+      if (!map.has(label)) map.set(label, []);
+      map.get(label).push(item);
+    }
+    return [...map].map(([label, items], i) => ({ label: of ? label : items[0].job.name, items, token: PALETTE[i % PALETTE.length], dash: DASHES[Math.floor(i / PALETTE.length) % DASHES.length] }));
+  }
+
+  rebuildCharts() {
+    for (const { chart } of this.charts) chart.destroy();
+    const groups = this.groups(), banded = this.by !== "none";
+    const tasks = new Set(this.items.map(({ job }) => job.spec.task));
+    this.charts = CURVES.filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "running").map((curve) => ({ curve, chart: new Chart({
+      ...curve, refs: tasks.size === 1 ? refsOf(curve, [...tasks][0]) : curve.refs ?? [], sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
+      series: groups.flatMap((g) => (banded ? [{ label: `${g.label} high`, token: g.token, hidden: true }, { label: `${g.label} low`, token: g.token, hidden: true }, { label: g.label, token: g.token, dash: g.dash, width: 2 }] : [{ label: g.label, token: g.token, dash: g.dash }])),
+      bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
+    }) }));
+    fill(this.grid, this.charts.map((c) => c.chart.element));
+    this.paintTable();
+    this.draw();
+  }
+
+  paintTable() {
+    if (!this.table) return;
+    const groups = this.groups(), banded = this.by !== "none";
+    const swatch = (g) => h("span", { class: "swatch", style: { background: color(g.token) } });
+    fill(this.legend, groups.map((g) => h("span", null, swatch(g), banded ? `${g.label} (${g.items.length})` : g.label)), banded ? h("span", { class: "muted" }, "Line: mean. Band: one standard deviation.") : null);
+    const cells = (item) => {
+      const m = latest(item.job), e = figuresOf(item.evaluation?.summary);
+      return [compact(item.job.progress_step), fixed(m.speed_mps), fixed(m.distance_m, 1), m.fall_rate === undefined ? "–" : percent(m.fall_rate), integer(m.steps_per_s), fixed(e?.speed), fixed(e?.top), fixed(e?.distance, 1), e?.falls === undefined ? "–" : percent(e.falls)];
+    };
+    const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, recipe(item.job), ` · seed ${item.job.spec.seed}`, departures(item.job))))),
+      h("td", null, stateBadge(item.job.state, stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`))), cells(item).map((c) => h("td", { class: "num" }, c)),
+      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Take ${item.job.name} out of the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
+    const th = (t) => h("th", { scope: "col", class: "num" }, t);
+    fill(this.table, h("table", null,
+      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: 5, scope: "colgroup", class: "group" }, "Training, latest"), h("th", { colspan: 4, scope: "colgroup", class: "group" }, "Evaluation, deterministic"), h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
+        h("tr", null, ["Steps", "Speed m/s", "Distance m", "Falls", "Steps/s", "Speed m/s", "Top m/s", "Distance m", "Falls"].map(th))),
+      h("tbody", null, groups.flatMap((g) => g.items.map((item) => row(g, item))))));
+  }
+
+  draw() {
+    const groups = this.groups(), axis = X_AXES[this.x];
+    for (const { curve, chart } of this.charts) {
+      const curves = new Map(this.items.map((item) => {
+        const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
+        return [item, [x, smooth(y, this.weight)]];
+      }));
+      if (this.by === "none") {
+        const tables = groups.map((g) => curves.get(g.items[0]));
+        const filled = tables.filter(([x]) => x.length);
+        if (!filled.length) { chart.setData([[], ...tables.map(() => [])]); continue; }
+        const joined = uPlot.join(filled);
+        let at = 1;
+        chart.setData([joined[0], ...tables.map(([x]) => (x.length ? joined[at++] : new Array(joined[0].length).fill(null)))]);
+      } else {
+        let low = Infinity, high = -Infinity;
+        for (const [x] of curves.values()) if (x.length) { low = Math.min(low, x[0]); high = Math.max(high, x.at(-1)); }
+        const grid = high >= low ? Array.from({ length: GRID }, (_, i) => low + ((high - low) * i) / (GRID - 1)) : [];
+        chart.setData([grid, ...groups.flatMap((g) => { const b = band(g.items.map((item) => curves.get(item)), grid); return [b.high, b.low, b.mean]; })]);
+      }
+    }
+  }
+
+  onJob(job) {
+    const item = this.items.find((i) => i.job.id === job.id);
+    if (!item) return;
+    item.job = job;
+    const row = latest(job);
+    if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
+    clearTimeout(this.refresh);
+    this.refresh = setTimeout(() => { this.paintTable(); this.draw(); }, 500);
+  }
+
+  suggest() {
+    clearTimeout(this.typing);
+    this.typing = setTimeout(async () => {
+      const q = this.picker.value.trim();
+      if (!q || q.startsWith("job_")) return;
+      try {
+        const page = await call(`jobs${query({ q, limit: 20 })}`, { signal: this.signal });
+        fill(this.found, page.items.filter((j) => !this.ids.includes(j.id)).map((j) => h("option", { value: j.id }, `${j.name} · ${recipe(j)} · ${j.state}`)));
+      } catch { /* suggestions are an extra */ }
+    }, 200);
+  }
+
+  add(id) {
+    const wanted = id.trim();
+    if (wanted.startsWith("job_")) this.open([...new Set([...this.ids, wanted])]);
+  }
+
+  remove(id) { this.open(this.ids.filter((x) => x !== id)); }
+
+  open(ids) { this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`); }
+
+  csv() {
+    const names = [...new Set(this.items.flatMap(({ metrics }) => [...metrics.columns.keys()]))];
+    const quote = (v) => (typeof v === "string" && /[",\n]/.test(v) ? `"${v.replace(/"/g, '""')}"` : v ?? "");
+    const lines = [["job", "name", "seed", "step", ...names].join(",")];
+    for (const { job, metrics } of this.items) metrics.step.forEach((step, i) => lines.push([job.id, quote(job.name), job.spec.seed, step, ...names.map((n) => metrics.get(n)[i] ?? "")].join(",")));
+    save(new Blob([lines.join("\n") + "\n"], { type: "text/csv" }), "comparison.csv");
+  }
+}
+
+/** Show the page in `root`. */
+export async function mount(root, context) {
+  const view = new CompareView(root, context);
+  await view.start();
+  return { destroy: () => view.destroy() };
+}

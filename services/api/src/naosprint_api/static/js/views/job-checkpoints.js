@@ -1,0 +1,61 @@
+/** The checkpoints of a job: download, judge, start another job from one. */
+
+import { call, download } from "../api.js";
+import { fill, h, icon, scroller, toast } from "../dom.js";
+import { ago, bytes, integer, stamp } from "../format.js";
+import { notice } from "./messages.js";
+
+/** Save something behind the token, with the button telling that it is on its way. */
+export async function fetchInto(button, path, name) {
+  button.disabled = true;
+  try {
+    await download(path, name);
+  } catch (error) {
+    toast(`${name}: ${error.message}`, "error");
+  } finally {
+    button.disabled = false;
+  }
+}
+
+export class CheckpointsTab {
+  constructor(root, store) {
+    this.root = root;
+    this.store = store;
+    store.on("checkpoints", () => this.draw());
+    this.draw();
+  }
+
+  draw() {
+    if (this.gone) return;
+    const { job, checkpoints } = this.store;
+    if (!checkpoints?.length) {
+      fill(this.root, h("div", { class: "card empty" }, h("h2", null, "No checkpoint yet"), h("p", null, `One is saved every ${integer(job.spec.checkpoint_interval_steps)} steps and at the end. A job that is paused or interrupted continues from its newest.`)));
+      return;
+    }
+    fill(this.root, h("section", { class: "card" }, scroller("Checkpoints", h("table", null,
+      h("thead", null, h("tr", null, h("th", { class: "num", scope: "col" }, "Step"), h("th", { class: "num", scope: "col" }, "Attempt"), h("th", { scope: "col" }, "Saved"), h("th", { class: "num", scope: "col" }, "Size"), h("th", { scope: "col" }, "Files"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))),
+      h("tbody", null, checkpoints.map((c) => this.row(c)))))),
+      h("div", { style: { "margin-top": "1rem" } }, notice("info", "From a terminal:", h("code", null, `naoctl download ${job.id}`), " ")));
+  }
+
+  row(c) {
+    const { job } = this.store;
+    const all = h("button", { class: "small", onclick: () => fetchInto(all, c.archive_url, `${job.name}-${c.step}.tar`) }, icon("download"), "Download");
+    const judge = h("button", { class: "small", onclick: async () => {
+      judge.disabled = true;
+      try {
+        await call(`${this.store.path}/evaluations`, { method: "POST", body: { checkpoint_id: c.id } });
+        toast(`Step ${integer(c.step)} will be evaluated.`);
+        this.store.loadEvaluations().catch(() => {});
+      } catch (error) { toast(error.message, "error"); } finally { judge.disabled = false; }
+    } }, "Evaluate");
+    const files = h("details", null, h("summary", { class: "muted" }, `${c.files.length} files`), h("ul", { class: "list" }, c.files.map((f) => {
+      const get = h("button", { class: "ghost square", "aria-label": `Download ${f.name}`, onclick: () => fetchInto(get, f.url, f.name) }, icon("download"));
+      return h("li", null, h("span", { class: "grow mono", title: `sha256 ${f.sha256}` }, f.name), h("span", { class: "muted nowrap" }, bytes(f.size)), get);
+    })));
+    return h("tr", { "data-checkpoint": c.id }, h("td", { class: "num" }, integer(c.step)), h("td", { class: "num" }, c.attempt), h("td", { class: "nowrap muted", title: stamp(c.created_at) }, ago(c.created_at)), h("td", { class: "num" }, bytes(c.size)), h("td", null, files),
+      h("td", null, h("div", { class: "row end" }, all, judge, h("a", { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` }, icon("branch"), "Continue in a new job"))));
+  }
+
+  destroy() { this.gone = true; }
+}

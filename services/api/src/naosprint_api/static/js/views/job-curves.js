@@ -1,0 +1,62 @@
+/** The curves of a job: linked cursors, zoom by dragging, smoothing, steps or time. */
+
+import { save } from "../api.js";
+import { Chart, smooth } from "../charts.js";
+import { CURVES, GROUPS, refsOf, X_AXES } from "../curves.js";
+import { fill, h, icon } from "../dom.js";
+import { isEnded } from "../states.js";
+
+export class CurvesTab {
+  constructor(root, store) {
+    this.store = store;
+    this.x = "step";
+    this.weight = 0.6;
+    this.charts = CURVES.map((curve) => ({ curve, chart: new Chart({
+      ...curve, refs: refsOf(curve, store.job.spec.task), sync: `job-${store.id}`, mainSeries: curve.lines ? 1 : 2,
+      xFormat: (v) => X_AXES[this.x].format(v),
+      series: curve.lines ? curve.lines.map(([, label, token]) => ({ label, token })) : [{ label: "raw", token: curve.token, raw: true }, { label: curve.title, token: curve.token }],
+      empty: this.emptyText(),
+    }) }));
+    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => this.setX(key) }, axis.label));
+    const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
+    fill(root,
+      h("div", { class: "chart-tools" }, h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range), h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to go back"),
+        h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => save(new Blob([store.metrics.csv()], { type: "text/csv" }), `${store.job.name}-metrics.csv`) }, icon("download"), "CSV")),
+      GROUPS.map(([group, label]) => [
+        group === "running" ? h("h2", { class: "sr" }, label) : h("div", { class: "section" }, h("h2", null, label)),
+        h("div", { class: ["charts", group === "running" ? "four" : "three"] }, this.charts.filter((c) => c.curve.group === group).map((c) => c.chart.element)),
+      ]));
+    store.on("metrics", () => this.draw());
+    store.on("job", () => { for (const { chart } of this.charts) if (!store.metrics.length) chart.none.textContent = this.emptyText(); });
+    this.draw();
+  }
+
+  emptyText() {
+    const { state } = this.store.job;
+    if (state === "queued") return "Waiting for a worker. Figures appear after the first update.";
+    if (isEnded(state)) return "This job ended before its first update.";
+    return "Figures appear after the first update.";
+  }
+
+  setX(key) {
+    this.x = key;
+    Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key)));
+    for (const { chart } of this.charts) { chart.zoomed = false; }
+    this.draw();
+  }
+
+  draw() {
+    if (this.gone) return;
+    const m = this.store.metrics, x = X_AXES[this.x].column(m);
+    for (const { curve, chart } of this.charts) {
+      if (curve.lines) { chart.setData([x, ...curve.lines.map(([key]) => smooth(m.get(key), this.weight))]); continue; }
+      const y = m.get(curve.key);
+      chart.setData([x, y, smooth(y, this.weight)]);
+    }
+  }
+
+  destroy() {
+    this.gone = true;
+    for (const { chart } of this.charts) chart.destroy();
+  }
+}

@@ -1,0 +1,280 @@
+/** One job: figures, curves, log, checkpoints, timeline, evaluations and specification, all live. */
+
+import { call, query } from "../api.js";
+import { Columns } from "../columns.js";
+import { fill, h, icon, setText, toast } from "../dom.js";
+import { compact, duration, fixed, integer, percent, stamp } from "../format.js";
+import { act, elapsed, latest, progress, recipe, remaining } from "../jobs.js";
+import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
+import { follow } from "../stream.js";
+import { loading, notice } from "./messages.js";
+import { CheckpointsTab } from "./job-checkpoints.js";
+import { CurvesTab } from "./job-curves.js";
+import { EvaluationTab } from "./job-evaluation.js";
+import { HistoryTab } from "./job-history.js";
+import { LogTab } from "./job-log.js";
+import { ReplayTab } from "./job-replay.js";
+import { SpecTab } from "./job-spec.js";
+
+const MAX_POINTS = 4000;
+const TAIL = 1000;
+const POLL_MS = 4000;
+
+/** What is known of one job; views listen to topics: job, metrics, events, logs, checkpoints, evaluations. */
+class JobStore extends EventTarget {
+  constructor(id, signal) {
+    super();
+    this.id = id;
+    this.signal = signal;
+    this.path = `jobs/${encodeURIComponent(id)}`;
+    this.metrics = new Columns();
+    this.events = [];
+    this.logs = [];
+    this.logsBefore = false;
+    this.checkpoints = null;
+    this.evaluations = null;
+  }
+
+  tell(topic) { this.dispatchEvent(new Event(topic)); }
+
+  /** Call `listener` at every change of a topic while the page is shown. */
+  on(topic, listener) { this.addEventListener(topic, listener, { signal: this.signal }); }
+
+  get(path, params = {}) { return call(`${path}${query(params)}`, { signal: this.signal }); }
+
+  async load() {
+    const [job, metrics, events, logs] = await Promise.all([
+      this.get(this.path), this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }), this.pages(`${this.path}/events`, 500), this.tail()]);
+    this.metrics.load(metrics.columns);
+    this.lastSeq = metrics.last_seq;
+    this.events = events;
+    this.logs = logs;
+    this.setJob(job);
+    for (const topic of ["metrics", "events", "logs"]) this.tell(topic);
+  }
+
+  /** All of a paged list, oldest first. */
+  async pages(path, limit) {
+    const all = [];
+    for (let after; ;) {
+      const page = await this.get(path, { after, limit });
+      all.push(...page.items);
+      if (page.items.length < limit || page.next_after === null) return all;
+      after = page.next_after;
+    }
+  }
+
+  /** The newest lines of the log. */
+  async tail() {
+    const page = await this.get(`${this.path}/logs`, { tail: true, limit: TAIL });
+    this.logsBefore = page.items.length >= TAIL;
+    return page.items;
+  }
+
+  setJob(job) {
+    this.job = job;
+    this.tell("job");
+    if (!isEnded(job.state)) this.follow();
+  }
+
+  async loadCheckpoints() {
+    this.checkpoints = await this.get(`${this.path}/checkpoints`);
+    this.tell("checkpoints");
+  }
+
+  async loadEvaluations() {
+    this.evaluations = await this.get(`${this.path}/evaluations`);
+    this.tell("evaluations");
+    // Evaluations have no stream of their own; those under way are looked at again.
+    clearTimeout(this.poll);
+    if (this.evaluations.some((e) => e.state === "queued" || e.state === "running")) this.poll = setTimeout(() => { if (!this.signal.aborted) this.loadEvaluations().catch(() => {}); }, POLL_MS);
+  }
+
+  /** Follow the job until it ends, from what is known already; does nothing while it is followed. */
+  follow() {
+    if (this.following) return;
+    this.following = true;
+    const after = { metrics_after: this.lastSeq, logs_after: this.logs.at(-1)?.id, events_after: this.events.at(-1)?.id };
+    follow(`${this.path}/stream${query(after)}`, {
+      signal: this.signal, lastId: this.lastId, onEvent: (type, data, id) => { this.lastId = id ?? this.lastId; this.receive(type, data); }, onError: (error) => toast(error.message, "error"),
+    }).then(() => { this.following = false; });
+  }
+
+  receive(type, data) {
+    if (type === "metrics") {
+      this.metrics.push(data);
+      this.tell("metrics");
+    } else if (type === "log") {
+      if (this.logs.length && data.id <= this.logs.at(-1).id) return;
+      this.logs.push(data);
+      if (this.logs.length > 6000) { this.logs.splice(0, 1000); this.logsBefore = true; }
+      this.tell("logs");
+    } else if (type === "event") {
+      if (this.events.length && data.id <= this.events.at(-1).id) return;
+      this.events.push(data);
+      this.tell("events");
+      if (data.kind === "checkpoint") this.loadCheckpoints().catch(() => {});
+      if (data.kind.startsWith("evaluat")) this.loadEvaluations().catch(() => {});
+    } else if (type === "state") this.setJob(data);
+    else if (type === "end") this.loadEvaluations().catch(() => {});
+    else if (type === "gone") this.tell("gone");
+  }
+}
+
+const TABS = [
+  ["curves", "Curves", CurvesTab], ["evaluation", "Evaluation", EvaluationTab], ["replay", "Replay", ReplayTab], ["checkpoints", "Checkpoints", CheckpointsTab],
+  ["log", "Log", LogTab], ["history", "History", HistoryTab], ["spec", "Specification", SpecTab],
+];
+
+class JobView {
+  constructor(root, context) {
+    this.root = root;
+    this.go = context.go;
+    this.id = context.id;
+    this.signal = context.signal;
+    this.store = new JobStore(context.id, context.signal);
+    this.stats = {};
+  }
+
+  async start(where) {
+    document.title = "Job · naosprint";
+    fill(this.root, h("div", { class: "card" }, loading("Loading the job")));
+    await this.store.load();
+    await Promise.all([this.store.loadCheckpoints(), this.store.loadEvaluations()]);
+    this.build();
+    this.store.on("job", () => this.paint());
+    this.store.on("metrics", () => this.paint());
+    this.store.on("checkpoints", () => this.paintTabs());
+    this.store.on("evaluations", () => this.paintTabs());
+    this.timer = setInterval(() => this.paintStats(), 1000);
+    this.paint();
+    this.store.on("gone", () => { toast(`${this.store.job.name} was deleted.`); this.go("/"); });
+    this.update(where);
+  }
+
+  destroy() {
+    clearInterval(this.timer);
+    clearTimeout(this.store.poll);
+    this.tab?.destroy?.();
+  }
+
+  build() {
+    const job = this.store.job;
+    this.title = h("h1");
+    this.badge = h("span");
+    this.actions = h("div", { class: "row wrap" });
+    this.sub = h("div", { class: "row wrap muted" });
+    this.trouble = h("div");
+    const stat = (key, label, cls) => {
+      const cell = { v: h("div", { class: "v" }), d: h("div", { class: "d" }), bar: null };
+      this.stats[key] = cell;
+      return h("div", { class: cls }, h("div", { class: "k" }, label), cell.v, cell.d);
+    };
+    const done = stat("steps", "Steps", "wide");
+    this.barFill = h("span");
+    this.bar = h("div", { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100, "aria-label": "Steps done" }, this.barFill);
+    done.append(this.bar);
+    this.tabBar = h("nav", { class: "tabs", "aria-label": "Parts of this job" });
+    this.panel = h("div");
+    fill(this.root,
+      h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / ", h("span", { class: "mono" }, job.id)),
+      h("div", { class: "page-head" }, h("div", { class: "grow row wrap" }, this.title, this.badge), this.actions),
+      this.sub, this.trouble,
+      h("div", { class: "stats", style: { "margin-top": "1rem" } }, done, stat("speed", "Speed"), stat("distance", "Distance"), stat("falls", "Falls"), stat("rate", "Steps per second"), stat("elapsed", "Time")),
+      this.tabBar, this.panel);
+  }
+
+  paint() {
+    const job = this.store.job;
+    document.title = `${job.name} · naosprint`;
+    setText(this.title, job.name);
+    const key = JSON.stringify([job.state, job.cancel_requested, job.pause_requested]);
+    if (key !== this.key) {
+      this.key = key;
+      fill(this.badge, stateBadge(job.state, stateNote(job)));
+      const buttons = actionsFor(job).map((a) => h("button", { class: a.danger ? "danger" : null, "data-action": a.name, onclick: () => this.act(a.name) }, icon(a.icon), a.label));
+      if (isEnded(job.state)) buttons.push(h("button", { class: "danger", "data-action": "delete", onclick: () => this.act("delete") }, icon("trash"), "Delete"));
+      fill(this.actions, h("a", { class: "button", href: `#/submit?from=${job.id}` }, icon("copy"), h("span", { class: "fold-tiny" }, "Submit again")), h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"), buttons);
+      fill(this.trouble, job.error ? h("div", { style: { "margin-top": "1rem" } }, notice(job.state === "failed" ? "error" : "warn", job.state === "failed" ? "The job failed." : "An attempt was lost.", job.error)) : null);
+    }
+    const worker = job.worker ? [" · on ", h("span", { class: "mono" }, job.worker)] : null;
+    fill(this.sub, h("span", null, recipe(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
+      job.parent_job_id ? h("a", { class: "row", href: `#/jobs/${job.parent_job_id}` }, icon("branch"), "from another job") : null);
+    this.paintStats();
+    this.paintTabs();
+  }
+
+  paintStats() {
+    const job = this.store.job, m = latest(job), s = this.stats;
+    if (!s.steps) return;
+    const show = (cell, value, unit, note) => {
+      const key = `${value}|${note}`;
+      if (cell.key === key) return;
+      cell.key = key;
+      fill(cell.v, value, unit && value !== "–" ? h("span", { class: "unit" }, unit) : null);
+      fill(cell.d, note ?? "\u00a0");
+    };
+    const share = progress(job);
+    show(s.steps, compact(job.progress_step), `of ${compact(job.total_steps)}`, `${percent(share)} done`);
+    this.bar.dataset.tone = isEnded(job.state) || job.state === "paused" ? tone(job.state) : "blue";
+    this.bar.setAttribute("aria-valuenow", Math.round(share * 100));
+    this.barFill.style.width = `${share * 100}%`;
+    this.barFill.hidden = share === 0;
+    const best = this.best("speed_mps");
+    show(s.speed, fixed(m.speed_mps), "m/s", best !== null ? `best ${fixed(best)} m/s` : null);
+    const far = this.best("distance_m");
+    show(s.distance, fixed(m.distance_m, 1), "m", far !== null ? `best ${fixed(far, 1)} m` : null);
+    show(s.falls, m.fall_rate === undefined ? "–" : (m.fall_rate * 100).toFixed(1), "%", m.episodes !== undefined ? `of ${integer(m.episodes)} episodes` : null);
+    show(s.rate, integer(m.steps_per_s), null, m.collect_s !== undefined && m.learn_s !== undefined ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s` : null);
+    const left = remaining(job);
+    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
+  }
+
+  best(name) {
+    if (this.bestLength !== this.store.metrics.length) { this.bestLength = this.store.metrics.length; this.bests = {}; }
+    if (!(name in this.bests)) {
+      let max = null;
+      for (const v of this.store.metrics.get(name)) if (v !== null && (max === null || v > max)) max = v;
+      this.bests[name] = max;
+    }
+    return this.bests[name];
+  }
+
+  paintTabs() {
+    const counts = { checkpoints: this.store.checkpoints?.length, evaluation: this.store.evaluations?.length };
+    const key = JSON.stringify([counts, this.tabName]);
+    if (key === this.tabKey) return;
+    this.tabKey = key;
+    fill(this.tabBar, TABS.map(([name, label]) => h("a", { href: `#/jobs/${this.id}${name === "curves" ? "" : `/${name}`}`, "aria-current": name === this.tabName ? "page" : null, "data-tab": name }, label, counts[name] ? h("span", { class: "count" }, counts[name]) : null)));
+  }
+
+  /** Show another part of the same job. */
+  update({ id, tab, sub, params }) {
+    if (id !== this.id || !this.panel) return false;
+    const name = tab ?? "curves";
+    const found = TABS.find(([key]) => key === name);
+    if (!found) return false;
+    if (name === this.tabName) return this.tab.update?.({ sub, params }) ?? true;
+    this.tab?.destroy?.();
+    this.tabName = name;
+    this.paintTabs();
+    const Tab = found[2];
+    this.panel.replaceChildren();
+    this.tab = new Tab(this.panel, this.store, { sub, params, go: this.go });
+    return true;
+  }
+
+  async act(name) {
+    const answer = await act(this.store.job, name);
+    if (!answer) return;
+    if (name === "delete") this.go("/");
+    else this.store.setJob(answer);
+  }
+}
+
+/** Show the page in `root`. */
+export async function mount(root, context) {
+  const view = new JobView(root, context);
+  await view.start(context);
+  return { destroy: () => view.destroy(), update: (where) => view.update(where) };
+}

@@ -1,0 +1,581 @@
+"""What people do with the dashboard, in a real browser against the real service with a real job."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from naojobs.database import notify
+from naojobs.models import Log
+from PIL import Image, ImageChops
+from selenium.webdriver.common.keys import Keys
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    import httpx
+    from conftest import Browser, Stack
+
+#: A training of a moment: two robots, the smallest network.
+TINY: dict[str, Any] = {
+    "task": "sprint2",
+    "n_envs": 2,
+    "n_steps": 32,
+    "batch_size": 64,
+    "n_epochs": 1,
+    "hidden_sizes": [8],
+    "simulator_threads": 1,
+    "torch_threads": 1,
+}
+ENDLESS = 10_000_000
+
+
+def submit(client: httpx.Client, name: str, *, steps: int = 256, tags: tuple[str, ...] = (), **spec: Any) -> str:
+    body = {"name": name, "tags": tags, "spec": {**TINY, "total_steps": steps, **spec}, "evaluation": None}
+    answer = client.post("/jobs", json=body)
+    assert answer.status_code == 201, answer.text
+    job_id: str = answer.json()["id"]
+    return job_id
+
+
+def park(client: httpx.Client, name: str, **more: Any) -> str:
+    """Submit a job that no worker of the tests takes: none runs rcssserver3d."""
+    return submit(client, name, steps=ENDLESS, simulator="rcssserver3d", **more)
+
+
+def wait_for(client: httpx.Client, job_id: str, *states: str, timeout_s: float = 240) -> dict[str, Any]:
+    deadline = time.monotonic() + timeout_s
+    while (job := client.get(f"/jobs/{job_id}").json())["state"] not in states:
+        assert time.monotonic() < deadline, f"{job_id} is {job['state']}, not {' or '.join(states)}: {job['error']}"
+        time.sleep(0.1)
+    found: dict[str, Any] = job
+    return found
+
+
+def painted(browser: Browser, selector: str) -> int:
+    """Return how many pixels of a canvas are not blank."""
+    browser.allowed.append("willReadFrequently")  # that is about reading the canvas here
+    count: int = browser.js(
+        """
+        const c = document.querySelector(arguments[0]);
+        if (!c || !c.width) return 0;
+        const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+        let n = 0;
+        for (let i = 3; i < d.length; i += 4) if (d[i]) n += 1;
+        return n;
+        """,
+        selector,
+    )
+    return count
+
+
+def choose(browser: Browser, selector: str, value: str) -> None:
+    """Choose an entry of a select by its value."""
+    browser.js(
+        "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('change'))",
+        browser.find(selector),
+        value,
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(stack: Stack) -> tuple[str, dict[str, Any]]:
+    """A token and a job that is trained and evaluated."""
+    token = stack.make_token("finisher", "submit")
+    with stack.client(token) as client:
+        body = {
+            "name": "first-steps",
+            "tags": ["demo"],
+            "spec": {**TINY, "total_steps": 2048, "checkpoint_interval_steps": 512, "n_envs": 8},
+            "evaluation": {"episodes": 12, "trajectories": 8, "bootstrap_resamples": 100},
+        }
+        job_id = client.post("/jobs", json=body).json()["id"]
+        return token, wait_for(client, job_id, "succeeded", "failed")
+
+
+def test_sign_in_says_what_is_wrong_and_keeps_the_place(browser: Browser, client: httpx.Client, token: str) -> None:
+    job_id = park(client, "waiting")
+    browser.allowed.append("401")
+    browser.open(f"/jobs/{job_id}/log")
+    browser.find("button[type=submit]").click()
+    browser.shows("Paste a token first")
+    browser.find("#token").send_keys("nao_wrong")
+    browser.find("button[type=submit]").click()
+    browser.shows("does not know this token")
+    browser.find("#token").clear()
+    browser.find("#token").send_keys(token, Keys.ENTER)
+    assert browser.find(".log")
+    assert browser.text("h1") == "waiting"
+    browser.find("button[aria-label='Sign out']").click()
+    assert browser.find("#token").get_attribute("value") == ""
+    assert browser.js("return [sessionStorage.length, localStorage.getItem('naosprint.token')]") == [0, None]
+
+
+def test_a_token_in_the_address_signs_in_and_leaves_the_address(browser: Browser, token: str) -> None:
+    browser.open(f"/?token={token}")
+    browser.shows("No jobs yet")
+    assert token not in browser.driver.current_url
+
+
+def test_empty_pages_say_what_to_do(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    browser.shows("Submit one and watch a robot learn to run")
+    browser.open("/compare")
+    browser.shows("Nothing to compare yet")
+    browser.open("/nowhere")
+    browser.shows("There is no such page")
+    browser.allowed.append("404")
+    browser.open("/jobs/job_00000000000000000000000000")
+    browser.shows("Not found")
+    browser.open("/workers")
+    browser.shows("Alive")
+
+
+def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.find("main .button.primary").click()
+    browser.find("[name='spec.total_steps']")
+    for details in browser.all("details"):
+        browser.js("arguments[0].open = true", details)
+    browser.js(
+        "const s = document.querySelector(\"[name='spec.task']\");"
+        "s.value = [...s.options].find((o) => o.text === 'sprint2').value; s.dispatchEvent(new Event('change'))"
+    )
+    for name, value in TINY.items():
+        if name != "task":
+            browser.set(f"[name='spec.{name}']", ", ".join(map(str, value)) if isinstance(value, list) else str(value))
+    browser.set("[name='spec.total_steps']", "0.5k")
+    browser.set("[name='evaluation.episodes']", "4")
+    browser.set("[name='evaluation.bootstrap_resamples']", "100")
+    browser.set("[name='name']", "from the form")
+    browser.set("[name='tags']", "form, e2e")
+    browser.shows("8 of 64 steps", "aside")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("from the form", "h1")
+    job = client.get("/jobs").json()["items"][0]
+    assert job["id"] in browser.driver.current_url
+    assert job["tags"] == ["form", "e2e"]
+    assert {name: job["spec"][name] for name in TINY} == TINY
+    assert job["spec"]["total_steps"] == 500
+    assert job["evaluation"]["episodes"] == 4
+    # Nothing is loaded anew from here on: what follows came over the stream.
+    browser.shows("Succeeded", ".page-head", timeout_s=240)
+    browser.shows("512of 512", ".stats")
+    browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no curve was drawn")
+    browser.find("[data-tab=log]").click()
+    lines = [line["message"] for line in client.get(f"/jobs/{job['id']}/logs").json()["items"]]
+    browser.until(lambda: browser.all(".log") and [e.text for e in browser.all(".log .msg")] == lines)
+    browser.find("[data-tab=history]").click()
+    events = [event["kind"] for event in client.get(f"/jobs/{job['id']}/events").json()["items"]]
+    assert {"queued", "running", "succeeded"} <= set(events)
+    browser.until(lambda: [e.get_attribute("data-kind") for e in browser.all(".timeline li")] == events[::-1])
+    browser.find("[data-tab=evaluation]").click()
+    browser.shows("Speed by start line", timeout_s=240)
+
+
+def test_the_form_names_the_field_that_is_wrong(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.set("[name='spec.total_steps']", "many")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("Not a number", "[data-field='spec.total_steps']")
+    assert browser.js("return document.activeElement.name") == "spec.total_steps"
+    browser.set("[name='spec.total_steps']", "0")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("at least 1", "[data-field='spec.total_steps']")
+    browser.set("[name='spec.total_steps']", "1M")
+    browser.set("[name='tags']", "not/ok?")
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+    browser.set("[name='spec.batch_size']", "4095")
+    browser.allowed.append("422")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("The service refused this job")
+    browser.until(lambda: browser.all("[data-field] [aria-invalid]"))
+    browser.set("[name='tags']", "ok")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("does not divide", "[data-field='spec.batch_size']")
+    assert client.get("/jobs").json()["items"] == []
+
+
+def test_presets_fill_the_form_and_keep_what_was_chosen(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.find("[name='spec.seed']")
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+    value: Callable[[str], str] = lambda name: browser.find(f"[name='spec.{name}']").get_attribute("value") or ""  # noqa: E731
+    browser.set("[name='spec.clip_range']", "0.15")
+    browser.find("input[value=paper]").click()
+    assert (value("n_envs"), value("n_steps"), value("batch_size"), value("clip_range")) == (
+        "19",
+        "4096",
+        "1216",
+        "0.15",
+    )
+    browser.find("[data-field='spec.clip_range'] .reset").click()
+    assert value("clip_range") == "0.1"
+    browser.find("input[value=fast]").click()
+    assert (value("n_envs"), value("clip_range")) == ("128", "0.2")
+
+
+def test_several_seeds_make_a_group_to_compare(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.open("/submit")
+    for name, value in TINY.items():
+        if name != "task":
+            browser.find("[name='spec.seed']")
+            browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+            browser.set(f"[name='spec.{name}']", ", ".join(map(str, value)) if isinstance(value, list) else str(value))
+    browser.set("[name='spec.total_steps']", "256")
+    browser.set("[name='spec.seed']", "0-2")
+    browser.js("document.querySelector('#judge').click()")
+    button = browser.find("aside button[type=submit]")
+    assert button.text == "Submit 3 jobs"
+    button.click()
+    browser.find(".legend")
+    jobs = client.get("/jobs").json()["items"]
+    assert sorted(job["spec"]["seed"] for job in jobs) == [0, 1, 2]
+    assert len({job["group_id"] for job in jobs}) == 1
+    assert all(job["evaluation"] is None for job in jobs)
+    for job in jobs:
+        wait_for(client, job["id"], "succeeded")
+    browser.until(lambda: [e.text for e in browser.all("tbody .state")] == ["Succeeded"] * 3)
+    browser.shows("(3)", ".legend")
+    browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no curve was drawn")
+
+
+def test_pause_resume_and_cancel(browser: Browser, token: str, client: httpx.Client) -> None:
+    job_id = submit(client, "long-run", steps=ENDLESS)
+    wait_for(client, job_id, "running")
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.find("[data-action=pause]").click()
+    browser.shows("Paused", ".page-head", timeout_s=240)
+    browser.find("[data-action=resume]").click()
+    browser.shows("Running", ".page-head", timeout_s=240)
+    browser.find("[data-action=cancel]").click()
+    browser.find("dialog button[value=no]").click()
+    assert client.get(f"/jobs/{job_id}").json()["cancel_requested"] is False
+    browser.find("[data-action=cancel]").click()
+    browser.find("dialog button[value=yes]").click()
+    browser.shows("Cancelled", ".page-head", timeout_s=240)
+    assert client.get(f"/jobs/{job_id}").json()["state"] == "cancelled"
+    assert browser.find("[data-action=retry]")
+    browser.find("[data-action=delete]").click()
+    browser.find("dialog button[value=yes]").click()
+    browser.shows("No jobs yet")
+    assert client.get(f"/jobs/{job_id}").status_code == 404
+
+
+def test_the_list_is_live_and_filters(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.shows("No jobs yet")
+    first = park(client, "alpha", tags=("red",))
+    browser.find(f"tr[data-job={first}]")
+    second = park(client, "beta <img src=x onerror=alert(1)>", tags=("blue",))
+    browser.shows("beta <img src=x onerror=alert(1)>", "tbody")
+    for job_id in (first, second):
+        browser.find(f"tr[data-job={job_id}] [data-state=queued]")
+        client.post(f"/jobs/{job_id}/cancel")
+        browser.find(f"tr[data-job={job_id}] [data-state=cancelled]")
+    order = [row.get_attribute("data-job") for row in browser.all("tbody tr")]
+    assert order == [second, first]
+    browser.find(f"tr[data-job={first}] .tag").click()
+    browser.until(lambda: len(browser.all("tbody tr")) == 1)
+    browser.find(".filters button[aria-label*='Stop filtering']").click()
+    browser.until(lambda: len(browser.all("tbody tr")) == 2)
+    browser.find("input[type=search]").send_keys("alph")
+    browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
+    browser.find("input[type=search]").send_keys("xyz")
+    browser.shows("No job fits")
+    client.delete(f"/jobs/{second}")
+    browser.open("/")
+    browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
+    client.delete(f"/jobs/{first}")
+    browser.shows("No jobs yet")
+
+
+def test_everything_works_with_the_keyboard_alone(browser: Browser, token: str, client: httpx.Client) -> None:
+    ids = [park(client, f"job-{i}") for i in range(3)]
+    browser.sign_in(token)
+    browser.until(lambda: len(browser.all("tbody tr")) == 3)
+    press: Callable[..., None] = lambda *keys: browser.driver.switch_to.active_element.send_keys(*keys)  # noqa: E731
+    press("j")
+    press("j")
+    assert browser.js("return document.activeElement.closest('tr').dataset.job") == ids[1]
+    press("x")
+    press("k")
+    press("x")
+    assert "2 selected" in browser.text(".select-bar")
+    press(Keys.ENTER)
+    browser.shows("job-2", "h1")
+    press("g")
+    press("c")
+    browser.shows("Nothing to compare yet")
+    press("?")
+    browser.shows("All jobs", "dialog")
+    press(Keys.ESCAPE)
+    browser.until(lambda: not browser.all("dialog"))
+    press("n")
+    browser.find("[name='spec.task']")
+    press("g")
+    press("j")
+    browser.until(lambda: len(browser.all("tbody tr")) == 3)
+    press("/")
+    assert browser.js("return document.activeElement.type") == "search"
+    press(Keys.ESCAPE)
+    before = browser.js("return getComputedStyle(document.body).backgroundColor")
+    press("t")
+    press("t")
+    assert browser.js("return getComputedStyle(document.body).backgroundColor") != before
+    # Every control is reached by Tab and shows where the focus is.
+    browser.open("/")
+    browser.until(lambda: len(browser.all("tbody tr")) == 3)
+    reached = set()
+    for _ in range(40):
+        press(Keys.TAB)
+        reached.add(browser.js("const a = document.activeElement; return a.textContent || a.ariaLabel || a.type"))
+        assert browser.js(
+            "const a = document.activeElement;"
+            "return a === document.body || getComputedStyle(a).outlineStyle !== 'none' || a.type === 'checkbox'"
+        )
+    assert {"Jobs", "Compare", "Workers", "New job", "All", "Failed", "job-0"} <= reached
+
+
+def test_checkpoints_download_as_they_were_stored(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    assert job["state"] == "succeeded", job["error"]
+    browser.driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(browser.downloads)}
+    )
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job['id']}/checkpoints")
+    with stack.client(token) as client:
+        newest = client.get(f"/jobs/{job['id']}/checkpoints").json()[0]
+    row = browser.find(f"tr[data-checkpoint={newest['id']}]")
+    row.find_element("css selector", "summary").click()
+    for file in newest["files"]:
+        browser.find(f"tr[data-checkpoint={newest['id']}] button[aria-label='Download {file['name']}']").click()
+        path = browser.downloads / file["name"].rsplit("/", 1)[-1]
+        browser.until(lambda path=path, size=file["size"]: path.exists() and path.stat().st_size == size)
+        assert hashlib.sha256(path.read_bytes()).hexdigest() == file["sha256"]
+    row.find_element("xpath", ".//button[contains(., 'Download') and not(@aria-label)]").click()
+    tar = browser.downloads / f"first-steps-{newest['step']}.tar"
+    browser.until(lambda: tar.exists() and tar.stat().st_size > newest["size"])
+
+
+def test_the_evaluation_shows_the_service_s_numbers(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    assert job["state"] == "succeeded", job["error"]
+    with stack.client(token) as client:
+        evaluation = client.get(f"/jobs/{job['id']}/evaluations").json()[0]
+    figures = evaluation["summary"]
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job['id']}/evaluation")
+    shown = browser.text(".stack .stats")
+    lines = shown.splitlines()
+    said = {lines[i]: lines[i + 1 : i + 3] for i in range(0, len(lines), 3)}
+    falls, deviation = figures["falls"], figures["paper"]["deviation_deg"]
+    assert said["Falls"][0] == f"{falls['rate'] * 100:.1f} %"
+    assert said["Falls"][1] == f"{falls['ci'][0] * 100:.1f} % to {falls['ci'][1] * 100:.1f} %"
+    assert said["Deviation"] == [f"{deviation['mean']:.2f}°", f"sd {deviation['sd']:.2f}°"]
+    browser.shows("Paths of 8 episodes")
+    assert len(browser.all("svg g[data-episode]")) == 8
+    contact = browser.all("svg[aria-label^='Ground contact'] rect")
+    assert len(contact) > 2
+    choose(browser, "select[aria-label=Episode]", "3")
+    browser.until(lambda: browser.all("svg g[data-episode='3'] path[stroke-width='2.25']"))
+    browser.until(lambda: painted(browser, "[data-chart='Torso height'] canvas") > 200)
+
+
+def test_the_replay_plays_a_recorded_episode(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    assert job["state"] == "succeeded", job["error"]
+    with stack.client(token) as client:
+        files = client.get(f"/jobs/{job['id']}/evaluations").json()[0]["files"]
+        replay = client.get(next(file["url"] for file in files if file["name"] == "replay.json")).json()
+    browser.allowed += ["GPU stall", "software WebGL"]
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job['id']}/replay")
+    canvas = browser.find(".stage canvas")
+
+    def picture() -> Image.Image:
+        frames = "return new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))"
+        browser.module(frames)
+        return Image.open(io.BytesIO(canvas.screenshot_as_png)).convert("RGB")
+
+    def moment(frame: int) -> Image.Image:
+        browser.set(".replay-bar input[type=range]", str(frame))
+        return picture()
+
+    last = replay["frames"] - 1
+    first, end = moment(0), moment(last)
+    assert len(first.getcolors(1 << 24) or []) > 200, "the canvas is blank"
+    assert ImageChops.difference(first, end).getbbox(), "the first frame looks like the last"
+    assert not ImageChops.difference(first, moment(0)).getbbox(), "the same frame looks different"
+    assert browser.text(".replay-time") == f"0.00 / {last * replay['dt_s']:.2f} s"
+    browser.find(".segments button[data-value=side]").click()
+    assert ImageChops.difference(first, picture()).getbbox(), "the camera did not move"
+    browser.find("[data-action=play]").click()
+    browser.until(lambda: not browser.text(".replay-time").startswith("0.00"), message="the replay does not run")
+    browser.find(".stage").send_keys(Keys.SPACE)
+    browser.find(".stage").send_keys(Keys.HOME, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    assert browser.text(".replay-time").startswith("0.04")
+    shown = browser.text(".stats.flat")
+    assert f"{replay['position_m'][2][2]:.3f} m" in shown
+
+
+def test_lineage_leads_from_a_checkpoint_to_the_job_that_continues_it(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job['id']}/checkpoints")
+    browser.find("a[href*='parent=']").click()
+    browser.shows("Starts from a trained policy")
+    browser.set("[name='spec.total_steps']", "512")
+    browser.set("[name='name']", "second-steps")
+    browser.find("aside button[type=submit]").click()
+    browser.shows("second-steps", "h1")
+    browser.find("[data-tab=history]").click()
+    browser.shows("first-steps", ".tree")
+    browser.shows("second-steps", ".tree .tree")
+    with stack.client(token) as client:
+        child = client.get("/jobs", params={"parent": job["id"]}).json()["items"][0]
+        assert child["parent_checkpoint_id"]
+        client.post(f"/jobs/{child['id']}/cancel")
+
+
+def test_a_lost_connection_is_told_and_mends_itself(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client
+) -> None:
+    browser.sign_in(token)
+    browser.find(".link-state[data-state=live]")
+    browser.allowed += [
+        "ERR_CONNECTION_REFUSED",
+        "ERR_EMPTY_RESPONSE",
+        "ERR_INCOMPLETE_CHUNKED_ENCODING",
+        "ERR_CONNECTION_RESET",
+    ]
+    stack.stop_api()
+    try:
+        browser.find(".link-state[data-state=offline]")
+        browser.js("location.hash = '#/workers'")
+        browser.shows("The service does not answer")
+    finally:
+        stack.start_api()
+    browser.find("main button.primary").click()
+    browser.shows("Alive")
+    browser.open("/")
+    browser.find(".link-state[data-state=live]")
+    stack.stop_api()
+    browser.find(".link-state[data-state=offline]")
+    stack.start_api()
+    browser.find(".link-state[data-state=live]")
+    job_id = park(client, "after the outage")
+    browser.find(f"tr[data-job={job_id}]")
+
+
+def test_the_log_follows_its_end_and_filters(browser: Browser, stack: Stack, token: str, client: httpx.Client) -> None:
+    job_id = park(client, "talker")
+
+    def say(*messages: str, level: str = "info") -> None:
+        with stack.sessions.begin() as session:
+            session.add_all(Log(job_id=job_id, attempt=1, level=level, message=message) for message in messages)
+            notify(session, job_id)
+
+    say(*(f"line {i}" for i in range(1500)))
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/log")
+    browser.shows("line 1499", ".log")
+    assert "Earlier lines are left out" in browser.text(".log .mark")
+    say("<b>not bold</b>", level="warning")
+    browser.shows("<b>not bold</b>", ".log")
+    at_end = "const b = document.querySelector('.log'); return b.scrollHeight - b.scrollTop - b.clientHeight < 4"
+    browser.until(lambda: browser.js(at_end), message="the log did not follow its end")
+    browser.js("document.querySelector('.log').scrollTop = 0")
+    browser.until(lambda: browser.all(".card-head button:not([hidden])"))
+    say("while reading above")
+    browser.until(lambda: "while reading above" in browser.js("return document.querySelector('.log').textContent"))
+    assert browser.js("return document.querySelector('.log').scrollTop") == 0
+    choose(browser, ".card-head select", "30")
+    browser.until(lambda: [e.text for e in browser.all(".log .msg")] == ["<b>not bold</b>"])
+
+
+PAGES = (
+    "/",
+    "/submit",
+    "/workers",
+    "job",
+    "job/log",
+    "job/history",
+    "job/checkpoints",
+    "job/evaluation",
+    "job/replay",
+    "job/spec",
+    "compare",
+)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 360])
+def test_every_page_in_both_themes_and_widths(
+    browser: Browser, finished: tuple[str, dict[str, Any]], pictures: Path, theme: str, width: int
+) -> None:
+    token, job = finished
+    browser.allowed += ["GPU stall", "software WebGL"]
+    browser.size(width, 900 if width > 600 else 740)
+    browser.open()
+    browser.theme(theme)
+    browser.picture(pictures / f"sign-in-{width}-{theme}.png")
+    browser.sign_in(token)
+    axe = (pictures.__class__(__file__).parent / "vendor" / "axe-core-4.14.1" / "axe.min.js").read_text()
+    serious: dict[str, list[str]] = {}
+    for page in PAGES:
+        place = {"compare": f"/compare?jobs={job['id']}"}.get(page, page.replace("job", f"/jobs/{job['id']}", 1))
+        browser.open(place if page != "/" else "/")
+        browser.find("h1")
+        browser.until(lambda: not browser.all(".loading"), message=f"{page} never finished loading")
+        assert not browser.all(".sign-in, .empty[role=alert]"), f"{page} shows no content"
+        overflow = browser.js("return document.documentElement.scrollWidth - innerWidth")
+        assert overflow <= 0, f"{page} is {overflow} px wider than the view of {width} px"
+        name = page.strip("/").replace("/", "-") or "jobs"
+        browser.picture(pictures / f"{name}-{width}-{theme}.png")
+        browser.js(axe)
+        result = browser.module("return await axe.run(document, { resultTypes: ['violations'] })")
+        found = [
+            f"{v['id']}: {v['nodes'][0]['html'][:160]}"
+            for v in result["violations"]
+            if v["impact"] in ("serious", "critical")
+        ]
+        if found:
+            serious[page] = found
+    assert serious == {}
+
+
+def test_the_first_view_is_small_and_safe(browser: Browser, stack: Stack, token: str, client: httpx.Client) -> None:
+    page = client.get("/")
+    policy = page.headers["Content-Security-Policy"]
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    browser.sign_in(token)
+    browser.shows("No jobs yet")
+    urls = {url for url in browser.requests() if url.startswith(f"{stack.url}/") and "/ui/favicon.svg" not in url}
+    static = [url.split("#")[0] for url in urls if "/ui/" in url or url.split("#")[0] == f"{stack.url}/"]
+    assert len(static) > 8
+    assert not [url for url in static if "three" in url]
+    size = 0
+    for url in static:
+        body = client.get(url).content
+        size += len(body) if url.endswith(".woff2") else len(gzip.compress(body, 6))
+    assert size < 300_000, f"the first view takes {size} bytes"
