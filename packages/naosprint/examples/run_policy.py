@@ -3,7 +3,7 @@
 The server has to run in sync mode (agentSyncMode). Nobody else may be on the field.
 """
 
-# ruff: noqa: ANN, D, T20, B905
+# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D101, D102, D103, T201
 from __future__ import annotations
 
 import re

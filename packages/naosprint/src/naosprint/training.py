@@ -123,6 +123,10 @@ class _Session:
         """Train until all steps are taken or ``stop`` says so."""
         spec, ppo = self.spec, self.ppo
         checkpoint = self._workdir / _name(ppo.num_timesteps)
+        self._log(
+            f"training {spec.task}, robot type {spec.robot_type}, {spec.simulator}, preset {spec.preset}: "
+            f"{spec.n_envs} environments x {spec.n_steps} steps an update, to {spec.planned_steps:,} steps"
+        )
         began_steps, began_s = ppo.num_timesteps, perf_counter()
         # a first checkpoint at once shows that saving works before hours depend on it
         if began_steps == 0:
@@ -132,7 +136,7 @@ class _Session:
             began = perf_counter()
             if not ppo.collect_rollouts(self.env, None, ppo.rollout_buffer, spec.n_steps, stop):
                 checkpoint = self._save(before)
-                self._reporter.log("info", f"stopped at {before.steps} steps")
+                self._log(f"stopped at {before.steps:,} steps; the last complete update is saved")
                 return TrainResult("stopped", before.steps, checkpoint)
             ppo.train()
             self._updates += 1
@@ -142,8 +146,10 @@ class _Session:
             interval = spec.checkpoint_interval_steps
             if steps // interval > before.steps // interval or steps >= spec.planned_steps:
                 checkpoint = self._save(self._state())
+                self._log(f"checkpoint at {steps:,} steps: {self._progress()}")
         if self._saved_step != ppo.num_timesteps:
             checkpoint = self._save(self._state())
+        self._log(f"finished at {ppo.num_timesteps:,} steps after {self._training_s:.0f} s of training")
         return TrainResult("finished", ppo.num_timesteps, checkpoint)
 
     def resume(self, directory: Path) -> None:
@@ -170,7 +176,7 @@ class _Session:
         self.ppo.num_timesteps = manifest.steps
         self._updates = manifest.updates
         self._training_s = manifest.training_s
-        self._reporter.log("info", f"resumed at {manifest.steps} steps from {directory.name}")
+        self._log(f"resumed at {manifest.steps:,} steps from {directory.name}")
 
     def take_policy(self, directory: Path) -> None:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""
@@ -185,7 +191,16 @@ class _Session:
         self.ppo.load_policy_state(_weights(policy))
         normaliser = self.env.normaliser
         normaliser.load_statistics({**normaliser.state(), **_statistics(policy)})
-        self._reporter.log("info", f"started from the policy of {directory.name} at {manifest.steps} steps")
+        self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
+
+    def _log(self, message: str) -> None:
+        self._reporter.log("info", message)
+
+    def _progress(self) -> str:
+        means = self.env.window.means()
+        words = {"distance_m": "{:.2f} m", "speed_mps": "{:.2f} m/s", "fall_rate": "falls {:.0%}"}
+        figures = [word.format(means[name]) for name, word in words.items() if name in means]
+        return ", ".join(figures) or "no episode has ended yet"
 
     def _policy_arrays(self) -> dict[str, AnyArray]:
         statistics = self.env.normaliser.state()
