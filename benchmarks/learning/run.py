@@ -1,0 +1,387 @@
+"""Measure what is learnt and how fast; write results.json and the plots beside this file.
+
+    python benchmarks/learning/run.py WORKDIR                    # everything, hours of two quiet cores
+    python benchmarks/learning/run.py WORKDIR --only throughput  # or some of it
+    python benchmarks/learning/run.py WORKDIR --only plots       # draw again from results.json
+
+Trainings lie in WORKDIR and are continued, not repeated, when the script is called again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from naosprint.threads import quiet_openmp, set_learner_threads
+
+quiet_openmp()
+
+import numpy as np  # noqa: E402
+from naospec import EvaluationSpec, TrainingSpec  # noqa: E402
+from naosprint import evaluate, figures, train  # noqa: E402
+from naosprint.checkpoint import read_manifest  # noqa: E402
+from naosprint.environment import TRAINING_STARTS, open_training_batch  # noqa: E402
+from naosprint.learner import SprintPPO  # noqa: E402
+from naosprint.report import read_metrics  # noqa: E402
+from naosprint.vec_env import SprintVecEnv  # noqa: E402
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "results.json"
+
+SEEDS = (0, 1, 2)
+STEPS = 10_000_000
+LONG_STEPS = 50_000_000
+EPISODES = 1000
+CURVE_EPISODES = 200
+"""Episodes behind each point of a curve of evaluations."""
+
+MEASURE_S = 20.0
+"""Seconds that each throughput is measured."""
+
+
+class Log:
+    """Append metrics to a file, as the command line does, and show that something happens."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._path = folder / "metrics.jsonl"
+        self._shown = 0.0
+
+    def metrics(self, row: dict[str, float]) -> None:
+        """Keep a row."""
+        with self._path.open("a") as stream:
+            stream.write(json.dumps(row, allow_nan=False) + "\n")
+        if time.monotonic() - self._shown > 30.0:
+            self._shown = time.monotonic()
+            figures_now = f"{row.get('distance_m', 0.0):.2f} m, {row.get('speed_mps', 0.0):.2f} m/s"
+            print(f"  {row['step'] / 1e6:.2f}M steps, {figures_now}, {row['steps_per_s']:,.0f} steps/s")
+
+    def checkpoint(self, path: Path, step: int) -> None:
+        """Say nothing: the folder shows it."""
+
+    def log(self, level: str, message: str) -> None:
+        """Show a line."""
+        print(f"  {level}: {message}")
+
+
+class _Rows(Log):
+    """Keep metrics in memory."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.rows: list[dict[str, float]] = []
+
+    def metrics(self, row: dict[str, float]) -> None:
+        """Keep a row."""
+        self.rows.append(row)
+
+
+def trained(workdir: Path, name: str, spec: TrainingSpec) -> Path:
+    """Return the folder of a finished training, which is begun or continued as needed."""
+    folder = workdir / name
+    checkpoints = sorted(folder.glob("step-*"))
+    latest = checkpoints[-1] if checkpoints else None
+    if latest is None or read_manifest(latest).steps < spec.planned_steps:
+        print(f"{name}: training to {spec.total_steps:,} steps")
+        train(spec, workdir=folder, reporter=Log(folder), resume=latest)
+    return folder
+
+
+def judged(checkpoint: Path, episodes: int) -> dict[str, Any]:
+    """Evaluate a checkpoint once and keep what came of it beside it."""
+    folder = checkpoint.parent / f"evaluation-{checkpoint.name}-{episodes}"
+    if not (folder / "evaluation.json").exists():
+        began = time.perf_counter()
+        evaluation = evaluate(checkpoint, EvaluationSpec(episodes=episodes, seed=1000), threads=2)
+        evaluation.save(folder)
+        print(f"  {checkpoint.name}: {episodes} episodes in {time.perf_counter() - began:.1f} s")
+    summary: dict[str, Any] = json.loads((folder / "evaluation.json").read_text())
+    return summary
+
+
+def digest(folder: Path, spec: TrainingSpec, *, steps: int) -> dict[str, Any]:
+    """Return a training's record: settings, time, final figures, and deterministic figures along the way."""
+    rows = [row for row in read_metrics(folder / "metrics.jsonl") if row["step"] <= steps + spec.rollout_steps]
+    curve = []
+    for checkpoint in sorted(folder.glob("step-*")):
+        at = read_manifest(checkpoint).steps
+        if 0 < at < steps:
+            curve.append({"step": at, **_short(judged(checkpoint, CURVE_EPISODES))})
+    final_checkpoint = max(
+        (path for path in folder.glob("step-*") if read_manifest(path).steps <= steps + spec.rollout_steps),
+        key=lambda path: read_manifest(path).steps,
+    )
+    began = time.perf_counter()
+    summary = judged(final_checkpoint, EPISODES)
+    evaluation_s = time.perf_counter() - began
+    final = {"step": read_manifest(final_checkpoint).steps, **_short(summary)}
+    return {
+        "preset": spec.preset,
+        "seed": spec.seed,
+        "departures": spec.departures(),
+        "training_s": rows[-1]["time_s"],
+        "steps_per_s": rows[-1]["step"] / rows[-1]["time_s"],
+        "evaluation_s": round(evaluation_s, 1) if evaluation_s > 1.0 else None,
+        "final": final,
+        "curve": [*curve, final],
+        "training_curve": _thinned(rows),
+    }
+
+
+def _short(summary: dict[str, Any]) -> dict[str, Any]:
+    paper = summary["paper"]
+    return {
+        "episodes": summary["episodes"],
+        "distance_m": summary["distance_m"]["mean"],
+        "speed_mps": summary["speed_mps"]["mean"],
+        "fall_rate": summary["falls"]["rate"],
+        "fall_rate_ci": summary["falls"]["ci"],
+        "top_speed_mps": paper["top_speed_mps"],
+        "deviation_deg": paper["deviation_deg"]["mean"],
+        "both_feet_off_ground": summary["both_feet_off_ground"]["mean"],
+        "run_challenge_score": summary["run_challenge"]["score"]["mean"],
+    }
+
+
+def _thinned(rows: Sequence[dict[str, float]], points: int = 200) -> dict[str, list[float]]:
+    kept = [row for row in rows if "speed_mps" in row]
+    parts = np.array_split(np.arange(len(kept)), min(points, len(kept)))
+    names = ("step", "time_s", "distance_m", "speed_mps", "fall_rate", "episode_length", "approx_kl", "action_std")
+    return {name: [float(np.mean([kept[i][name] for i in part])) for part in parts] for name in names}
+
+
+def seeds(workdir: Path) -> dict[str, Any]:
+    """Train preset fast with every seed and average."""
+    runs = []
+    for seed in SEEDS:
+        spec = TrainingSpec(seed=seed, total_steps=STEPS)
+        runs.append(digest(trained(workdir, f"fast-{seed}", spec), spec, steps=STEPS))
+    names = ("distance_m", "speed_mps", "fall_rate", "top_speed_mps", "deviation_deg")
+    mean = {name: float(np.mean([run["final"][name] for run in runs])) for name in names}
+    mean["training_s"] = float(np.mean([run["training_s"] for run in runs]))
+    return {"mean": mean, "runs": runs}
+
+
+def long(workdir: Path) -> dict[str, Any]:
+    """Take the first seed on to fifty million steps."""
+    trained(workdir, "fast-0", TrainingSpec(seed=0, total_steps=STEPS))
+    spec = TrainingSpec(seed=0, total_steps=LONG_STEPS, checkpoint_interval_steps=5_000_000)
+    folder = workdir / "fast-0-long"
+    if not folder.exists():
+        # a training that goes on is that of one that never stopped, so the first part need not be repeated
+        subprocess.run(["cp", "-r", str(workdir / "fast-0"), str(folder)], check=True)
+        for left_over in folder.glob("evaluation-*"):
+            subprocess.run(["rm", "-r", str(left_over)], check=True)
+    return digest(trained(workdir, "fast-0-long", spec), spec, steps=LONG_STEPS)
+
+
+def paper(workdir: Path) -> dict[str, Any]:
+    """Train the paper's settings for as many steps."""
+    spec = TrainingSpec(preset="paper", total_steps=STEPS)
+    return digest(trained(workdir, "paper-0", spec), spec, steps=STEPS)
+
+
+def random_policy(workdir: Path) -> dict[str, Any]:
+    """Draw every action uniformly, for as many episodes as a policy is judged by."""
+    del workdir
+    batch, n_starts = open_training_batch(TrainingSpec(simulator_threads=2))
+    rng = np.random.default_rng(0)
+    batch.restart(np.arange(batch.n), np.arange(batch.n) % n_starts)
+    distances: list[float] = []
+    speeds: list[float] = []
+    started = batch.n
+    while len(distances) < EPISODES:
+        batch.step(rng.uniform(-1.0, 1.0, (batch.n, batch.actuation.n_actions)))
+        ended = np.flatnonzero(batch.terminated | batch.truncated)
+        distances += batch.displacement[ended].tolist()
+        speeds += (batch.displacement[ended] / batch.elapsed_s()[ended]).tolist()
+        batch.restart(ended, (started + np.arange(len(ended))) % TRAINING_STARTS)
+        started += len(ended)
+    return {
+        "episodes": len(distances),
+        "distance_m": float(np.mean(distances)),
+        "speed_mps": float(np.mean(speeds)),
+        "fall_rate": 1.0,
+    }
+
+
+def throughput(workdir: Path) -> dict[str, Any]:
+    """Measure the engine alone, the environments, the learner alone, and the whole loop of preset fast."""
+    spec = TrainingSpec(total_steps=10_000_000_000)
+    set_learner_threads(spec.torch_threads)
+    batch, n_starts = open_training_batch(spec)
+    env = SprintVecEnv.from_spec(spec, batch, n_starts)
+    ppo = SprintPPO(spec, env)
+    ppo.begin()
+    ppo.collect_rollouts(env, None, ppo.rollout_buffer, spec.n_steps)
+    rng = np.random.default_rng(0)
+    actions = 0.2 * rng.standard_normal((64, batch.n, batch.actuation.n_actions))
+    targets = [batch.actuation.targets(a) for a in actions]
+    simulator, place = batch.simulator, iter(range(1 << 62))
+
+    def engine() -> int:
+        angles = simulator.perceptors.joint_angles
+        simulator.step(batch.actuation.speeds(targets[next(place) % len(targets)], angles))
+        return batch.n
+
+    def environments() -> int:
+        env.advance(actions[next(place) % len(actions)])
+        return batch.n
+
+    def learner() -> int:
+        # without taking a step, so that the divergence that ends an update early does not grow
+        ppo.rate_factor = 0.0
+        ppo.train()
+        return spec.rollout_steps
+
+    env.reset()
+    found = {"environments": _rate(environments), "learner": _rate(learner)}
+    env.reset()
+    # robots that lie on the ground cost more than running ones: start over now and then
+    found["engine"] = _rate(engine, every=100, then=lambda: env.reset())
+    batch.close()
+    log = _Rows(workdir / "throughput")
+    limit = time.monotonic() + MEASURE_S + 5.0
+    train(spec, workdir=workdir / "throughput", reporter=log, stop=lambda: time.monotonic() > limit)
+    late = [row for row in log.rows if row["time_s"] > 5.0]
+    span = late[-1]["time_s"] - late[0]["time_s"]
+    found["whole_loop"] = (late[-1]["step"] - late[0]["step"]) / span
+    found["collect_share"] = float(np.mean([row["collect_s"] / (row["collect_s"] + row["learn_s"]) for row in late]))
+    bound = 1.0 / (1.0 / found["engine"] + 1.0 / found["learner"])
+    found["bound_of_engine_and_learner"] = bound
+    found["whole_loop_of_bound"] = found["whole_loop"] / bound
+    return found
+
+
+def _rate(work: Callable[[], int], *, every: int = 0, then: Callable[[], object] = lambda: None) -> float:
+    """Return units of work per second of ``work``, not counting what is done ``every`` so many calls in between."""
+    work()
+    done, spent, calls = 0, 0.0, 0
+    while spent < MEASURE_S:
+        began = time.perf_counter()
+        done += work()
+        spent += time.perf_counter() - began
+        calls += 1
+        if every and calls % every == 0:
+            then()
+    return done / spent
+
+
+SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "throughput": throughput,
+    "random": random_policy,
+    "seeds": seeds,
+    "paper": paper,
+    "long": long,
+}
+
+
+def machine() -> dict[str, Any]:
+    """Say what this was measured on."""
+    model = next(
+        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.processor(),
+    )
+    return {
+        "processor": model,
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("torch", "stable-baselines3", "numpy", "naosim", "naosprint")},
+    }
+
+
+def plots(results: dict[str, Any]) -> None:
+    """Draw the curves that results.json holds."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    palette = ("#1b8a6b", "#2c6fbb", "#8a6fb8")
+    with mpl.rc_context(figures.style()):
+        if "seeds" in results:
+            figure = Figure(figsize=(9.0, 6.4), layout="constrained")
+            panels = figure.subplots(3, 1, sharex=True)
+            lines = [(f"fast, seed {run['seed']}", run, palette[i]) for i, run in enumerate(results["seeds"]["runs"])]
+            if "paper" in results:
+                lines.append(("paper, seed 0", results["paper"], "#555c65"))
+            for label, run, colour in lines:
+                for axes, name in zip(panels, ("distance_m", "speed_mps", "fall_rate"), strict=True):
+                    scale = 100.0 if name == "fall_rate" else 1.0
+                    curve = run["training_curve"]
+                    at = np.array(curve["step"]) / 1e6
+                    axes.plot(at, scale * np.array(curve[name]), color=colour, lw=0.9, alpha=0.45)
+                    marks = [(point["step"] / 1e6, scale * point[name]) for point in run["curve"]]
+                    axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=colour, label=label)
+            for axes, name in zip(panels, ("distance, m", "mean speed, m/s", "falls, %"), strict=True):
+                axes.set_ylabel(name)
+                axes.set_ylim(0.0, None)
+            panels[0].legend(loc="lower right", fontsize=8.5)
+            panels[0].set_title("points: the deterministic policy; thin lines: training, exploring", fontsize=8.5)
+            panels[-1].set_xlabel("environment steps, millions")
+            _save(figure, "learning")
+        if "long" in results:
+            run = results["long"]
+            figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+            axes = figure.subplots()
+            marks = [(point["step"] / 1e6, point["speed_mps"]) for point in run["curve"]]
+            axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=palette[0], label="mean, start included")
+            marks = [(p["step"] / 1e6, p["top_speed_mps"]) for p in run["curve"] if p["top_speed_mps"] is not None]
+            axes.plot(
+                *zip(*marks, strict=True), "^-", ms=3.5, lw=1.2, color=palette[1], label="top, the paper's measure"
+            )
+            for speed, label in figures.SPEEDS_TO_BEAT_MPS:
+                axes.axhline(speed, color="#b3402e", lw=1.0, ls="--")
+                axes.annotate(
+                    label,
+                    (0.0, speed),
+                    (4, 3),
+                    xycoords=("axes fraction", "data"),
+                    textcoords="offset points",
+                    fontsize=8.5,
+                    color="#b3402e",
+                )
+            axes.set_ylim(0.0, 4.4)
+            axes.set_ylabel("speed, m/s")
+            axes.set_xlabel("environment steps, millions")
+            axes.legend(loc="lower right", fontsize=8.5)
+            _save(figure, "long")
+
+
+def _save(figure: Any, name: str) -> None:
+    figure.savefig(HERE / f"{name}.svg", metadata={"Date": None})
+    figure.savefig(HERE / f"{name}.png", dpi=130)
+
+
+def main() -> int:
+    """Run the sections asked for and write what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("workdir", type=Path, help="folder for trainings; may be deleted afterwards")
+    parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "plots"], help="some sections instead of all")
+    options = parser.parse_args()
+    results: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for name in options.only or [*SECTIONS, "plots"]:
+        if name == "plots":
+            plots(results)
+            continue
+        print(name)
+        results[name] = {
+            **SECTIONS[name](options.workdir),
+            "measured": {"on": datetime.now(UTC).date().isoformat(), **machine()},
+        }
+        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
