@@ -205,9 +205,19 @@ def test_a_downloaded_policy_gives_the_same_figures(naoctl: Shell, job: dict[str
     figures = json.loads(again.stdout)
     assert differences(reported, figures) == []
     assert count_numbers(figures) > 50
-    before = {path: path.stat().st_mtime_ns for folder in fetched.values() for path in folder.iterdir()}
+    before = {
+        path: path.stat().st_mtime_ns for kind in ("checkpoint", "evaluation") for path in fetched[kind].iterdir()
+    }
     naoctl("download", "tiny", "-o", str(naoctl.home / "out"))
     assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_a_page_and_an_export_of_the_policy(naoctl: Shell, job: dict[str, Any]) -> None:
+    page = Path(naoctl.json("report", "tiny", "-o", str(naoctl.home / "out"), "--no-film")["page"])
+    assert "tiny" in page.read_text(encoding="utf-8")
+    assert (page.parent / "learning-curve.csv").stat().st_size > 0
+    files = naoctl.json("export", "tiny", "-o", str(naoctl.home / "out"))["files"]
+    assert "policy.onnx" in {Path(name).name for name in files}
 
 
 def test_a_judgement_on_request(naoctl: Shell, job: dict[str, Any]) -> None:

@@ -234,9 +234,16 @@ def test_download_checks_every_file(server: Any, naoctl: Callable[..., Ran], job
     server.on("GET", path)(lambda request: request.json(job()))
     server.on("GET", f"{path}/checkpoints")(lambda request: request.json(points))
     server.on("GET", f"{path}/evaluations")(lambda request: request.json([]))
+    columns = {"step": [10, 20], "reward": [None, 1.5]}
+    server.on("GET", f"{path}/metrics")(lambda request: request.json({"columns": columns, "rows": 2, "total_rows": 2}))
     server.on("GET", file["url"])(lambda request: request.raw(content))
     ran = naoctl("download", job()["id"], "-o", str(tmp_path / "out"), "--json")
-    assert [item["id"] for item in json.loads(ran.out)] == ["ckpt_2"]
+    assert [(item["kind"], item["id"]) for item in json.loads(ran.out)] == [
+        ("checkpoint", "ckpt_2"),
+        ("metrics", job()["id"]),
+    ]
+    rows = [json.loads(line) for line in (tmp_path / "out" / "metrics.jsonl").read_text().splitlines()]
+    assert rows == [{"step": 10}, {"step": 20, "reward": 1.5}]
     assert (tmp_path / "out" / "checkpoint-000000000020" / "policy.npz").read_bytes() == content
     assert naoctl("download", job()["id"], "-c", "10", "-o", str(tmp_path / "out")).code == 0
     assert naoctl("download", job()["id"], "-c", "11").code == ExitCode.NOT_FOUND
