@@ -52,10 +52,8 @@ def libode(commands: np.ndarray, robot_type: int, height: float) -> tuple[np.nda
     lines += [" ".join(repr(float(x)) for x in row[order]) for row in commands]
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder) / "ode_oracle"
-        subprocess.run(
-            [os.environ.get("CXX", "g++"), "-O3", "-march=native", "-std=c++17", HERE / "ode_oracle.cpp", "-o", program, "-lode"],
-            check=True,
-        )
+        compiler = [os.environ.get("CXX", "g++"), "-O3", "-march=native", "-std=c++17"]
+        subprocess.run([*compiler, HERE / "ode_oracle.cpp", "-o", program, "-lode"], check=True)
         out = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True).stdout
     rows = out.split("\n")
     path = np.array([[float(x) for x in row.split()] for row in rows[: len(commands)]])
@@ -63,7 +61,7 @@ def libode(commands: np.ndarray, robot_type: int, height: float) -> tuple[np.nda
 
 
 def naosim(commands: np.ndarray, robot_type: int, height: float, batch: int) -> float:
-    """Run the commands in a whole batch, each environment a little later than the last; return the seconds inside the steps."""
+    """Run the commands in a whole batch, each environment a little later than the last; return the seconds in steps."""
     sim = BatchSimulator(batch, robot_type, digits=None, self_collision=False)
     sim.beam((0.0, 0.0, height))
     seconds = 0.0

@@ -94,8 +94,10 @@ nb::ndarray<nb::numpy, double> view(std::vector<double>& data, std::initializer_
 
 }  // namespace
 
+void bind_protocol(nb::module_& m);  // protocol_bindings.cpp
 
 NB_MODULE(_core, m) {
+  bind_protocol(m);
   nb::class_<Batch>(m, "Batch")
       .def("__init__",
            [](Batch* self, const nb::dict& table, int n, int threads, int digits, bool self_collision, const std::string& kernel) {

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 DIGITS = (2, 3, None)
-"""Decimals of the perceptors: 2 as the league's server prints, 3 as the development version, None for full precision."""
+"""Decimals of the perceptors: 2 as the league's server prints, 3 as a development version, None for full precision."""
 
 BODY_STATE = 13
 """Numbers a body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""

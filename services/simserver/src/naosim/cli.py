@@ -1,9 +1,10 @@
-"""The `naosim` command: check the engine against recordings, measure its speed, show the robot tables."""
+"""The `naosim` command: check the engine, measure its speed, show the robot tables, serve the network protocol."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -49,6 +50,30 @@ def _robot(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _serve(arguments: argparse.Namespace) -> int:
+    from naosim import server  # the other commands need no network
+
+    settings = server.ServerSettings(
+        host=arguments.host,
+        agent_port=arguments.agent_port,
+        monitor_port=arguments.server_port,
+        realtime=arguments.realtime,
+        digits=arguments.digits,
+        seed=arguments.seed,
+        noise=not arguments.no_noise,
+        max_agents=arguments.max_agents,
+        max_connections=arguments.max_connections,
+    )
+    level = logging.WARNING if arguments.quiet else logging.INFO
+    logging.basicConfig(level=level, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    try:
+        server.serve(settings)
+    except OSError as error:
+        sys.stderr.write(f"naosim: {arguments.host}, ports {arguments.agent_port}, {arguments.server_port}: {error}\n")
+        return 1
+    return 0
+
+
 def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
 
@@ -71,6 +96,27 @@ def _parser() -> argparse.ArgumentParser:
     robot = commands.add_parser("robot", help="print a robot table as JSON")
     robot.add_argument("robot_type", type=int)
     robot.set_defaults(run=_robot)
+    serve = commands.add_parser(
+        "serve",
+        help="stand in for rcssserver3d: agent port and monitor port on the embedded engine",
+        description="Every robot is alone on a field of its own; see docs/how-to/rcssserver3d.md.",
+    )
+    serve.add_argument(
+        "--host", default="127.0.0.1", help="address to listen on (default: %(default)s, this machine only)"
+    )
+    serve.add_argument("--agent-port", type=int, default=3100, help="default: %(default)s; 0 takes a free one")
+    serve.add_argument("--server-port", type=int, default=3200, help="monitor port; default: %(default)s")
+    pace = serve.add_mutually_exclusive_group()
+    pace.add_argument("--sync", action="store_true", help="a cycle runs when its agent sends (syn) (default)")
+    pace.add_argument("--realtime", action="store_true", help="50 cycles a second")
+    serve.add_argument("--digits", type=int, choices=(2, 3), default=2, help="decimals of perceptors (default: 2)")
+    serve.add_argument("--seed", type=int, help="of vision and beam noise (default: a random one)")
+    serve.add_argument("--no-noise", action="store_true", help="vision and beams without noise")
+    serve.add_argument("--max-agents", type=int, default=64)
+    serve.add_argument("--max-connections", type=int, default=512)
+    serve.add_argument("--script-path", help=argparse.SUPPRESS)  # of the real server; there is no script here
+    serve.add_argument("--quiet", action="store_true", help="log warnings only")
+    serve.set_defaults(run=_serve)
     return parser
 
 

@@ -1,0 +1,450 @@
+"""Many robots on rcssserver3d servers, one server each, driven from one process as if they were a `BatchSimulator`.
+
+A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side. What
+goes wrong with a server never raises from `step`: the environment is marked in `failed`, `reason` says why, and
+`replace` starts another server in its place.
+
+The trainer's connection gives the ground truth. Servers send a pose again once it has changed by more than 0.005
+(metres or matrix elements), so a truth is that exact, no more, unless `exact` asks for full frames.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from naosim import _core, robots
+from naosim.batch import Flags, Floats, Perceptors
+from naosim.launcher import Address, Launcher, ServerHandle
+from naosim.robots import RobotModel
+
+logger = logging.getLogger(__name__)
+
+_QUIET_S = 0.1
+"""A server in sync mode that says nothing for so long is waiting for its agent."""
+
+_LANDING_CYCLES = 15
+"""A trainer's move shows up within so many cycles."""
+
+_LIFT_M = 1.0
+_GAIN = 7.0
+"""rad/s of joint speed a rad of error, while a robot is untangled in the air."""
+
+_NUDGE = 1e-3
+"""rad/s: any motor that turns wakes a robot."""
+
+_UNTANGLED_DEG = 1.0
+_UNTANGLE_CYCLES = 150
+_FREEZE_CYCLES = 150
+"""3 s: after these no joint is frozen by the self-collision rule, and the clock may be set back."""
+
+_CLOCK_S = 200.0
+"""The game's clock is set back once it is later than this: a half ends after 300 s."""
+
+_PARKED_BALL = (0.0, 9.5, 0.042)
+
+
+class ServerLostError(RuntimeError):
+    """More servers were lost than are allowed."""
+
+
+class RemoteTruth:
+    """Where the robots are, as the monitor ports show it. Arrays are views that every step overwrites."""
+
+    def __init__(self, views: dict[str, Floats]) -> None:
+        self.torso_position = views["torso_position"]
+        """(n, 3), m."""
+        self.torso_rotation = views["torso_rotation"]
+        """(n, 3, 3), columns are the torso's right, front and up."""
+        self.ball = views["ball"]
+        """(n, 3), m."""
+
+
+class RemoteBatch:
+    """Step one robot on each of n servers.
+
+    Args:
+        servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
+            run already; those cannot be replaced.
+        n: number of servers; only with a launcher.
+        robot_type: 0 to 4.
+        team: name of the robots' team; they play number `uniform_number` on the left.
+        uniform_number: 1 to 11.
+        timeout_s: a server that does not answer for so long has failed.
+        start_timeout_s: the same for the start of a server and its first answers.
+        max_failures: so many servers may be replaced before `replace` gives up.
+        exact: ask for the full scene in every cycle; much slower, exact to six digits.
+
+    Raises:
+        ValueError: an argument is out of range.
+        ServerLostError: a server did not start; the message says why.
+    """
+
+    def __init__(
+        self,
+        servers: Launcher | Sequence[Address],
+        n: int | None = None,
+        robot_type: int = 0,
+        *,
+        team: str = "naosim",
+        uniform_number: int = 1,
+        timeout_s: float = 10.0,
+        start_timeout_s: float = 60.0,
+        max_failures: int = 100,
+        exact: bool = False,
+    ) -> None:
+        self._launcher: Launcher | None
+        self._addresses: Sequence[Address]
+        if isinstance(servers, Sequence):
+            self._launcher, self._addresses = None, servers
+            if n is not None and n != len(servers):
+                raise ValueError(f"n: {n} servers wanted, {len(servers)} addresses given")
+            n = len(servers)
+        else:
+            self._launcher, self._addresses = servers, ()
+        if n is None or n < 1:
+            raise ValueError(f"n: must be at least 1, not {n}")
+        if not team or not team.isalnum() or not team.isascii():
+            raise ValueError(f"team: must be letters and digits, not {team!r}")
+        if not 1 <= uniform_number <= 11:
+            raise ValueError(f"uniform_number: must be from 1 to 11, not {uniform_number}")
+        self.n = n
+        self.model: RobotModel = robots.model(robot_type)
+        self.robot_type = robot_type
+        self.restarts = 0
+        """How many servers have been replaced."""
+        self._team, self._number = team, uniform_number
+        self._timeout_s, self._start_timeout_s = timeout_s, start_timeout_s
+        self._max_failures, self._exact = max_failures, exact
+        self._exchange = _core.Exchange(
+            n, list(self.model.joint_names), [joint.effector for joint in self.model.joints]
+        )
+        views: dict[str, Floats] = self._exchange.views()
+        self._game_time = views["game_time"]
+        self.perceptors = Perceptors(**{name: views[name] for name in Perceptors.__dataclass_fields__})
+        self.truth = RemoteTruth(views)
+        self.failed: Flags = np.zeros(n, dtype=np.bool_)
+        """(n,), environments whose server is lost; they keep still until replaced."""
+        self._handles: list[ServerHandle | None] = [None] * n
+        self._lock = threading.RLock()
+        self._still = np.zeros((n, len(self.model.joints)))
+        self._nudge = self._still.copy()
+        self._nudge[:, self.model.joint_index["hj1"]] = _NUDGE
+        try:
+            self._open(range(n))
+            for row in range(n):
+                if self.failed[row]:
+                    raise ServerLostError(f"server {row}: {self.reason(row)}")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> RemoteBatch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reason(self, row: int) -> str:
+        """Return why an environment has failed, or an empty string."""
+        text = self._exchange.failure(row)
+        handle = self._handles[row]
+        if not text:
+            return ""
+        return f"{text} ({handle.describe()})" if handle is not None else text
+
+    def step(self, speeds: ArrayLike, mask: ArrayLike | None = None) -> None:
+        """Send joint speeds and run one cycle on every server that has not failed.
+
+        Args:
+            speeds: (n, joints), rad/s.
+            mask: (n,), which environments; the others keep still. Default all.
+
+        Raises:
+            ValueError: wrong shape, or a speed is not finite; nothing has been sent then.
+        """
+        commands = np.ascontiguousarray(speeds, dtype=np.float64)
+        if commands.shape != self._still.shape:
+            raise ValueError(f"speeds: must have shape {self._still.shape}, not {commands.shape}")
+        rows = self._rows(mask)
+        if not np.isfinite(commands if rows is None else commands[rows.view(np.bool_)]).all():
+            raise ValueError("speeds: must be finite numbers")
+        with self._lock:
+            if self._exact:
+                for row in np.flatnonzero(~self.failed if rows is None else rows.view(np.bool_) & ~self.failed):
+                    self._trainer(int(row), "(reqfullstate)")
+            if self._exchange.step(commands, rows, self._timeout_s) != np.count_nonzero(self.failed):
+                self._note_failures()
+
+    def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:
+        """Move robots as the trainer's `move` does and wait until they are there.
+
+        A cycle or two pass meanwhile, with joints held still but for the head, whose motion keeps the robot awake: a
+        sleeping robot that is moved stays in the air. So robots that are put in the air have fallen a little.
+
+        Args:
+            position: (3,) or (n, 3), the torso's centre, m.
+            yaw_deg: scalar or (n,); 0 faces world +y, -90 faces +x.
+            mask: (n,), which environments; default all.
+
+        Raises:
+            ValueError: wrong shape or not finite.
+        """
+        where = np.broadcast_to(np.asarray(position, dtype=np.float64), (self.n, 3))
+        yaw = np.broadcast_to(np.asarray(yaw_deg, dtype=np.float64), (self.n,))
+        if not (np.isfinite(where).all() and np.isfinite(yaw).all()):
+            raise ValueError("position, yaw_deg: must be finite")
+        rows = self._rows(mask)
+        moved = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
+        todo = moved.copy()
+        with self._lock:
+            for row in np.flatnonzero(todo):
+                self._move(int(row), where[row], float(yaw[row]))
+            for _ in range(_LANDING_CYCLES):
+                self.step(self._nudge, todo)
+                todo &= ~self.failed
+                todo[todo] = ~self._arrived(where[todo], yaw[todo], np.flatnonzero(todo))
+                if not todo.any():
+                    break
+            # one that was about to fall asleep has done so in the first cycle; the second wakes it
+            self.step(self._nudge, moved & ~self.failed)
+            for row in np.flatnonzero(todo & ~self.failed):
+                self._exchange.fail(int(row), f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
+            self._note_failures()
+
+    def reset(self, mask: ArrayLike | None = None) -> None:
+        """Untangle robots: hold them in the air until all joints are at 0; the caller beams them down then."""
+        rows = self._rows(mask)
+        todo = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
+        late = todo & (self._game_time > _CLOCK_S)
+        lifted = np.array([0.0, 0.0, self.model.standing_height + _LIFT_M])
+        with self._lock:
+            for cycle in range(_UNTANGLE_CYCLES):
+                for row in np.flatnonzero(todo):
+                    self._move(int(row), lifted, -90.0)
+                angles = self.perceptors.joint_angles
+                self.step(np.clip(-_GAIN * np.deg2rad(angles), -self.model.max_speed, self.model.max_speed), todo)
+                todo &= ~self.failed
+                straight = np.abs(angles).max(axis=1) < _UNTANGLED_DEG
+                todo &= ~straight | (late & (cycle < _FREEZE_CYCLES - 1)) | (cycle < 2)
+                if not todo.any():
+                    break
+            for row in np.flatnonzero(late & ~self.failed):
+                self._trainer(int(row), "(time 0)(playMode PlayOn)")
+
+    def trainer(self, row: int, command: str) -> None:
+        """Send trainer commands, such as `(ball (pos 0 0 0.042))`, to one server."""
+        with self._lock:
+            self._trainer(row, command)
+
+    def replace(self, rows: Sequence[int] | None = None) -> list[int]:
+        """Start new servers for environments that have failed, side by side.
+
+        Args:
+            rows: which; default all that have failed.
+
+        Returns:
+            The environments that have a new server; their robots stand where players enter the field.
+
+        Raises:
+            ServerLostError: more than `max_failures` were lost, a new one does not start, or there is no launcher.
+        """
+        with self._lock:
+            lost = [int(row) for row in (np.flatnonzero(self.failed) if rows is None else rows)]
+            if not lost:
+                return []
+            if self._launcher is None:
+                raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
+            for row in lost:
+                self.restarts += 1
+                logger.warning("environment %d: %s; starting server %d anew", row, self.reason(row), row)
+                if self.restarts > self._max_failures:
+                    raise ServerLostError(
+                        f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
+                        f"the last: environment {row}: {self.reason(row)}"
+                    )
+            self._open(lost)
+            for row in lost:
+                if self.failed[row]:
+                    raise ServerLostError(f"server {row}: {self.reason(row)}")
+            return lost
+
+    @contextmanager
+    def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
+        """Step every server once per interval while the caller is busy: servers drop agents silent for 61 s.
+
+        Joints are held still in those cycles; the world's clock goes on by them.
+        """
+        done = threading.Event()
+
+        def nudge() -> None:
+            while not done.wait(interval_s):
+                self.step(self._still)
+
+        thread = threading.Thread(target=nudge, name="keep servers alive", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    def close(self) -> None:
+        """Close all connections and stop the servers that were started."""
+        with self._lock:
+            for row in range(self.n):
+                self._exchange.detach(row)
+            handles = [handle for handle in self._handles if handle is not None]
+            self._handles = [None] * self.n
+            if handles:
+                with ThreadPoolExecutor(max_workers=min(8, len(handles))) as pool:
+                    list(pool.map(lambda handle: handle.stop(), handles))
+
+    def _rows(self, mask: ArrayLike | None) -> NDArray[np.uint8] | None:
+        if mask is None:
+            return None
+        rows = np.ascontiguousarray(mask)
+        if rows.dtype != np.bool_ or rows.shape != (self.n,):
+            raise ValueError(f"mask: must be bool of shape ({self.n},), not {rows.dtype} of {rows.shape}")
+        return rows.view(np.uint8)
+
+    def _note_failures(self) -> None:
+        for row in range(self.n):
+            if not self.failed[row] and self._exchange.failure(row):
+                self.failed[row] = True
+                logger.warning("environment %d has lost its server: %s", row, self.reason(row))
+
+    def _trainer(self, row: int, command: str) -> None:
+        self._exchange.post(row, True, command.encode())
+
+    def _move(self, row: int, where: Floats, yaw_deg: float) -> None:
+        x, y, z = (float(c) for c in where)
+        place = f"{x:.6f} {y:.6f} {z:.6f} {yaw_deg:.6f}"
+        full = "" if self._exact else "(reqfullstate)"
+        self._trainer(row, f"(agent (unum {self._number})(team Left)(move {place})){full}")
+
+    def _arrived(self, where: Floats, yaw_deg: Floats, rows: NDArray[np.intp]) -> Flags:
+        offset = np.abs(self.truth.torso_position[rows] - where)
+        rotation = self.truth.torso_rotation[rows]
+        yaw = np.deg2rad(yaw_deg)
+        ahead = -np.sin(yaw) * rotation[:, 0, 1] + np.cos(yaw) * rotation[:, 1, 1]
+        near: Flags = (offset[:, :2].max(axis=1) < 0.05) & (offset[:, 2] < 0.08)
+        return near & (rotation[:, 2, 2] > 0.99) & (ahead > 0.99)
+
+    def _open(self, rows: Sequence[int]) -> None:
+        with ThreadPoolExecutor(max_workers=min(8, len(rows))) as pool:
+            list(pool.map(self._open_one, rows))
+
+    def _open_one(self, row: int) -> None:
+        self._exchange.detach(row)
+        deadline = time.monotonic() + self._start_timeout_s
+        problem = ""
+        for _ in range(3):  # a port may be taken by somebody else in the meantime
+            handle, self._handles[row] = self._handles[row], None
+            if handle is not None:
+                handle.stop()
+            try:
+                if self._launcher is not None:
+                    self._handles[row] = handle = self._launcher.start()
+                    address = handle.address
+                else:
+                    address = self._addresses[row]
+                self._connect(row, address, deadline)
+            except OSError as error:
+                problem = str(error)
+                continue
+            self._shake_hands(row, deadline)
+            problem = self._exchange.failure(row)
+            if not problem:
+                self.failed[row] = False
+                return
+        self._exchange.fail(row, problem)
+        self.failed[row] = True
+
+    def _connect(self, row: int, address: Address, deadline: float) -> None:
+        monitor = self._connect_port(row, address.host, address.monitor_port, deadline)
+        try:
+            agent = self._connect_port(row, address.host, address.agent_port, deadline)
+        except OSError:
+            monitor.close()
+            raise
+        self._exchange.attach(row, agent.detach(), monitor.detach())
+
+    def _connect_port(self, row: int, host: str, port: int, deadline: float) -> socket.socket:
+        pause = threading.Event()
+        while True:
+            handle = self._handles[row]
+            if handle is not None and not handle.alive():
+                raise OSError(f"the server has ended ({handle.describe()})")
+            try:
+                connection = socket.create_connection((host, port), timeout=max(0.1, deadline - time.monotonic()))
+            except OSError as error:
+                if time.monotonic() > deadline or self._launcher is None:
+                    raise OSError(f"{host}:{port}: {error}") from error
+                pause.wait(0.02)  # it does not listen yet
+                continue
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setblocking(False)
+            if handle is not None and not handle.owns(port):
+                connection.close()
+                raise OSError(f"{host}:{port}: another process answers")
+            return connection
+
+    def _shake_hands(self, row: int, deadline: float) -> None:
+        exchange = self._exchange
+        only = np.zeros(self.n, dtype=np.uint8)
+        only[row] = 1
+
+        def ask(text: str, frames: int = 0) -> None:
+            exchange.post(row, False, text.encode())
+            exchange.collect(only, 1, frames, max(0.1, deadline - time.monotonic()))
+
+        exchange.choose(row, 1, self._number)
+        ask(f"(scene rsg/agent/nao/nao_hetero.rsg {self.robot_type})")
+        ask(f"(init (unum {self._number})(teamname {self._team}))")
+        for _ in range(10):
+            ask("(syn)")
+            side, number, _mode = exchange.game(row)
+            if side or exchange.failure(row):
+                break
+        else:
+            exchange.fail(row, "the server did not give the robot a team within 10 cycles")
+        if exchange.failure(row):
+            return
+        joints = exchange.counts(row)[2]
+        if joints != len(self.model.joints):
+            exchange.fail(
+                row, f"the robot has {joints} of the {len(self.model.joints)} joints of type {self.robot_type}"
+            )
+        if (side, number) != (1, self._number):
+            exchange.fail(row, f"the robot is number {number}, side {side}; {self._number} on the left was asked for")
+        x, y, z = _PARKED_BALL
+        self._trainer(row, f"(playMode PlayOn)(ball (pos {x} {y} {z})(vel 0 0 0))")
+        exchange.drain(row, _QUIET_S, max(0.1, deadline - time.monotonic()))
+        messages, frames = exchange.counts(row)[:2]
+        for _ in range(4):
+            ask("(syn)", frames=1)
+        exchange.drain(row, _QUIET_S, max(0.1, deadline - time.monotonic()))
+        more_messages, more_frames = (
+            now - before for now, before in zip(exchange.counts(row), (messages, frames), strict=False)
+        )
+        if not exchange.failure(row) and (more_messages, more_frames) != (4, 4):
+            exchange.fail(
+                row,
+                f"in 4 cycles {more_messages} messages and {more_frames} monitor frames came; set "
+                "$agentSyncMode = true, $agentStep = 0.02 and $monitorStep = 0.02",
+            )
+        for _ in range(_LANDING_CYCLES):
+            if exchange.failure(row) or (exchange.scene_complete(row) and exchange.counts(row)[3]):
+                return
+            self._trainer(row, "(reqfullstate)")
+            ask("(syn)", frames=1)
+        exchange.fail(row, "the robot does not show up on the monitor port")

@@ -1,0 +1,274 @@
+"""Start rcssserver3d servers as sidecars: local processes here, containers in `naosim.launcher_docker`.
+
+Ports are reserved by locks that other launchers on this machine respect, and a server counts as started only once it is
+this very process that answers on them. A local server runs in a session and a home directory of its own, under a guard
+that kills it when the process that started it dies, however it dies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Protocol
+
+logger = logging.getLogger(__name__)
+
+_GUARD = Path(__file__).with_name("launcher_guard.py")
+_GRACE_S = 2.0
+_LOG_TAIL = 400
+
+SERVER_SCRIPT = """\
+# Headless and as fast as its agent: one trainer, one robot, no log files, no window.
+$recordLogfile = false
+$enableInternalMonitor = false
+$enableRealTimeMode = false
+$useRealTime = false
+$agentSyncMode = true
+$agentStep = 0.02
+$monitorStep = 0.02
+$serverMultiThreadedMode = false
+$threadedAgentControl = false
+sparkSetupServer()
+sparkResetLogging()
+sparkLogErrorToCerr()
+run "scripts/materials.rb"
+run "naosoccersim.rb"
+"""
+"""What a trainer's rcssserver3d is told with `--script-path`."""
+
+
+@dataclass(frozen=True)
+class Address:
+    """Say where a server listens."""
+
+    host: str
+    agent_port: int
+    monitor_port: int
+
+
+class ServerHandle(Protocol):
+    """Hold on to one started server."""
+
+    @property
+    def address(self) -> Address:
+        """Where it listens."""
+
+    def alive(self) -> bool:
+        """Return whether it still runs."""
+
+    def owns(self, port: int) -> bool:
+        """Return whether it is this server that listens on a port."""
+
+    def describe(self) -> str:
+        """Return who it is, how it ended and its last words."""
+
+    def stop(self) -> None:
+        """End it and everything it started; give its ports back."""
+
+
+class Launcher(Protocol):
+    """Start servers."""
+
+    def start(self) -> ServerHandle:
+        """Start a server; it may not listen yet.
+
+        Raises:
+            OSError: it cannot be started.
+        """
+
+
+class PortLease:
+    """Reserve free TCP ports of this machine among all launchers, for as long as the lease lives."""
+
+    def __init__(self, count: int, host: str = "127.0.0.1") -> None:
+        self.ports: list[int] = []
+        self._locks: list[IO[str]] = []
+        folder = Path(tempfile.gettempdir()) / f"naosim-ports-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        probes = []
+        try:
+            while len(self.ports) < count:
+                probe = socket.socket()
+                probes.append(probe)
+                probe.bind((host, 0))
+                port = probe.getsockname()[1]
+                lock = (folder / str(port)).open("w")
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except OSError:
+                    lock.close()
+                    continue
+                self._locks.append(lock)
+                self.ports.append(port)
+        except OSError:
+            self.release()
+            raise
+        finally:
+            for probe in probes:
+                probe.close()
+
+    def release(self) -> None:
+        """Give the ports back."""
+        for lock in self._locks:
+            with contextlib.suppress(OSError):
+                os.unlink(lock.name)
+            lock.close()
+        self._locks = []
+
+
+class ProcessLauncher:
+    """Start servers as processes of this machine.
+
+    Args:
+        command: the program and its first arguments; `--agent-port`, `--server-port` and, unless it is `naosim`,
+            `--script-path` are added. Default: `rcssserver3d` of the search path.
+        environment: variables to set besides a few that are passed on.
+
+    Raises:
+        FileNotFoundError: there is no such program.
+    """
+
+    def __init__(
+        self, command: Sequence[str] = ("rcssserver3d",), environment: Mapping[str, str] | None = None
+    ) -> None:
+        program = shutil.which(command[0])
+        if program is None:
+            raise FileNotFoundError(f"{command[0]}: no such program; install rcssserver3d or give its path")
+        self._command = [program, *command[1:]]
+        self._environment = dict(environment or {})
+
+    @classmethod
+    def embedded(cls, *arguments: str) -> ProcessLauncher:
+        """Return a launcher of `naosim serve` with more arguments, if any."""
+        return cls((sys.executable, "-m", "naosim", "serve", "--quiet", *arguments))
+
+    def start(self) -> ServerHandle:
+        """Start a server; it may not listen yet.
+
+        Raises:
+            OSError: it cannot be started.
+        """
+        lease = PortLease(2)
+        home = Path(tempfile.mkdtemp(prefix="naosim-server-"))
+        try:
+            script = home / "trainer.rb"
+            script.write_text(SERVER_SCRIPT)
+            agent_port, monitor_port = lease.ports
+            command = [
+                *self._command,
+                *("--agent-port", str(agent_port), "--server-port", str(monitor_port), "--script-path", str(script)),
+            ]
+            passed = (
+                "PATH",
+                "LD_LIBRARY_PATH",
+                "LANG",
+                "LC_ALL",
+                "PYTHONPATH",
+                "RCSS_BUNDLE_PATH",
+                "RCSS_FIND_SCRIPT_PATH",
+            )
+            environment = {key: os.environ[key] for key in passed if key in os.environ}
+            environment |= {"HOME": str(home), "SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"} | self._environment
+            with (home / "server.log").open("wb") as log:
+                process = subprocess.Popen(
+                    [sys.executable, "-I", "-S", str(_GUARD), str(home), *command],
+                    stdin=subprocess.PIPE,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    cwd=home,
+                    env=environment,
+                    start_new_session=True,
+                )
+        except BaseException:
+            lease.release()
+            shutil.rmtree(home, ignore_errors=True)
+            raise
+        return _ServerProcess(process, home, lease, Address("127.0.0.1", agent_port, monitor_port))
+
+
+class _ServerProcess:
+    """Hold on to one local server and its guard."""
+
+    def __init__(self, process: subprocess.Popen[bytes], home: Path, lease: PortLease, address: Address) -> None:
+        self.address = address
+        self._process = process
+        self._home = home
+        self._lease = lease
+
+    @property
+    def pid(self) -> int:
+        """Return the process id of the guard, which leads the session."""
+        return self._process.pid
+
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def owns(self, port: int) -> bool:
+        inodes = _listeners(port)
+        for pid in _session(self._process.pid):
+            with contextlib.suppress(OSError):
+                for fd in os.listdir(f"/proc/{pid}/fd"):
+                    with contextlib.suppress(OSError):
+                        if os.readlink(f"/proc/{pid}/fd/{fd}") in inodes:
+                            return True
+        return False
+
+    def describe(self) -> str:
+        code = self._process.poll()
+        state = "runs" if code is None else f"exit code {code}"
+        try:
+            with (self._home / "server.log").open("rb") as log:
+                log.seek(0, os.SEEK_END)
+                log.seek(max(0, log.tell() - _LOG_TAIL))
+                words = " ".join(log.read().decode(errors="replace").split())
+        except OSError:
+            words = ""
+        return f"process {self._process.pid}, {state}" + (f", log: ...{words}" if words else "")
+
+    def stop(self) -> None:
+        if self.alive():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._process.pid, signal.SIGTERM)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_GRACE_S)
+        # the real server may ignore SIGTERM while no agent is connected
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        self._lease.release()
+        shutil.rmtree(self._home, ignore_errors=True)
+
+
+def _session(leader: int) -> list[int]:
+    found = []
+    for entry in os.listdir("/proc"):
+        if entry.isdecimal():
+            with contextlib.suppress(OSError):
+                if os.getsid(int(entry)) == leader:
+                    found.append(int(entry))
+    return found
+
+
+def _listeners(port: int) -> set[str]:
+    """Return the sockets that listen on a port, as /proc/<pid>/fd names them."""
+    found = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        with contextlib.suppress(OSError), open(table) as lines:
+            for line in list(lines)[1:]:
+                fields = line.split()
+                if fields[3] == "0A" and int(fields[1].rsplit(":", 1)[1], 16) == port:
+                    found.add(f"socket:[{fields[9]}]")
+    return found

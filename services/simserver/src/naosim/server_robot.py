@@ -1,0 +1,159 @@
+"""One robot of the server: an engine of its own, what it is told and what it perceives."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from naosim import _core, protocol, robots
+from naosim.batch import BatchSimulator
+from naosim.server_scene import Actor
+
+Point = tuple[float, float, float]
+
+EFFECTORS = frozenset(joint.effector for kind in robots.ROBOT_TYPES for joint in robots.model(kind).joints)
+"""Hinge effectors of any robot type."""
+
+SPAWN = (0.0, -1.0, 1.5)
+"""Where robots are built, in the air, m."""
+
+_PARTS = {"rlowerarm": "rlowerarm", "llowerarm": "llowerarm", "rfoot": "rfoot", "lfoot": "lfoot"}
+_HEARING = 2
+"""Capacity to hear, used up by one message and regained by one a cycle: every other cycle a message gets through."""
+
+
+class Robot:
+    """Simulate one robot, alone on its field, and write its agent messages."""
+
+    def __init__(self, robot_type: int, *, digits: int, seed: int, noise: bool) -> None:
+        self.engine = BatchSimulator(1, robot_type, digits=digits)
+        self.engine.beam(SPAWN)
+        self.model = self.engine.model
+        self.team = ""
+        self.side = 0
+        self.uniform_number = 0
+        self.game_time = 0.0
+        self.cycles = 0
+        self.speeds: NDArray[np.float64] = np.zeros((1, len(self.model.joints)))
+        effectors = [joint.effector for joint in self.model.joints]
+        self.commands = _core.CommandReader(effectors)
+        self._writer = _core.PerceptWriter(protocol.percept_order(self.model), digits)
+        self._vision = _core.Vision(list(protocol.LANDMARKS), protocol.LINES, digits, seed, noise)
+        self._digits = digits
+        self._head = self.model.body_index["head"]
+        self._parts = [(name, self.model.body_index[body]) for name, body in _PARTS.items()]
+        self._touch: NDArray[np.float64] = np.full((4, 6), np.nan)
+        self._news = b""
+        self._heard: dict[str, tuple[str, str, str]] = {}
+        self._hearing = {"mate": _HEARING, "opponent": _HEARING}
+        self._introduced = False
+
+    @property
+    def actor(self) -> Actor:
+        """Return how a monitor sees the robot."""
+        return Actor(self.model, self.side, self.uniform_number)
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Return all body states, shape (bodies, 13)."""
+        bodies: NDArray[np.float64] = self.engine.truth.bodies[0]
+        return bodies
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Return where the torso is, shape (3,), m."""
+        position: NDArray[np.float64] = self.engine.truth.torso_position[0]
+        return position
+
+    def join(self, team: str, side: int, uniform_number: int) -> None:
+        """Give the robot its team and number."""
+        self.team, self.side, self.uniform_number = team, side, uniform_number
+
+    def beam(self, position: Point, yaw_deg: float) -> None:
+        """Put the robot upright at a place, pose kept, at rest."""
+        self.engine.beam(position, yaw_deg)
+
+    def shift(self, position: Point) -> None:
+        """Put the torso's centre at a place without turning the robot; everything comes to rest."""
+        bodies = self.engine.truth.bodies
+        bodies[0, :, :3] += np.asarray(position) - bodies[0, 0, :3]
+        bodies[0, :, 7:] = 0.0
+        self.engine.set_bodies(bodies)
+
+    def hear(self, who: str, team: str, direction: str, text: str) -> None:
+        """Let a message reach the robot; `who` is `self`, `mate` or `opponent`."""
+        if who in self._hearing:
+            if self._hearing[who] < _HEARING:
+                return
+            self._hearing[who] -= _HEARING
+        self._heard[who] = (team, direction, text)
+
+    def cycle(self, ball: Point, play_mode: str, scores: tuple[int, int]) -> bytes:
+        """Run one cycle with the commands given so far.
+
+        Returns:
+            The message for the agent, its length in front: what was perceived before the cycle.
+
+        Raises:
+            FloatingPointError: the robot's state is not finite any more.
+        """
+        self.cycles += 1
+        see = self._see(ball) if self.cycles % protocol.VISION_INTERVAL == 0 else b""
+        self.engine.step(self.speeds)
+        p = self.engine.perceptors
+        for k, touch in enumerate((p.foot_right, p.foot_left, p.toe_right, p.toe_left)):
+            if k < len(self.model.touch_sensors):
+                self._touch[k] = touch[0]
+        now = self._number(float(p.time[0]))
+        news = self._news or self._game_state(play_mode, scores)
+        head = f"(time (now {now}))".encode() + news
+        message = self._writer.write(head, see, p.gyro[0], p.accel[0], p.joint_angles[0], self._touch)
+        if play_mode not in ("BeforeKickOff", "GameOver"):
+            self.game_time += robots.CYCLE_S
+        # perceived at the end of this cycle, told in the next message
+        self._news = self._game_state(play_mode, scores) + self._hear()
+        return message
+
+    def _number(self, value: float) -> str:
+        return f"{value:.{self._digits}f}"
+
+    def _game_state(self, play_mode: str, scores: tuple[int, int]) -> bytes:
+        introduction = ""
+        if self.side and not self._introduced:
+            self._introduced = True
+            introduction = f"(unum {self.uniform_number}) (team {protocol.SIDES[self.side]}) "
+        score = f"(sl {scores[0]}) (sr {scores[1]})"
+        return f"(GS {introduction}{score} (t {self._number(self.game_time)}) (pm {play_mode}))".encode()
+
+    def _hear(self) -> bytes:
+        time = self._number(self.game_time)
+        out = []
+        for who in ("self", "mate", "opponent"):
+            if who in self._hearing:
+                self._hearing[who] = min(self._hearing[who] + 1, _HEARING)
+            if who in self._heard:
+                team, direction, text = self._heard.pop(who)
+                out.append(f"(hear {team} {time} {direction} {text})")
+        return "".join(out).encode()
+
+    def _see(self, ball: Point) -> bytes:
+        poses = self.poses
+        head = poses[self._head]
+        own = f"(team {self.team}) (id {self.uniform_number})" if self.team else ""
+        parts = [(name, _point(poses[row])) for name, row in self._parts] if own else []
+        return self._vision.see(np.ascontiguousarray(head[:3]), _rotation(head[3:7]), [("B", ball)], own, parts)
+
+
+def _point(pose: NDArray[np.float64]) -> Point:
+    return (float(pose[0]), float(pose[1]), float(pose[2]))
+
+
+def _rotation(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    w, x, y, z = (float(c) for c in q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from naosim import Address, RemoteBatch, _core, protocol, robots
+
+NAO = robots.model(0)
+ONLY = np.ones(1, dtype=np.uint8)
+GOOD = b"(time (now 1.20))(GS (unum 4) (team left) (t 3.50) (pm PlayOn) (k none) (ti ((1 none 0))))" + b"".join(
+    f"(HJ (n {name})  (ax {k}.25))".encode() for k, name in enumerate(NAO.joint_names)
+)
+
+
+class Server:
+    """Hold the server's ends of an exchange with one row."""
+
+    def __init__(self) -> None:
+        self.agent, agent = socket.socketpair()
+        self.monitor, monitor = socket.socketpair()
+        self.exchange = _core.Exchange(1, list(NAO.joint_names), [joint.effector for joint in NAO.joints])
+        self.exchange.attach(0, agent.detach(), monitor.detach())
+        self.views = self.exchange.views()
+
+    def answer(self, message: bytes, timeout_s: float = 5.0) -> str:
+        self.agent.sendall(protocol.frame(message))
+        self.exchange.collect(ONLY, 1, 0, timeout_s)
+        return self.exchange.failure(0)
+
+    def close(self) -> None:
+        self.agent.close()
+        self.monitor.close()
+        self.exchange.detach(0)
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    server = Server()
+    yield server
+    server.close()
+
+
+def test_a_message_is_read_whatever_else_it_holds(server: Server) -> None:
+    sight = (
+        b"(See (L (pol 1 2 3) (pol 4 5 6)) (P (team A) (id 1) (head (pol 1 2 3))))(hear A 1.0 self hello)(New (x (y)))"
+    )
+    senses = b"(GYR (n torso) (rt 1.5 -2 nan))(ACC (n torso) (a 0.1 0.2 9.81))(FRP (n lf) (c 0 1 2) (f 3 4 5))"
+    assert server.answer(GOOD + sight + senses) == ""
+    v = server.views
+    assert v["joint_angles"][0] == pytest.approx(np.arange(22) + 0.25)
+    assert v["gyro"][0] == pytest.approx([1.5, -2, np.nan], nan_ok=True)
+    assert v["accel"][0] == pytest.approx([0.1, 0.2, 9.81])
+    assert v["foot_left"][0] == pytest.approx([0, 1, 2, 3, 4, 5])
+    assert np.isnan(v["foot_right"]).all()
+    assert (v["time"][0], v["game_time"][0]) == (1.2, 3.5)
+    assert server.exchange.game(0) == (1, 4, "PlayOn")
+    assert server.answer(GOOD) == ""
+    assert np.isnan(v["foot_left"]).all(), "a foot that is not mentioned touches nothing"
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (b"(HJ (n hj1) (ax abc))", "a joint angle cannot be read"),
+        (b"(HJ (n hj1) (ax 1.0)", "the end of an expression cannot be read"),
+        (b"(ACC (n torso) (a 1 2))", "ACC cannot be read"),
+        (b"junk", "an expression cannot be read"),
+    ],
+)
+def test_a_malformed_reply_is_told(server: Server, message: bytes, reason: str) -> None:
+    assert reason in server.answer(message)
+
+
+def test_an_absurd_length_is_told(server: Server) -> None:
+    server.agent.sendall(b"\xff\xff\xff\xff")
+    server.exchange.collect(ONLY, 1, 0, 5.0)
+    assert "a message of 4294967295 bytes is announced" in server.exchange.failure(0)
+
+
+def test_a_silent_server_is_told(server: Server) -> None:
+    server.exchange.collect(ONLY, 1, 1, 0.05)
+    assert server.exchange.failure(0) == "agent port: no reply within 0.1 s"
+
+
+def test_a_server_that_hangs_up_is_told(server: Server) -> None:
+    server.agent.close()
+    server.exchange.step(np.zeros((1, 22)), None, 5.0)
+    assert "agent port: " in server.exchange.failure(0)
+
+
+def test_a_robot_with_other_joints_is_told(server: Server) -> None:
+    server.agent.sendall(protocol.frame(b"(HJ (n hj1) (ax 1.0))"))
+    server.monitor.sendall(protocol.frame(b"((time 0))"))
+    server.exchange.step(np.zeros((1, 22)), None, 5.0)
+    assert server.exchange.failure(0) == "malformed reply: 1 of 22 joint angles came"
+
+
+@given(st.floats(-10, 10, width=32))
+def test_a_speed_arrives_to_the_last_bit(speed: float) -> None:
+    server = Server()
+    try:
+        server.agent.sendall(protocol.frame(GOOD))
+        server.monitor.sendall(protocol.frame(b"((time 0))"))
+        server.exchange.step(np.full((1, 22), speed), None, 5.0)
+        message = server.agent.recv(65536)[4:]
+    finally:
+        server.close()
+    speeds = np.zeros(22)
+    commands = _core.CommandReader([joint.effector for joint in NAO.joints])
+    assert commands.read(message, speeds) == [("syn",)]
+    assert (speeds.astype(np.float32) == np.float32(speed)).all()
+    assert b"e-" not in message.replace(b"le", b"").replace(b"ae", b"").replace(b"he", b"")
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
+@given(st.binary(max_size=300), st.integers(0, len(GOOD)))
+def test_damaged_messages_never_do_harm(junk: bytes, at: int) -> None:
+    server = Server()
+    try:
+        server.answer(GOOD[:at] + junk + GOOD[at + len(junk) :])
+        assert server.views["joint_angles"].shape == (1, 22)
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"n": 3}, "n: 3 servers wanted, 1 addresses given"),
+        ({"robot_type": 9}, "robot_type"),
+        ({"team": "a b"}, "team"),
+        ({"uniform_number": 0}, "uniform_number"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict[str, object], field: str) -> None:
+    with pytest.raises(ValueError, match=field):
+        RemoteBatch([Address("127.0.0.1", 1, 2)], **arguments)  # type: ignore[arg-type]

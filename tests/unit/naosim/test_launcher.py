@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from naosim import ProcessLauncher, launcher, launcher_docker
+from naosim.launcher import PortLease
+from naosim.launcher_docker import ContainerSettings, container_options, is_orphan, owner_labels
+
+
+def test_leases_never_share_a_port() -> None:
+    leases = [PortLease(2) for _ in range(20)]
+    try:
+        ports = [port for lease in leases for port in lease.ports]
+        assert len(set(ports)) == 40
+    finally:
+        for lease in leases:
+            lease.release()
+
+
+def test_a_missing_program_is_named() -> None:
+    with pytest.raises(FileNotFoundError, match="no-such-server: no such program"):
+        ProcessLauncher(("no-such-server",))
+
+
+def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> None:
+    options = container_options(
+        ContainerSettings("server:1", {"job": "job_1", "attempt": "2"}, memory="256m", cpus=0.5)
+    )
+    assert options["cap_drop"] == ["ALL"]
+    assert options["read_only"]
+    assert options["nano_cpus"] == 500_000_000
+    assert options["mem_limit"] == options["memswap_limit"] == "256m"
+    assert {host for host, _ in options["ports"].values()} == {"127.0.0.1"}
+    assert options["labels"]["job"] == "job_1"
+    assert options["labels"][launcher_docker.OWNER_PID] == str(os.getpid())
+    inside = container_options(ContainerSettings("server:1", network="job_1"))
+    assert "ports" not in inside
+    assert inside["network"] == "job_1"
+
+
+def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:
+    labels = owner_labels()
+    assert not is_orphan(labels)
+    assert not is_orphan({})
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        theirs = labels | {
+            launcher_docker.OWNER_PID: str(process.pid),
+            launcher_docker.OWNER_START: launcher_docker.process_start(process.pid) or "",
+        }
+        assert not is_orphan(theirs)
+        process.communicate(b"\n")
+    assert is_orphan(theirs)
+    assert is_orphan(labels | {launcher_docker.OWNER_START: "1"}), "the number belongs to another process now"
+    assert not is_orphan(theirs | {launcher_docker.OWNER_HOST: "elsewhere"})
+    assert not is_orphan(theirs | {launcher_docker.OWNER_START: ""})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [({"image": ""}, "image"), ({"image": "a", "cpus": 0}, "cpus"), ({"image": "a", "pids": 1}, "pids")],
+)
+def test_bad_container_settings_are_named(arguments: dict[str, object], field: str) -> None:
+    with pytest.raises(ValueError, match=field):
+        ContainerSettings(**arguments)  # type: ignore[arg-type]
+
+
+def test_the_image_configures_the_server_as_the_launcher_does() -> None:
+    script = Path(__file__).parents[3] / "services" / "simserver" / "docker" / "trainer.rb"
+    assert script.read_text() == launcher.SERVER_SCRIPT
