@@ -1,0 +1,78 @@
+"""docker-compose.yml and .env.example agree, and no secret has a default."""
+
+from __future__ import annotations
+
+import re
+import stat
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+VARIABLE = re.compile(r"(?<!\$)\$\{([A-Z0-9_]+)(?::([?-])([^}]*))?\}")
+EXAMPLE = re.compile(r"^(# )?([A-Z0-9_]+)=(.*)$", re.MULTILINE)
+
+
+def used() -> dict[str, set[tuple[str, str]]]:
+    """Return the variables of docker-compose.yml with what stands behind each."""
+    found: dict[str, set[tuple[str, str]]] = {}
+    for name, operator, text in VARIABLE.findall((ROOT / "docker-compose.yml").read_text(encoding="utf-8")):
+        found.setdefault(name, set()).add((operator, text))
+    return found
+
+
+def documented() -> dict[str, tuple[bool, str]]:
+    """Return the variables of .env.example: whether each is a comment, and its value."""
+    text = (ROOT / ".env.example").read_text(encoding="utf-8")
+    return {name: (bool(comment), value) for comment, name, value in EXAMPLE.findall(text)}
+
+
+def test_every_setting_is_documented_with_its_default() -> None:
+    assert used().keys() == documented().keys()
+    for name, ways in used().items():
+        is_comment, value = documented()[name]
+        required = any(operator == "?" for operator, _ in ways)
+        assert is_comment is not required
+        defaults = {text for operator, text in ways if operator == "-"}
+        assert defaults == (set() if required else {value}), name
+
+
+def test_secrets_are_required_and_have_no_default() -> None:
+    secrets = {name for name in used() if re.search(r"PASSWORD|SECRET|KEY", name)}
+    assert len(secrets) >= 5
+    for name in secrets:
+        assert documented()[name] == (False, "")
+
+
+def test_new_env_fills_in_secrets_of_its_own_and_keeps_a_file_that_is_there(tmp_path: Path) -> None:
+    made = [tmp_path / "a.env", tmp_path / "b.env"]
+    for path in made:
+        subprocess.run([ROOT / "deploy" / "new-env", path], check=True, timeout=20)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    values = [
+        value
+        for path in made
+        for _, _, value in EXAMPLE.findall(path.read_text())
+        if re.fullmatch("[0-9a-f]{48}", value)
+    ]
+    assert len(values) == len(set(values)) == 2 * sum(1 for comment, _ in documented().values() if not comment)
+    before = made[0].read_text()
+    again = subprocess.run([ROOT / "deploy" / "new-env", made[0]], capture_output=True, text=True, timeout=20)
+    assert again.returncode == 1 and "is there already" in again.stderr
+    assert made[0].read_text() == before
+
+
+@pytest.mark.parametrize("secret", ["POSTGRES_PASSWORD", "BROKER_PASSWORD", "S3_SECRET_ACCESS_KEY"])
+def test_compose_names_the_secret_that_is_missing(engine: str, secret: str, tmp_path: Path) -> None:
+    path = tmp_path / "some.env"
+    subprocess.run([ROOT / "deploy" / "new-env", path], check=True, timeout=20)
+    path.write_text(re.sub(rf"^{secret}=.*$", f"{secret}=", path.read_text(), flags=re.MULTILINE))
+    answer = subprocess.run(
+        [engine, "compose", "--project-directory", ROOT, "--env-file", path, "config", "--quiet"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert answer.returncode != 0
+    assert secret in answer.stderr and "deploy/new-env" in answer.stderr
