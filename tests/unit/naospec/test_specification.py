@@ -87,6 +87,7 @@ def test_digest_tells_specifications_apart() -> None:
         ({"learning_rate": float("nan")}, ["learning_rate"]),
         ({"gamma": float("inf")}, ["gamma"]),
         ({"total_steps": 0}, ["total_steps"]),
+        ({"max_server_failures": -1}, ["max_server_failures", "0"]),
         ({"hidden_sizes": [64, 0]}, ["hidden_sizes"]),
         ({"colour": "red"}, ["colour"]),
         ({"task": 3}, ["task"]),

@@ -140,6 +140,17 @@ def test_update_is_that_of_stable_baselines3(
         assert value == pytest.approx(float(recorded[name]), rel=1e-2, abs=1e-4), name
 
 
+@pytest.mark.parametrize(
+    ("final", "remaining", "wanted"), [(None, 0.3, 0.03), (0.01, 1.0, 0.03), (0.01, 0.5, 0.02), (0.01, -0.1, 0.01)]
+)
+def test_target_kl_moves_linearly_to_its_final_value(final: float | None, remaining: float, wanted: float) -> None:
+    from naosprint.learner import _target_kl
+
+    spec = TrainingSpec(target_kl=0.03, target_kl_final=final)
+    assert _target_kl(spec, remaining) == pytest.approx(wanted)
+    assert _target_kl(TrainingSpec(target_kl=None, learning_rate_schedule="constant"), remaining) is None
+
+
 def test_target_kl_ends_an_update_early(open_learner: Open) -> None:
     """A huge step is noticed and no further ones are taken."""
     learner = open_learner(target_kl=0.001, learning_rate=0.1, n_epochs=50)
@@ -195,7 +206,9 @@ def test_learning_rate_falls_linearly_where_asked(open_learner: Open) -> None:
 @pytest.mark.parametrize(("target_kl", "grows"), [(1e-6, False), (10.0, True)])
 def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: float, grows: bool) -> None:
     """An update that went too far lowers the next one's rate, a timid one raises it."""
-    learner = open_learner(learning_rate_schedule="adaptive", learning_rate=1e-3, target_kl=target_kl)
+    learner = open_learner(
+        learning_rate_schedule="adaptive", learning_rate=1e-3, target_kl=target_kl, target_kl_final=None
+    )
     for _ in range(2):
         collect(learner)
         learner.train()
@@ -205,7 +218,9 @@ def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: 
 def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
     """However long the updates are too small or too large."""
     for rate, target_kl, bound in ((2e-5, 1e-12, 1e-5), (1e-3, 100.0, 1e-2)):
-        learner = open_learner(learning_rate_schedule="adaptive", learning_rate=rate, target_kl=target_kl, n_steps=8)
+        learner = open_learner(
+            learning_rate_schedule="adaptive", learning_rate=rate, target_kl=target_kl, target_kl_final=None, n_steps=8
+        )
         for _ in range(16):
             collect(learner)
             learner.train()

@@ -66,6 +66,7 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim'"),
         (["train", "x", "--n-envs", "many"], "--n-envs"),
         (["train", "x", "--batch-size", "7"], "batch_size: 7 does not divide"),
+        (["train", "x", "--simulator", "rcssserver3d"], "NAOSPRINT_SIMSERVER: there is no program 'no-such-server'"),
         (["evaluate", "nowhere"], "no checkpoint here"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),
         (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
@@ -82,6 +83,7 @@ def test_bad_input_is_explained(
 ) -> None:
     """An exit status and one line, no traceback."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NAOSPRINT_SIMSERVER", "no-such-server")
     assert main(arguments) in (1, 2)
     assert words in capsys.readouterr().err
 

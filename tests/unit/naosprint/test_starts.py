@@ -7,8 +7,8 @@ import pytest
 from naosim import BatchSimulator, robots
 from naospec import task
 from naosprint.actuation import Actuation
-from naosprint.simulator import DROP_M, EmbeddedSimulator, open_simulator
-from naosprint.starts import choose_starts, draw_start_poses
+from naosprint.simulator import EmbeddedSimulator, open_simulator
+from naosprint.starts import DROP_M, choose_starts, draw_start_poses
 
 
 def test_without_noise_there_is_one_start() -> None:
@@ -100,4 +100,27 @@ def test_start_before_the_poses_are_known_is_refused() -> None:
 def test_unavailable_simulator_is_refused() -> None:
     """The message names the field."""
     with pytest.raises(ValueError, match="simulator"):
-        open_simulator("webots", 1, robot_type=0, task=task("sprint1"), threads=1, digits=2)  # type: ignore[arg-type]
+        open_simulator(
+            "webots",  # type: ignore[arg-type]
+            1,
+            robot_type=0,
+            task=task("sprint1"),
+            threads=1,
+            digits=2,
+            max_server_failures=0,
+        )
+
+
+def test_missing_server_program_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message names the setting and what to do."""
+    monkeypatch.setenv("NAOSPRINT_SIMSERVER", "/nowhere/rcssserver3d")
+    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_SIMSERVER.*'/nowhere/rcssserver3d'.*set it to 'embedded'"):
+        open_simulator(
+            "rcssserver3d",
+            1,
+            robot_type=0,
+            task=task("sprint1"),
+            threads=1,
+            digits=2,
+            max_server_failures=0,
+        )

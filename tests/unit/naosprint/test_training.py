@@ -90,10 +90,17 @@ def test_same_seed_gives_the_same_weights(make_spec: Make, tmp_path: Path, recor
 
 @pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorder: Any, preset: str) -> None:
-    """Training 2k steps, and 1k steps and then 1k more, end in the same state in every array."""
+    """Training 2k steps, and being stopped after 1k and then resumed, end in the same state in every array."""
     settings = {"preset": preset, "n_steps": 128}
     whole = train(make_spec(total_steps=2048, **settings), workdir=tmp_path / "whole", reporter=recorder)
-    half = train(make_spec(total_steps=1024, **settings), workdir=tmp_path / "half", reporter=recorder)
+    updates = len(recorder.rows)
+    half = train(
+        make_spec(total_steps=2048, **settings),
+        workdir=tmp_path / "half",
+        reporter=recorder,
+        stop=lambda: len(recorder.rows) > updates,
+    )
+    assert (half.status, half.steps) == ("stopped", 1024)
     rest = train(
         make_spec(total_steps=2048, **settings),
         workdir=tmp_path / "rest",

@@ -19,3 +19,8 @@ def new_id(prefix: str) -> str:
         value, digit = divmod(value, 32)
         digits.append(_ALPHABET[digit])
     return f"{prefix}_{''.join(reversed(digits))}"
+
+
+def same_id(prefix: str, identifier: str) -> str:
+    """Return the identifier with the digits of another kind's `identifier`: for a thing that it has one of."""
+    return f"{prefix}_{identifier.split('_', 1)[1]}"

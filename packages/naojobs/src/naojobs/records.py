@@ -208,6 +208,12 @@ def record_evaluation(
     return identifier
 
 
+def has_evaluation(sessions: Sessions, evaluation_id: str) -> bool:
+    """Tell whether an evaluation is recorded."""
+    with sessions() as session:
+        return session.get(Evaluation, evaluation_id) is not None
+
+
 def _evaluation_event(
     session: Session,
     job_id: str,

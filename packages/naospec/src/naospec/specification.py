@@ -131,6 +131,12 @@ class TrainingSpec(_Specification):
         title="Target KL",
         description="End an update early when the approximate KL divergence passes 1.5 times this; null: never.",
     )
+    target_kl_final: float | None = Field(
+        default=_fast("target_kl_final"),
+        gt=0.0,
+        title="Final target KL",
+        description="Target KL at the end of the training, approached linearly over total_steps; null: no change.",
+    )
     gamma: float = Field(
         default=_fast("gamma"), gt=0.0, le=1.0, title="Discount", description="Discount factor per step."
     )
@@ -239,6 +245,15 @@ class TrainingSpec(_Specification):
         default=2, ge=1, le=256, title="Simulator threads", description="Threads that step the embedded engine."
     )
     torch_threads: int = Field(default=2, ge=1, le=256, title="Learner threads", description="Threads of the learner.")
+    max_server_failures: int = Field(
+        default=20,
+        ge=0,
+        le=1_000_000,
+        title="Server failures allowed",
+        description=(
+            "rcssserver3d only: servers that may fail and be replaced over the whole run; one more ends the training."
+        ),
+    )
 
     @classmethod
     def from_preset(cls, preset: PresetName, **overrides: Any) -> Self:
@@ -352,7 +367,13 @@ class EvaluationSpec(_Specification):
     simulator: SimulatorName | None = Field(
         default=None, title="Simulator", description="Where the episodes run; null: where the policy was trained."
     )
-    n_envs: int = Field(default=128, ge=1, le=4096, title="Environments", description="Episodes that run side by side.")
+    n_envs: int = Field(
+        default=128,
+        ge=1,
+        le=4096,
+        title="Environments",
+        description="Episodes that run side by side; on rcssserver3d at most four a core.",
+    )
     trajectories: int = Field(
         default=100,
         ge=0,

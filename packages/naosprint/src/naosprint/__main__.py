@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from naosim import ServerLostError
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import ValidationError
 
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             name = "".join(f"--{part} ".replace("_", "-") for part in problem["loc"] if isinstance(part, str))
             sys.stderr.write(f"{name.strip() or 'error'}: {problem['msg'].removeprefix('Value error, ')}\n")
         return EXIT_USAGE
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ServerLostError) as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
 

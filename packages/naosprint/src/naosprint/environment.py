@@ -33,7 +33,9 @@ class SprintBatch:
         observations: (n, D) the latest observations.
         rewards: (n,) rewards of the last step: forward displacement of the torso times ``reward_scale``.
         terminated: (n,) whether the last step ended the episode: fallen, arrived, or at the task's horizon.
-        truncated: (n,) whether the last step hit the time limit, which is no part of the task.
+        truncated: (n,) whether the last step cut the episode off: by a time limit, which is no part of the task, or
+            because the robot was lost with its server.
+        lost: (n,) whether the last step lost the robot; its observation and position are those before the step.
         fallen: (n,) whether the torso sank below the minimum height.
         arrived: (n,) whether the torso passed the finish line without having fallen.
         steps: (n,) steps of the episode so far.
@@ -60,6 +62,7 @@ class SprintBatch:
         self.rewards: FloatArray = np.zeros(n)
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
         self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.lost: BoolArray = np.zeros(n, dtype=np.bool_)
         self.fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.arrived: BoolArray = np.zeros(n, dtype=np.bool_)
         self.steps: IntArray = np.zeros(n, dtype=np.int64)
@@ -118,24 +121,30 @@ class SprintBatch:
         simulator = self.simulator
         targets = self.actuation.targets(actions)
         simulator.step(self.actuation.speeds(targets, simulator.perceptors.joint_angles), active)
+        self.lost = simulator.lost.copy()
+        lost = np.flatnonzero(self.lost)
+        last_seen = self.observer.observations[lost]
         truth = simulator.truth
         observations = self.observer.update(simulator.perceptors, truth)
         x = truth.torso_position[:, 0].copy()
+        # what a server said while it broke down is no ground to learn from
+        observations[lost] = last_seen
+        x[lost] = self._x[lost]
         self.rewards = (x - self._x) * self.reward_scale
         self._x = x
         self.steps += 1
-        self.fallen = truth.torso_position[:, 2] < self.fall_height_m
+        self.fallen = (truth.torso_position[:, 2] < self.fall_height_m) & ~self.lost
         task = self.task
         if task.finish_x_m is not None:
-            self.arrived = (x > task.finish_x_m) & ~self.fallen
+            self.arrived = (x > task.finish_x_m) & ~self.fallen & ~self.lost
         over = self.fallen | self.arrived
         late = self.steps >= task.max_steps
         if task.horizon_is_terminal:
-            self.terminated = over | late
-            self.truncated = np.zeros(self.n, dtype=np.bool_)
+            self.terminated = (over | late) & ~self.lost
+            self.truncated = self.lost.copy()
         else:
             self.terminated = over
-            self.truncated = late & ~over
+            self.truncated = (late & ~over) | self.lost
         return observations
 
     def elapsed_s(self) -> FloatArray:
@@ -192,6 +201,7 @@ def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int) -> Sprin
         task=task,
         threads=threads,
         digits=spec.sensor_digits,
+        max_server_failures=spec.max_server_failures,
     )
     return SprintBatch(
         simulator,

@@ -7,6 +7,7 @@ early falls, so the same figures over all episodes stand beside it.
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from naosprint.actuation import CYCLE_S
 from naosprint.environment import open_batch
 from naosprint.policy import load_policy
 from naosprint.replay import Replay
+from naosprint.servers import most_servers
 from naosprint.starts import draw_start_poses
 from naosprint.statistics import bootstrap_mean, wilson
 
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
     from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
     from naosprint.environment import SprintBatch
     from naosprint.policy import Policy
+
+logger = logging.getLogger(__name__)
+
+_FORGOTTEN = -1  # episode number of samples that no longer count
 
 REPLAY_CANDIDATES = 5
 """Episodes from the first of which the middle one is kept as a replay."""
@@ -146,7 +152,9 @@ def evaluate(
 ) -> Evaluation:
     """Run the policy of a checkpoint and return the figures of its runs.
 
-    The same checkpoint, specification and simulator give the same figures on the same machine.
+    The same checkpoint and specification give the same figures on the same machine with the embedded simulator. On
+    rcssserver3d no more servers are started than the machine's cores can keep busy, and an episode whose server fails
+    is run again on a new one.
 
     Args:
         checkpoint: checkpoint directory.
@@ -158,25 +166,31 @@ def evaluate(
     Raises:
         CheckpointError: if the checkpoint is damaged.
         InterruptedError: if ``stop`` said so.
-        ValueError: if the simulator is not available.
+        FileNotFoundError: if the server's program is not here.
+        naosim.ServerLostError: if more servers failed than the training's ``max_server_failures``.
     """
     policy, manifest = load_policy(checkpoint)
     trained = manifest.spec
     the_task = task(spec.task)
     # the evaluation's task decides where an episode ends, the training's specification what a fall is
     setting = trained if spec.simulator is None else trained.model_copy(update={"simulator": spec.simulator})
-    batch = open_batch(setting, min(spec.n_envs, spec.episodes), task=the_task, threads=threads)
+    n = min(spec.n_envs, spec.episodes)
+    if setting.simulator == "rcssserver3d":
+        n = min(n, most_servers())
+    batch = open_batch(setting, n, task=the_task, threads=threads)
     try:
         poses = draw_start_poses(batch.actuation, spec.episodes, spec.start_noise_deg, spec.seed)
         batch.load_starts(poses)
         rng = None if spec.deterministic else np.random.default_rng([0xAC7, spec.seed])
         runs = _run(batch, policy, spec.episodes, len(poses), rng, progress, stop)
+        failures = batch.simulator.failures
     finally:
         batch.close()
     summary = {
         "checkpoint": {"step": manifest.steps, "spec_sha256": manifest.spec_sha256},
         "training": trained.model_dump(mode="json"),
         "evaluation": spec.model_dump(mode="json"),
+        "server_failures": failures,
         **_figures(runs, spec, the_task.max_steps),
     }
     return Evaluation(summary, _trajectories(runs, spec.trajectories), _replay(runs, trained.robot_type))
@@ -226,6 +240,16 @@ def _run(
         batch.restart(rows, episode[rows] % n_starts)
         record(rows)
 
+    def forget(rows: IntArray) -> None:
+        """Drop what the unfinished episodes of ``rows`` left."""
+        for number in episode[rows].tolist():
+            for owner in owners:
+                owner[owner == number] = _FORGOTTEN
+            if number == 0:
+                angles.clear()
+            if number < shown:
+                bodies[number].clear()
+
     begin(np.arange(n))
     following = n
     done = 0
@@ -235,7 +259,15 @@ def _run(
         actions = policy.act(batch.observations, rng)
         everyone = bool(active.all())
         batch.step(actions, None if everyone else active)
-        running = np.flatnonzero(active)
+        lost = np.flatnonzero(active & batch.lost)
+        if len(lost):
+            for row in lost.tolist():
+                logger.warning(
+                    "episode %d is run again, its server was lost: %s", episode[row], batch.simulator.loss_reason(row)
+                )
+            forget(lost)
+            begin(lost)
+        running = np.flatnonzero(active & ~batch.lost)
         record(running)
         ended = running[(batch.terminated | batch.truncated)[running]]
         if not len(ended):
@@ -253,8 +285,8 @@ def _run(
             progress(done, episodes)
     owner = np.concatenate(owners)
     order = np.argsort(owner, kind="stable")
-    cuts = np.searchsorted(owner[order], np.arange(1, episodes))
-    split = np.split(np.concatenate(samples)[order], cuts)
+    cuts = np.searchsorted(owner[order], np.arange(episodes))
+    split = np.split(np.concatenate(samples)[order], cuts)[1:]
     return _Runs(
         x=[run[:, 0] for run in split],
         y=[run[:, 1] for run in split],

@@ -16,8 +16,7 @@ from naosim import robots
 
 from naosprint.actuation import CYCLE_S, GAIN, Actuation
 from naosprint.policy import load_policy
-from naosprint.simulator import DROP_M, RUNNING_YAW_DEG
-from naosprint.starts import SETTLING_CYCLES
+from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -47,7 +47,9 @@ class SprintEnv(gymnasium.Env["FloatArray", "FloatArray"]):
         """Take one step of 20 ms with (A,) target angles in [-1, 1] of each joint's range."""
         batch = self._batch
         observations = batch.step(np.asarray(action, dtype=np.float64)[None])
-        info = {"distance_m": float(batch.displacement[0]), "fallen": bool(batch.fallen[0])}
+        info: dict[str, Any] = {"distance_m": float(batch.displacement[0]), "fallen": bool(batch.fallen[0])}
+        if batch.lost[0]:
+            info["server_lost"] = batch.simulator.loss_reason(0)
         return (
             observations[0].copy(),
             float(batch.rewards[0]),

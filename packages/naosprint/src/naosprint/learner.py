@@ -188,6 +188,7 @@ class SprintPPO(PPO):
         old_log_probs = torch.from_numpy(buffer.log_probs.reshape(size))
         returns = torch.from_numpy(buffer.returns.reshape(size))
         advantages = torch.from_numpy(buffer.advantages.reshape(size))
+        target_kl = _target_kl(spec, self._current_progress_remaining)
         if spec.advantage_normalisation == "rollout":
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         parameters = list(policy.parameters())
@@ -231,7 +232,7 @@ class SprintPPO(PPO):
                         f"the loss is no longer finite after {self.num_timesteps} steps "
                         f"(policy {logs[-1][0]}, value {logs[-1][1]}, KL {kl}); lower learning_rate"
                     )
-                if spec.target_kl is not None and kl > 1.5 * spec.target_kl:
+                if target_kl is not None and kl > 1.5 * target_kl:
                     early = True
                     break
                 policy.optimizer.zero_grad()
@@ -250,7 +251,7 @@ class SprintPPO(PPO):
         record = self.logger.record
         record("train/learning_rate", rate)
         if spec.learning_rate_schedule == "adaptive":
-            self.rate_factor = _adapted(self.rate_factor, float(np.mean(kls)), spec)
+            self.rate_factor = _adapted(self.rate_factor, float(np.mean(kls)), target_kl, spec)
         record("train/policy_gradient_loss", means[0])
         record("train/value_loss", means[1])
         record("train/entropy_loss", -means[2])
@@ -307,13 +308,19 @@ def _schedule(spec: TrainingSpec) -> float | Callable[[float], float]:
     return lambda remaining: rate * max(remaining, 0.0)
 
 
-def _adapted(factor: float, kl: float, spec: TrainingSpec) -> float:
+def _target_kl(spec: TrainingSpec, remaining: float) -> float | None:
+    """Return the target KL with ``remaining`` of the training ahead, 1 to 0."""
+    if spec.target_kl is None or spec.target_kl_final is None:
+        return spec.target_kl
+    return spec.target_kl_final + (spec.target_kl - spec.target_kl_final) * max(0.0, remaining)
+
+
+def _adapted(factor: float, kl: float, wanted: float | None, spec: TrainingSpec) -> float:
     """Lower the rate after an update that went too far from the rollout's policy, raise it after a timid one.
 
     The rule is that of RSL-RL (Rudin et al., "Learning to Walk in Minutes", 2022), once an update instead of once a
     minibatch.
     """
-    wanted = spec.target_kl
     if wanted is None:
         return factor
     if kl > 1.5 * wanted:

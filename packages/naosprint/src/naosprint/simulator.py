@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from naosim import BatchSimulator, robots
 
 from naosprint.actuation import Actuation
-from naosprint.starts import SETTLING_CYCLES
+from naosprint.servers import RemoteSimulator, server_launcher
+from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
 
 if TYPE_CHECKING:
     from naosim.robots import RobotModel
     from naospec import SimulatorName, Task
 
     from naosprint.arrays import BoolArray, ByteArray, FloatArray, IntArray
-
-RUNNING_YAW_DEG = -90.0
-"""Yaw of a torso that faces +x: the front of the robot is its +y."""
-
-DROP_M = 0.015
-"""Height above standing from which a robot is put down at the start, metres."""
 
 
 class Perceptors(Protocol):
@@ -60,7 +56,10 @@ class Truth(Protocol):
 
     @property
     def bodies(self) -> FloatArray:
-        """Return (n, B, 13) states of all bodies: position, quaternion w x y z, velocity, angular velocity."""
+        """Return (n, B, 13) states of all bodies: position, quaternion w x y z, velocity, angular velocity.
+
+        Velocities are NaN where the simulator does not tell them.
+        """
 
 
 class Simulator(Protocol):
@@ -76,6 +75,20 @@ class Simulator(Protocol):
     @property
     def truth(self) -> Truth:
         """Where the robots are; valid until the next call."""
+
+    @property
+    def lost(self) -> BoolArray:
+        """Which of the n robots have lost what runs them; they stand still until they are started again."""
+
+    @property
+    def failures(self) -> int:
+        """How often a lost robot has been given a new place to run."""
+
+    def loss_reason(self, row: int) -> str:
+        """Say why the robot ``row`` is lost; empty if it is not."""
+
+    def keep_alive(self) -> AbstractContextManager[None]:
+        """Return a context in which the robots survive, however long nothing is stepped."""
 
     def load_starts(self, poses_rad: FloatArray) -> None:
         """Make (k, J) start poses known, in radians."""
@@ -113,6 +126,7 @@ class EmbeddedSimulator:
         self._engine = BatchSimulator(n, robot_type=robot_type, threads=threads, digits=digits)
         self._robot_type = robot_type
         self._starts: ByteArray | None = None
+        self._lost: BoolArray = np.zeros(n, dtype=np.bool_)
 
     @property
     def perceptors(self) -> Perceptors:
@@ -123,6 +137,25 @@ class EmbeddedSimulator:
     def truth(self) -> Truth:
         """Where the robots are; valid until the next call."""
         return self._engine.truth
+
+    @property
+    def lost(self) -> BoolArray:
+        """Which robots are lost: none ever is."""
+        return self._lost
+
+    @property
+    def failures(self) -> int:
+        """How many robots were lost so far: none."""
+        return 0
+
+    def loss_reason(self, row: int) -> str:
+        """Return an empty string: no robot is lost."""
+        del row
+        return ""
+
+    def keep_alive(self) -> AbstractContextManager[None]:
+        """Return a context that does nothing: the engine waits for ever."""
+        return nullcontext()
 
     def load_starts(self, poses_rad: FloatArray) -> None:
         """Simulate (k, J) start poses, in radians, and keep what came of them."""
@@ -170,13 +203,33 @@ def settle(
 
 
 def open_simulator(
-    name: SimulatorName, n: int, *, robot_type: int, task: Task, threads: int, digits: int | None
+    name: SimulatorName,
+    n: int,
+    *,
+    robot_type: int,
+    task: Task,
+    threads: int,
+    digits: int | None,
+    max_server_failures: int,
 ) -> Simulator:
     """Open the simulator called ``name`` for n robots.
 
+    Args:
+        name: ``embedded`` or ``rcssserver3d``.
+        n: number of robots.
+        robot_type: 0 to 4.
+        task: says where the robots start.
+        threads: threads of the embedded engine.
+        digits: decimals of the embedded engine's perceptors; a server has its own.
+        max_server_failures: so many servers may be replaced.
+
     Raises:
-        ValueError: if there is no such simulator here.
+        ValueError: if there is no such simulator.
+        FileNotFoundError: if the server's program is not here.
+        naosim.ServerLostError: if a server does not start.
     """
     if name == "embedded":
         return EmbeddedSimulator(n, robot_type=robot_type, task=task, threads=threads, digits=digits)
-    raise ValueError(f"simulator: {name!r} is not available here; use 'embedded'")
+    if name == "rcssserver3d":
+        return RemoteSimulator(server_launcher(), n, robot_type=robot_type, task=task, max_failures=max_server_failures)
+    raise ValueError(f"simulator: {name!r} is unknown; use 'embedded' or 'rcssserver3d'")

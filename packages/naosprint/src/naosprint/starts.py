@@ -10,6 +10,12 @@ if TYPE_CHECKING:
     from naosprint.actuation import Actuation
     from naosprint.arrays import FloatArray, IntArray
 
+RUNNING_YAW_DEG = -90.0
+"""Yaw of a torso that faces +x: the front of the robot is its +y."""
+
+DROP_M = 0.015
+"""Height above standing from which a robot is put down at the start, metres."""
+
 SETTLING_CYCLES = 60
 """Cycles that the start pose is held before the first observation."""
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
+from naosim import ServerLostError
+
 from naosprint.checkpoint import (
     ENVIRONMENT,
     LEARNER,
@@ -74,8 +76,8 @@ def train(
         workdir: directory for checkpoints, ``step-000000000000`` and so on; made if it is missing.
         reporter: receives figures, checkpoints and log lines.
         resume: checkpoint to continue from; with the embedded simulator and the same numbers of threads the result is
-            that of a training that never stopped, bit for bit. Only total_steps, checkpoint_interval_steps and the
-            numbers of threads may differ from its specification.
+            that of a training that never stopped, bit for bit. Only total_steps, checkpoint_interval_steps,
+            max_server_failures and the numbers of threads may differ from its specification.
         initial_policy: checkpoint whose weights and observation statistics to start from; everything else is new.
         stop: asked between steps; once it says so, the training saves a checkpoint of the last complete update and
             returns. What the unfinished rollout had collected is given up.
@@ -86,6 +88,9 @@ def train(
     Raises:
         CheckpointError: if a checkpoint is damaged or does not fit the specification.
         TrainingDivergedError: if a number is no longer finite; the checkpoints so far remain.
+        naosim.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start; the last
+            complete update is saved.
+        FileNotFoundError: if the server's program is not here.
         ValueError: if the specification cannot be met.
     """
     if resume is not None and initial_policy is not None:
@@ -118,6 +123,7 @@ class _Session:
         self._updates = 0
         self._training_s = 0.0
         self._saved_step: int | None = None
+        env.on_loss = self._note_loss
 
     def run(self, stop: Callable[[], bool]) -> TrainResult:
         """Train until all steps are taken or ``stop`` says so."""
@@ -134,19 +140,26 @@ class _Session:
         while ppo.num_timesteps < spec.planned_steps:
             before = self._state()
             began = perf_counter()
-            if not ppo.collect_rollouts(self.env, None, ppo.rollout_buffer, spec.n_steps, stop):
+            try:
+                complete = ppo.collect_rollouts(self.env, None, ppo.rollout_buffer, spec.n_steps, stop)
+            except ServerLostError:
+                self._save(before)
+                raise
+            if not complete:
                 checkpoint = self._save(before)
                 self._log(f"stopped at {before.steps:,} steps; the last complete update is saved")
                 return TrainResult("stopped", before.steps, checkpoint)
-            ppo.train()
-            self._updates += 1
-            self._training_s += perf_counter() - began
-            self._report(began, began_steps, began_s)
-            steps = ppo.num_timesteps
-            interval = spec.checkpoint_interval_steps
-            if steps // interval > before.steps // interval or steps >= spec.planned_steps:
-                checkpoint = self._save(self._state())
-                self._log(f"checkpoint at {steps:,} steps: {self._progress()}")
+            # servers drop robots that say nothing for a minute
+            with self.env.batch.simulator.keep_alive():
+                ppo.train()
+                self._updates += 1
+                self._training_s += perf_counter() - began
+                self._report(began, began_steps, began_s)
+                steps = ppo.num_timesteps
+                interval = spec.checkpoint_interval_steps
+                if steps // interval > before.steps // interval or steps >= spec.planned_steps:
+                    checkpoint = self._save(self._state())
+                    self._log(f"checkpoint at {steps:,} steps: {self._progress()}")
         if self._saved_step != ppo.num_timesteps:
             checkpoint = self._save(self._state())
         self._log(f"finished at {ppo.num_timesteps:,} steps after {self._training_s:.0f} s of training")
@@ -195,6 +208,14 @@ class _Session:
 
     def _log(self, message: str) -> None:
         self._reporter.log("info", message)
+
+    def _note_loss(self, row: int, reason: str) -> None:
+        batch = self.env.batch
+        self._reporter.log(
+            "warning",
+            f"environment {row}: episode cut off after {batch.steps[row]} steps, its server was lost: {reason}; "
+            f"starting another ({batch.simulator.failures} of {self.spec.max_server_failures} allowed so far)",
+        )
 
     def _progress(self) -> str:
         means = self.env.window.means()
@@ -247,6 +268,8 @@ class _Session:
             "learn_s": ppo.learn_s,
             "eta_s": max(spec.planned_steps - steps, 0) / overall,
         }
+        if spec.simulator == "rcssserver3d":
+            row["server_failures"] = float(self.env.batch.simulator.failures)
         self._reporter.metrics(row)
 
 
@@ -262,7 +285,9 @@ def _statistics(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     return {name: policy[name] for name in _STATISTICS}
 
 
-_MAY_DIFFER = frozenset({"total_steps", "checkpoint_interval_steps", "simulator_threads", "torch_threads"})
+_MAY_DIFFER = frozenset(
+    {"total_steps", "checkpoint_interval_steps", "simulator_threads", "torch_threads", "max_server_failures"}
+)
 
 
 def _require_same_training(directory: Path, theirs: TrainingSpec, ours: TrainingSpec) -> None:

@@ -15,7 +15,7 @@ from naosprint.starts import choose_starts
 from naosprint.symmetry import Mirror
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from naospec import TrainingSpec
 
@@ -52,6 +52,10 @@ class SprintVecEnv(VecEnv):
         self.normaliser = normaliser
         self._bootstrap_at_end = bootstrap_at_end
         self.window = EpisodeWindow()
+        self.on_loss: Callable[[int, str], None] = lambda row, reason: None
+        """Called with environment and reason when an episode is cut off because its server was lost."""
+        self.losses: dict[int, str] = {}
+        """Why environments lost their server in the last step, by environment."""
         self._n_starts = n_starts
         self._seed = seed
         self._episode: IntArray = np.zeros(batch.n, dtype=np.int64)
@@ -100,16 +104,20 @@ class SprintVecEnv(VecEnv):
         rewards = self.normaliser.rewards(batch.rewards, dones)
         cut_rows = np.flatnonzero(dones & ~batch.fallen if self._bootstrap_at_end else batch.truncated)
         cut_raw = batch.observations[cut_rows]
-        ended = np.flatnonzero(dones)
-        if len(ended):
+        self.losses = {row: batch.simulator.loss_reason(row) for row in np.flatnonzero(batch.lost).tolist()}
+        if dones.any():
+            # an episode that was cut off by a broken server says nothing about the policy
+            told = np.flatnonzero(dones & ~batch.lost)
             self.window.add(
-                rewards=self._rewards[ended],
-                distances_m=batch.displacement[ended],
-                steps=batch.steps[ended].astype(np.float64),
-                fallen=batch.fallen[ended],
-                durations_s=batch.elapsed_s()[ended],
+                rewards=self._rewards[told],
+                distances_m=batch.displacement[told],
+                steps=batch.steps[told].astype(np.float64),
+                fallen=batch.fallen[told],
+                durations_s=batch.elapsed_s()[told],
             )
-            self._restart(ended)
+            for row, reason in self.losses.items():
+                self.on_loss(row, reason)
+            self._restart(np.flatnonzero(dones))
         self.normaliser.learn_observations(batch.observations)
         return Transition(
             observations=self.normaliser.observations(batch.observations),
@@ -161,6 +169,8 @@ class SprintVecEnv(VecEnv):
         for row in np.flatnonzero(transition.dones).tolist():
             infos[row]["episode"] = {"r": float(sums[row]), "l": int(lengths[row]), "t": 0.0}
             infos[row]["TimeLimit.truncated"] = False
+        for row, reason in self.losses.items():
+            infos[row]["server_lost"] = reason
         for row, observation in zip(transition.cut_rows.tolist(), transition.cut_observations, strict=True):
             infos[row]["TimeLimit.truncated"] = True
             infos[row]["terminal_observation"] = observation
