@@ -281,10 +281,8 @@ class Browser:
         return [line for line in lines if not any(part in line for part in self.allowed)]
 
 
-@pytest.fixture(scope="session")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chrome, Path]]:
-    """One headless Chromium for the whole run, and its download folder."""
-    downloads = tmp_path_factory.mktemp("downloads")
+def start_chromium(profile: Path, downloads: Path) -> Chrome:
+    """Start one headless Chromium that draws WebGL without a graphics card and tells nobody about it."""
     options = ChromeOptions()
     options.binary_location = str(CHROMIUM)
     for flag in (
@@ -300,13 +298,22 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chrome,
         "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader",
         "--hide-scrollbars",
-        f"--user-data-dir={tmp_path_factory.mktemp('profile')}",
+        f"--user-data-dir={profile}",
     ):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     driver = Chrome(options=options, service=Service(str(CHROMEDRIVER), log_output=subprocess.DEVNULL))
-    driver.set_script_timeout(60)
+    driver.set_page_load_timeout(180)
+    driver.set_script_timeout(180)
+    return driver
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chrome, Path]]:
+    """One headless Chromium for the whole run, and its download folder."""
+    downloads = tmp_path_factory.mktemp("downloads")
+    driver = start_chromium(tmp_path_factory.mktemp("profile"), downloads)
     try:
         yield driver, downloads
     finally:

@@ -28,6 +28,8 @@ TINY: dict[str, Any] = {
     "n_steps": 32,
     "batch_size": 64,
     "n_epochs": 1,
+    # so much noise that robots fall soon and there are episodes to report
+    "initial_log_std": 1.0,
     "hidden_sizes": [8],
     "simulator_threads": 1,
     "torch_threads": 1,
