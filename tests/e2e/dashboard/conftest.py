@@ -326,8 +326,10 @@ def browser(chromium: tuple[Chrome, Path], stack: Stack) -> Iterator[Browser]:
     driver, downloads = chromium
     page = Browser(driver, stack.url, downloads)
     page.size(1440, 900)
-    driver.get(f"{stack.url}/ui/favicon.svg")
+    # Storage is reached from a page of the origin alone; of one without an icon, Chromium would ask for /favicon.ico.
+    driver.get(f"{stack.url}/")
     page.js("localStorage.clear(); sessionStorage.clear();")
+    driver.get("about:blank")
     page.requests()
     driver.get_log("browser")  # type: ignore[no-untyped-call]
     yield page

@@ -53,6 +53,7 @@ FAST = {
     "NAOSPRINT_WORKER_ORPHAN_GRACE_S": "3",
     "NAOSPRINT_WORKER_STOP_GRACE_S": "30",
     "NAOSPRINT_WORKER_PATIENCE_S": "60",
+    "NAOSPRINT_WORKER_REPORT": "off",
 }
 
 #: A training of a moment: the smallest network, two robots.
@@ -213,6 +214,18 @@ class Service:
         worker = WorkerProcess({**self.environment, **environment}, log)
         self.workers.append(worker)
         return worker
+
+    def health(self) -> tuple[int, str]:
+        """Return exit status and complaint of ``python -m naosprint_worker health``."""
+        done = subprocess.run(
+            [sys.executable, "-m", "naosprint_worker", "health"],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        return done.returncode, done.stdout + done.stderr
 
     def submit(self, *, ring: bool = True, evaluate: bool = True, **fields: Any) -> str:
         """Submit a tiny job as the API does; return its id."""
@@ -405,6 +418,37 @@ def service(postgres: Postgres, broker: Broker, template: str, tmp_path: Path) -
         yield service
 
 
+class SmallDisk:
+    """A file system of 16 megabytes, which can be full in earnest."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._filler = folder / "filler"
+
+    def fill(self) -> None:
+        """Leave no free block."""
+        with self._filler.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(4096))
+        assert os.statvfs(self.folder).f_bavail == 0
+
+    def free(self) -> None:
+        """Give back what `fill` took."""
+        self._filler.unlink()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[SmallDisk]:
+    """A small disk, where this account may mount one."""
+    folder = tmp_path / "artifacts"
+    folder.mkdir()
+    mounting = ["mount", "-t", "tmpfs", "-o", "size=16m,mode=0777", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mounting, capture_output=True, check=False).returncode != 0:
+        pytest.skip("a full disk needs a file system of its own, which this account may not mount")
+    yield SmallDisk(folder)
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
 @pytest.fixture
 def worker(service: Service) -> WorkerProcess:
     """A worker with one slot."""
@@ -416,7 +460,7 @@ def shared(postgres: Postgres, template: str, tmp_path_factory: pytest.TempPathF
     """A service with a worker of two slots, for all tests of a module that break nothing; it has its own broker."""
     broker = Broker()
     with opened(postgres, broker, template, tmp_path_factory.mktemp("shared")) as service:
-        service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+        service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2", NAOSPRINT_WORKER_REPORT="film")
         yield service
     broker.close()
 

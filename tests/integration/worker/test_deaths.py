@@ -7,7 +7,9 @@ import signal
 
 import psutil
 from naojobs import lifecycle, registry
+from naojobs.models import Evaluation
 from naojobs.states import JobState
+from sqlalchemy import select
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -96,10 +98,38 @@ def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProc
     assert other.process.poll() is None
 
 
+def test_worker_killed_between_the_evaluation_and_the_end(service: Service, worker: WorkerProcess) -> None:
+    """It is frozen, so that the trainer gets through but nobody settles the job; then it is killed."""
+    steps = ROLLOUT * 20
+    job_id = service.submit(total_steps=steps)
+    training = service.until_training(worker)
+    worker.process.send_signal(signal.SIGSTOP)
+
+    def evaluations() -> list[Evaluation]:
+        with service.sessions() as session:
+            return list(session.scalars(select(Evaluation).where(Evaluation.job_id == job_id)))
+
+    (first,) = service.until(evaluations, what="for the evaluation")
+    # Its frozen parent cannot reap it.
+    service.until(lambda: training.status() == psutil.STATUS_ZOMBIE, what="for the trainer to end")
+    assert service.job(job_id).state is JobState.EVALUATING
+    worker.process.kill()
+    worker.process.wait()
+    service.start_worker()
+    assert service.until_state(job_id, JobState.SUCCEEDED).attempt == 2
+    (only,) = evaluations()
+    assert (only.id, only.key, only.finished_at) == (first.id, first.key, first.finished_at)
+    assert service.kinds(job_id).count("evaluation") == 1
+    assert_resumed_and_whole(service, job_id, steps)
+
+
 def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
     assert [entry.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
+    assert service.health() == (0, "")
     assert worker.terminate() == 0
+    status, reason = service.health()
+    assert (status, "no heartbeat of a worker on" in reason) == (1, True), reason
     assert registry.workers(service.sessions) == []
     assert list((service.folder / "work").iterdir()) == []
     job = service.job(job_id)

@@ -40,9 +40,24 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
     kept = json.loads(shared.store.get_bytes(f"{evaluation.key}/evaluation.json"))
     assert kept == evaluation.summary
     assert shared.store.get_bytes(f"{evaluation.key}/trajectories.npz").startswith(b"PK")
+    assert_report(shared, evaluation, updates=20)
 
     kinds = [kind for kind in shared.kinds(finished) if kind != "checkpoint"]
     assert kinds == ["queued", "claimed", "started", "running", "evaluating", "evaluation", "succeeded"]
+
+
+def assert_report(service: Service, evaluation: Evaluation, *, updates: int) -> None:
+    """A page with everything in it, the film, pictures and their figures lie beside the evaluation."""
+    manifest = Manifest.model_validate(evaluation.manifest)
+    assert {"report.html", "report.json", "run.mp4", "run.gif", "learning-curve.csv"} <= {
+        entry.name for entry in manifest.files
+    }
+    page = service.store.get_bytes(f"{evaluation.key}/report.html").decode()
+    assert service.job(evaluation.job_id).name in page
+    assert "data:video/mp4;base64," in page
+    assert service.store.get_bytes(f"{evaluation.key}/run.mp4")[4:8] == b"ftyp"
+    table = service.store.get_bytes(f"{evaluation.key}/learning-curve.csv").decode().splitlines()
+    assert len(table) == 1 + updates
 
 
 def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Service) -> None:
@@ -160,6 +175,7 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     whole, broken = rows
     assert (whole.state, whole.attempt, whole.error) == (EvaluationState.SUCCEEDED, 1, None)
     assert json.loads(shared.store.get_bytes(f"{whole.key}/evaluation.json")) == whole.summary
+    assert_report(shared, whole, updates=20)
     assert (broken.state, broken.attempt) == (EvaluationState.FAILED, 1)
     assert "nothing lies there" in (broken.error or "")
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from naojobs import lifecycle
 from naojobs.models import Log
 from naojobs.states import JobState
+from naojobs.store import Manifest
 from sqlalchemy import select
 
-from .conftest import ROLLOUT, Service, WorkerProcess
+from .conftest import ROLLOUT, Service, SmallDisk, WorkerProcess
 
 
 def assert_whole(service: Service, job_id: str, steps: int) -> None:
@@ -73,6 +75,30 @@ def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> 
     job_id = service.submit(total_steps=10**9, max_attempts=1)
     job = service.until_state(job_id, JobState.FAILED)
     assert "storing the checkpoint of step 0: gave up" in (job.error or "")
+
+
+def test_store_on_a_full_disk_is_waited_for(small_disk: SmallDisk, service: Service, worker: WorkerProcess) -> None:
+    assert small_disk.folder == service.artifacts
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    small_disk.fill()
+    service.until(lambda: "No space left on device" in log_text(service, job_id), what="for a complaint in the log")
+    known = service.checkpoints(job_id)
+    small_disk.free()
+    service.until_checkpoints(job_id, len(known) + 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    job = service.until_state(job_id, JobState.PAUSED)
+    assert (job.attempt, job.failures) == (1, 0)
+    stored = service.checkpoints(job_id)
+    for checkpoint in stored:
+        service.store.get_directory(
+            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+        )
+    # Those that had to wait are there like all others; the last one is that of the pause.
+    assert [checkpoint.step for checkpoint in stored[:-1]] == [
+        number * ROLLOUT * 20 for number in range(len(stored) - 1)
+    ]
+    assert_whole(service, job_id, stored[-1].step)
 
 
 def log_text(service: Service, job_id: str) -> str:

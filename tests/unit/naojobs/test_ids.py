@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from naojobs.ids import PATTERN, new_id
+from naojobs.ids import PATTERN, new_id, same_id
 
 
 def test_ids_are_unlike_and_fit_their_pattern() -> None:
@@ -19,3 +19,9 @@ def test_ids_sort_by_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("naojobs.ids.time.time_ns", lambda: next(times))
     ids = [new_id("job") for _ in range(5)]
     assert ids == sorted(ids)
+
+
+def test_one_thing_of_another_has_its_digits() -> None:
+    checkpoint = new_id("ckpt")
+    assert same_id("eval", checkpoint) == same_id("eval", checkpoint) == f"eval_{checkpoint.removeprefix('ckpt_')}"
+    assert re.fullmatch(PATTERN, same_id("eval", checkpoint))

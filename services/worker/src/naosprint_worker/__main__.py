@@ -1,30 +1,56 @@
-"""Start a worker: ``python -m naosprint_worker``; everything else comes from the environment."""
+"""Start a worker: ``python -m naosprint_worker``; everything else comes from the environment.
+
+``python -m naosprint_worker health`` tells by its exit status whether this host's worker is well.
+"""
 
 from __future__ import annotations
 
+import argparse
 import logging
 import sys
+from collections.abc import Sequence
 
-from naojobs.doorbell import Doorbell
 from pydantic import ValidationError
 
-from naosprint_worker.application import make_application, register_tasks, serve
-from naosprint_worker.settings import WorkerSettings
-from naosprint_worker.worker import Worker
 
-
-def main() -> int:
-    """Run a worker until it is told to end; return its exit status."""
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    for chatty in ("celery.worker.strategy", "celery.app.trace"):
-        logging.getLogger(chatty).setLevel(logging.WARNING)
+def main(argv: Sequence[str] | None = None) -> int:
+    """Do what the command line says; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="naosprint-worker", description="Train sprint jobs. Settings come from the environment: NAOSPRINT_*."
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    commands.add_parser("run", help="take jobs until SIGTERM (the default)")
+    commands.add_parser("health", help="exit 0 if this host's worker was heard of lately, else 1")
+    arguments = parser.parse_args(argv)
     try:
-        settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+        return _health() if arguments.command == "health" else _run()
     except ValidationError as error:
         for problem in error.errors(include_url=False, include_input=False):
             name = "_".join(str(part) for part in problem["loc"]).upper()
             sys.stderr.write(f"{'NAOSPRINT_' + name + ': ' if name else ''}{problem['msg']}\n")
         return 2
+
+
+def _health() -> int:
+    # A container asks every few seconds: nothing of what a worker itself needs is loaded for it.
+    from naojobs.settings import ServiceSettings
+
+    from naosprint_worker.health import check
+
+    return check(ServiceSettings())  # type: ignore[call-arg]  # the environment fills it
+
+
+def _run() -> int:
+    from naojobs.doorbell import Doorbell
+
+    from naosprint_worker.application import make_application, register_tasks, serve
+    from naosprint_worker.settings import WorkerSettings
+    from naosprint_worker.worker import Worker
+
+    settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    for chatty in ("celery.worker.strategy", "celery.app.trace"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
     app = make_application(settings)
     worker = Worker(settings, Doorbell(app))
     register_tasks(app, worker)

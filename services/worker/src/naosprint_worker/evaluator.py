@@ -16,6 +16,7 @@ from naosprint_worker.child_process import Services, run_child
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode
+from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 
 
@@ -29,6 +30,7 @@ def work(services: Services) -> ExitCode:
     summary = evaluate_into(
         result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, stop=services.stop
     )
+    add_report(services, result, claim.job_id, claim.checkpoint.step)
     key = evaluation_key(claim.job_id, claim.id, claim.attempt)
     manifest = retry(
         lambda: services.store.put_directory(key, result),

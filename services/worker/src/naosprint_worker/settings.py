@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from naojobs.doorbell import QUEUES
 from naojobs.settings import ServiceSettings
@@ -44,6 +44,11 @@ class WorkerSettings(ServiceSettings):
     )
     worker_evaluation_threads: int = Field(
         2, ge=1, le=256, description="Simulator threads of an evaluation that a user asks for."
+    )
+    worker_report: Literal["film", "pictures", "off"] = Field(
+        "off",
+        description="Report stored with every evaluation: film, pictures (no film, which takes longest), or off: "
+        "whoever wants one draws it with `naoctl report`.",
     )
     worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
 

@@ -9,13 +9,14 @@ import contextlib
 import logging
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import naosprint
 from naojobs import lifecycle, records
 from naojobs.errors import ConflictError, LeaseLostError
-from naojobs.ids import new_id
+from naojobs.ids import same_id
 from naojobs.lifecycle import CheckpointRef
 from naojobs.models import Checkpoint
 from naojobs.states import JobState
@@ -30,6 +31,7 @@ from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode, Outcome
 from naosprint_worker.recorder import Recorder
+from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
 
@@ -107,17 +109,22 @@ class Attempt:
             if services.stop.requested():
                 raise StopRequestedError
             self._enter(JobState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
-            self._evaluate(result.checkpoint, checkpoint_id, evaluation)
+            self._evaluate(result, checkpoint_id, evaluation)
         self._recorder.close(services.settings.worker_patience_s * 2)
         return ExitCode.FINISHED
 
-    def _evaluate(self, checkpoint: Path, checkpoint_id: str, spec: EvaluationSpec) -> None:
+    def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
+        # One id for all attempts: the one before may have died between recording its figures and the job's end.
+        identifier = same_id("eval", checkpoint_id)
+        if self._database(lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"):
+            return
         folder = services.workdir / "evaluation"
         threads = self._assignment.spec.simulator_threads
-        summary = evaluate_into(folder, checkpoint, spec, threads=threads, stop=services.stop)
-        identifier = new_id("eval")
-        key = evaluation_key(lease.job_id, identifier, 1)
+        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
+        warn = partial(self._recorder.log, "warning")
+        add_report(services, folder, lease.job_id, trained.steps, warn=warn)
+        key = evaluation_key(lease.job_id, identifier, lease.attempt)
         manifest = retry(
             lambda: services.store.put_directory(key, folder),
             what="storing the evaluation",

@@ -40,9 +40,9 @@ export class Recording {
 
 /** Cameras relative to the torso, metres: where from and what is looked at. */
 const CAMERAS = {
-  follow: [[-1.7, -1.5, 0.75], [0.15, 0, -0.08]],
-  side: [[0, -2.1, 0.12], [0, 0, -0.08]],
-  front: [[2.1, -0.5, 0.35], [0, 0, -0.06]],
+  follow: [[-1.15, -1.3, 0.55], [0.12, 0, -0.1]],
+  side: [[0, -1.75, 0.12], [0, 0, -0.08]],
+  front: [[1.7, -0.45, 0.3], [0, 0, -0.06]],
 };
 
 export class Stage {
@@ -162,10 +162,10 @@ export class Stage {
     const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5;
     this.scene.background = new T.Color(color("--sunken"));
     this.scene.fog.color.set(color("--sunken"));
-    set(this.turf.material.color, "--turf");
+    set(this.turf.material.color, "--pitch");
     this.chalk.color.set(dark ? "#7f9a86" : "#ffffff");
     this.ring.color.set(dark ? "#7f9a86" : "#ffffff");
-    set(this.faint.color, "--turf-line");
+    set(this.faint.color, "--pitch-line");
     set(this.gate.color, "--s5");
     set(this.trail.color, "--ref");
     this.shell.color.set(dark ? "#d5dbe4" : "#f4f6f9");

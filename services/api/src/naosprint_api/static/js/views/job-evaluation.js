@@ -90,7 +90,7 @@ export class EvaluationTab {
     fill(this.body,
       h("div", { class: "stats" },
         stat("Speed, all episodes", fixed(f.speed_mps.mean), "m/s", interval(f.speed_mps.ci), `Mean of distance over time from the start, with its ${level} interval`),
-        stat("Top speed, as the paper", fixed(f.paper.top_speed_mps), "m/s", f.paper.top_speed_sd_mps !== null ? `sd ${fixed(f.paper.top_speed_sd_mps)}` : "too few long episodes", "Best start line, over episodes with 200 samples beyond it"),
+        stat("Top speed (paper)", fixed(f.paper.top_speed_mps), "m/s", f.paper.top_speed_sd_mps !== null ? `sd ${fixed(f.paper.top_speed_sd_mps)}` : "too few long episodes", "Best start line, over episodes with 200 samples beyond it"),
         stat("Distance", fixed(f.distance_m.mean, 1), "m", interval(f.distance_m.ci, 1)),
         stat("Falls", percent(f.falls.rate), null, shares(f.falls.ci), `${f.falls.count} of ${f.episodes} episodes, with the ${level} Wilson interval`),
         stat("Arrivals", percent(f.arrivals.rate), null, shares(f.arrivals.ci)),

@@ -5,7 +5,7 @@ import { fill, h, icon, setText, toast } from "../dom.js";
 import { fixed, integer, stamp } from "../format.js";
 import { loading, notice } from "./messages.js";
 
-const PACES = [[1, "1×"], [0.5, "½×"], [0.25, "¼×"], [0.1, "⅒×"]];
+const PACES = [[1, "1×"], [0.5, "0.5×"], [0.25, "0.25×"], [0.1, "0.1×"]];
 const VIEWS = [["follow", "Follow"], ["side", "Side"], ["front", "Front"], ["free", "Free"]];
 
 export class ReplayTab {

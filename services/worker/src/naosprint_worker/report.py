@@ -1,0 +1,67 @@
+"""Draw the report of an evaluation for a child process."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from naojobs.models import Job, Metric
+from sqlalchemy import select
+
+from naosprint_worker.child_process import Services, StopRequestedError
+from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.retry import describe, retry
+
+logger = logging.getLogger(__name__)
+
+
+def add_report(
+    services: Services, evaluation: Path, job_id: str, step: int, *, warn: Callable[[str], None] = logger.warning
+) -> None:
+    """Draw the report of the evaluation in ``evaluation`` and put its files there too, as far as settings want one.
+
+    Its learning curve is that of job ``job_id`` up to ``step``. A report that cannot be drawn is left out as a whole
+    and ``warn`` hears why: the figures are worth keeping without it.
+
+    Raises:
+        StopRequestedError: this process was asked to stop meanwhile.
+    """
+    wanted = services.settings.worker_report
+    if wanted == "off":
+        return
+    folder, metrics = services.workdir / "report", services.workdir / "metrics.jsonl"
+    try:
+        with services.stop.interruptible():
+            from naosprint.report import write_report  # Matplotlib takes a while to load
+
+            title = retry(
+                lambda: _write_metrics(services, job_id, step, metrics),
+                what="reading the metrics",
+                transient=DATABASE_TROUBLE,
+                patience_s=services.settings.worker_patience_s,
+            )
+            write_report(folder, evaluation=evaluation, metrics=metrics, title=title, film=wanted == "film")
+            for path in sorted(folder.iterdir()):
+                path.replace(evaluation / path.name)
+    except StopRequestedError:
+        raise
+    except Exception as error:
+        logger.warning("drawing the report failed", exc_info=error)
+        if not services.stop.requested():
+            warn(f"the report could not be drawn, the figures are stored without it: {describe(error)}")
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    if services.stop.requested():  # what was interrupted may have taken the request for an error of its own
+        raise StopRequestedError
+
+
+def _write_metrics(services: Services, job_id: str, step: int, path: Path) -> str:
+    """Write a job's metrics up to ``step`` as JSON lines and return the job's name."""
+    with services.sessions() as session, path.open("w", encoding="utf-8") as file:
+        rows = select(Metric.values).where(Metric.job_id == job_id, Metric.step <= step).order_by(Metric.step)
+        for values in session.scalars(rows.execution_options(yield_per=500)):
+            file.write(json.dumps(values) + "\n")
+        return session.execute(select(Job.name).where(Job.id == job_id)).scalar_one()
