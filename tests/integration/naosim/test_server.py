@@ -51,6 +51,17 @@ def test_a_league_agent_is_answered_as_it_expects(server: Server, robot_type: in
     player.close()
 
 
+@pytest.mark.parametrize("at_once", [2, 3])
+def test_messages_that_arrive_together_are_all_answered_and_so_is_the_next(server: Server, at_once: int) -> None:
+    """A client that asks again before it was answered does not make the server deaf."""
+    player = Player(server.agent_port)
+    player.socket.sendall(b"".join(protocol.frame(b"(syn)") for _ in range(at_once)))
+    times = [senses(player.receive())["time"][0] for _ in range(at_once)]
+    times.append(senses(player.step())["time"][0])
+    assert len(set(times)) == at_once + 1
+    player.close()
+
+
 def test_a_walkers_sight_tells_where_it_stands(server: Server) -> None:
     player, monitor = Player(server.agent_port), Wire(server.monitor_port)
     monitor.send("(agent (unum 1)(team Left)(move -11.5 1.2 0.4 -90))")
@@ -103,10 +114,58 @@ def test_a_trainer_rules_the_field(server: Server) -> None:
     assert monitor.closed()
 
 
+def test_a_trainer_turns_selects_and_sends_off_players(server: Server) -> None:
+    player, mate = Player(server.agent_port), Player(server.agent_port)
+    monitor, scene = Wire(server.monitor_port), _core.SceneReader()
+    monitor.send("(agent (unum 1)(team Left)(pos -2 0 1)(rot 20 0 90))(reqfullstate)")
+    for _ in range(2):
+        player.step()
+        position, rotation = torso(monitor, scene)
+    tilt = np.radians(20)
+    turned = np.array([[0, -1, 0], [np.cos(tilt), 0, -np.sin(tilt)], [np.sin(tilt), 0, np.cos(tilt)]])
+    np.testing.assert_allclose(rotation, turned, atol=0.02)
+    assert np.allclose(position, [-2, 0, 1], atol=0.02)
+    monitor.send("(select)(select)(repos)(select (unum 1)(team Left))")
+    for wire in (player, mate):
+        wire.step()
+        torso(monitor, scene)
+    monitor.send("(reqfullstate)")
+    mate.step()
+    position, _ = torso(monitor, scene, 2)
+    assert np.allclose(position, [-3, -10.5, 1], atol=0.02), "outside the field, on the side where the ball is not"
+    monitor.send("(kill)")
+    assert player.closed()
+    assert "(time" in mate.step()
+
+
+def test_a_trainer_restarts_the_game(server: Server) -> None:
+    player, monitor = Player(server.agent_port), Wire(server.monitor_port)
+    assert "RSG" in monitor.receive()
+    for command, modes in (
+        ("(kickOff Right)", {"KickOff_Right"}),
+        ("(kickOff None)", {"KickOff_Left", "KickOff_Right"}),
+        ("(ball (pos 3 12 1)(vel 1 1 1))(dropBall)", {"PlayOn"}),
+    ):
+        monitor.send(command)
+        mode = re.search(r"\(pm (\w+)\)", [player.step() for _ in range(3)][-1])
+        assert mode is not None
+        assert mode[1] in modes
+    assert server.game.ball.position == pytest.approx((3, 10 - 0.042, 0.042))
+
+
 def test_wrong_trainer_commands_change_nothing(server: Server, caplog: pytest.LogCaptureFixture) -> None:
     player, monitor, scene = Player(server.agent_port), Wire(server.monitor_port), _core.SceneReader()
     for command in (
-        *("(playMode Nonsense)", "(time -1)", "(time abc)", "(ball (pos 1 nan 3))", "(ball (pos 1 2))", "(dance)"),
+        *(
+            "(playMode Nonsense)",
+            "(kickOff)",
+            "(agent (unum 1)(team Left)(rot 1))",
+            "(time -1)",
+            "(time abc)",
+            "(ball (pos 1 nan 3))",
+            "(ball (pos 1 2))",
+            "(dance)",
+        ),
         *(
             "(agent (unum 9)(team Left)(move 0 0 1 0))",
             "(agent (unum 1)(team Left)(move 1e9 0 1 0))",
@@ -126,6 +185,8 @@ def test_wrong_trainer_commands_change_nothing(server: Server, caplog: pytest.Lo
         "'Nonsense' is unknown",
         "'nan' is not a number",
         "3 numbers are needed, not 2",
+        "3 numbers are needed, not 1",
+        "'' is none of Left, Right and None",
         "no robot 9 of team Left",
     ):
         assert reason in text

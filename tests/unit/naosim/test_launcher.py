@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from naosim import ProcessLauncher, launcher, launcher_docker
@@ -57,6 +58,35 @@ def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:
     assert is_orphan(labels | {launcher_docker.OWNER_START: "1"}), "the number belongs to another process now"
     assert not is_orphan(theirs | {launcher_docker.OWNER_HOST: "elsewhere"})
     assert not is_orphan(theirs | {launcher_docker.OWNER_START: ""})
+
+
+def test_an_owner_elsewhere_is_gone_when_its_container_no_longer_runs() -> None:
+    theirs = {**owner_labels(), launcher_docker.OWNER_HOST: "elsewhere/boot", launcher_docker.OWNER_CONTAINER: "a" * 64}
+    assert launcher_docker._is_left(theirs, {"b" * 64})
+    assert not launcher_docker._is_left(theirs, {"a" * 64, "b" * 64})
+    # whoever is on our own host is looked at itself, and whoever names no container cannot be
+    assert not launcher_docker._is_left({**theirs, launcher_docker.OWNER_HOST: launcher_docker.host_name()}, set())
+    assert not launcher_docker._is_left({**theirs, launcher_docker.OWNER_CONTAINER: ""}, set())
+
+
+def test_a_process_finds_the_container_that_it_runs_in(tmp_path: Path) -> None:
+    mounts = tmp_path / "mountinfo"
+    identifier = "0123456789abcdef" * 4
+    mounts.write_text(
+        "700 690 0:29 / /proc rw,nosuid - proc proc rw\n"
+        f"812 690 254:0 /var/lib/docker/containers/{identifier}/hostname /etc/hostname rw,relatime - ext4 /dev/vda rw\n"
+    )
+    assert launcher_docker.own_container(mounts) == identifier
+    mounts.write_text("700 690 254:0 / / rw,relatime - ext4 /dev/vda rw\n")
+    assert launcher_docker.own_container(mounts) is None
+    assert launcher_docker.own_container(tmp_path / "none") is None
+
+
+def test_an_own_network_is_for_owners_in_a_container(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launcher_docker, "own_container", lambda: None)
+    client = SimpleNamespace(api=None)  # it is not asked
+    with pytest.raises(OSError, match="network: 'own' is for owners that run in a container"):
+        launcher_docker.DockerLauncher(ContainerSettings("server:1", network="own"), client)
 
 
 @pytest.mark.parametrize(

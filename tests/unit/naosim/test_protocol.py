@@ -215,7 +215,7 @@ def test_brackets_of_a_frame_match_and_viewers_find_what_they_look_for() -> None
     assert depth[-1] == 0
     for mesh in ("naobody0", "naohead", "rupperarm0", "lshank0", "rfoot", "soccerball", "naosoccerfield"):
         assert f"(load models/{mesh}.obj)" in text
-    assert "(resetMaterials matLeft naoblack matNum7 naowhite)" in text
+    assert "(resetMaterials matNum7 matLeft matType0 naowhite)" in text
 
 
 @pytest.mark.parametrize(

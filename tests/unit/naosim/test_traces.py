@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from naosim import cli, traces
+from naosim import BatchSimulator, cli, traces
 
 HERE = Path(__file__).parent / "traces"
 RECORDINGS = sorted(HERE.glob("*.npz"))
@@ -44,6 +44,19 @@ def test_recordings_cover_sleep_stops_saturation_and_freezing() -> None:
         asleep |= bool((~trace.enabled).any())
         falls |= bool((trace.state[:, 0, 2] < 0.2).any())
     assert asleep and falls
+
+
+def test_legs_in_each_other_are_frozen_as_on_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the rule the recording of two tangled legs cannot be repeated for about a second."""
+    trace = traces.load(HERE / "cross-1.npz")
+    assert traces.free_run(trace).max() <= 1e-6
+    monkeypatch.setattr(
+        traces, "BatchSimulator", lambda n, kind, digits: BatchSimulator(n, kind, digits=digits, self_collision=False)
+    )
+    position, _, _ = traces.one_step(trace)
+    wrong = np.flatnonzero(position.max(axis=1) > 1e-4)
+    assert 40 <= len(wrong) <= 51
+    assert wrong[-1] - wrong[0] <= 51
 
 
 def _damaged(tmp_path: Path, **changes: object) -> Path:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim import ProcessLauncher, RemoteBatch
+from naosim.launcher_docker import ContainerSettings, DockerLauncher
 
 from naosprint.actuation import Actuation
 from naosprint.kinematics import body_states
@@ -23,38 +24,97 @@ if TYPE_CHECKING:
     from naosprint.simulator import Perceptors
 
 PROGRAM_VARIABLE = "NAOSPRINT_SIMSERVER"
-"""Environment variable that names the server's program; ``embedded`` stands for ``naosim serve``."""
+"""Environment variable that names the server's program; ``embedded`` stands for ``naosim serve``, ``docker:IMAGE`` for
+a container of that image."""
+
+NETWORK_VARIABLE = "NAOSPRINT_SIMSERVER_NETWORK"
+"""Environment variable that names the containers' Docker network; without it they publish ports on the loopback."""
+
+LABELS_VARIABLE = "NAOSPRINT_SIMSERVER_LABELS"
+"""Environment variable with labels for containers, ``key=value,key=value``, for example of the job they serve."""
 
 DEFAULT_PROGRAM = "rcssserver3d"
 
 SERVERS_PER_CORE = 4
-"""More servers than this a core only wait for each other; an evaluation starts no more."""
+"""More servers than this a core only wait for each other."""
 
+DOCKER_PREFIX = "docker:"
 _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 30.0
+_DIGITS = (2, 3)
 
 
-def server_launcher() -> Launcher:
+def server_launcher(digits: int | None = 2) -> Launcher:
     """Return the launcher of the program that :data:`PROGRAM_VARIABLE` names.
+
+    Args:
+        digits: decimals that ``naosim serve`` is to send; another program has its own.
 
     Raises:
         FileNotFoundError: if there is no such program; the message names the variable.
+        OSError: if containers are asked for and no Docker engine answers.
+        ValueError: if no server can send so many digits, or a variable is malformed.
     """
     program = os.environ.get(PROGRAM_VARIABLE) or DEFAULT_PROGRAM
+    if digits not in _DIGITS:
+        raise ValueError(f"sensor_digits: servers send 2 or 3 decimals, not all; use 2 or 3, not {digits}")
     if program == "embedded":
-        return ProcessLauncher.embedded()
+        return ProcessLauncher.embedded("--digits", str(digits))
+    if program.startswith(DOCKER_PREFIX):
+        return _container_launcher(program.removeprefix(DOCKER_PREFIX))
     try:
         return ProcessLauncher((program,))
     except FileNotFoundError:
         raise FileNotFoundError(
             f"{PROGRAM_VARIABLE}: there is no program {program!r} to run; install rcssserver3d, set {PROGRAM_VARIABLE} "
-            "to its path, or set it to 'embedded' for the server that comes with naosim"
+            "to its path, to 'docker:IMAGE' for containers, or to 'embedded' for the server that comes with naosim"
         ) from None
 
 
+def reap_servers(program: str) -> int:
+    """Remove server containers whose owner has died; return how many.
+
+    Args:
+        program: what :data:`PROGRAM_VARIABLE` may say; only containers need this, local servers end with their owner.
+
+    Raises:
+        OSError: if no Docker engine answers.
+    """
+    if not program.startswith(DOCKER_PREFIX):
+        return 0
+    return DockerLauncher(ContainerSettings(program.removeprefix(DOCKER_PREFIX))).reap()
+
+
+def _container_launcher(image: str) -> DockerLauncher:
+    labels: dict[str, str] = {}
+    for word in filter(None, os.environ.get(LABELS_VARIABLE, "").split(",")):
+        key, separator, value = word.partition("=")
+        if not separator or not key.strip():
+            raise ValueError(f"{LABELS_VARIABLE}: must be key=value,key=value, not {word!r}")
+        labels[key.strip()] = value.strip()
+    if not image:
+        raise ValueError(f"{PROGRAM_VARIABLE}: name the image after 'docker:'")
+    network = os.environ.get(NETWORK_VARIABLE) or None
+    return DockerLauncher(ContainerSettings(image, labels=labels, network=network))
+
+
 def most_servers() -> int:
-    """Return how many servers an evaluation starts at most on this machine."""
+    """Return how many servers are started at most on this machine."""
     return SERVERS_PER_CORE * (os.cpu_count() or 1)
+
+
+def require_servers(n: int) -> None:
+    """Check that this machine can carry n servers.
+
+    Raises:
+        ValueError: if it cannot; the message says what to set.
+    """
+    most = most_servers()
+    if n > most:
+        raise ValueError(
+            f"n_envs: {n} environments on rcssserver3d are as many servers, and this machine with {os.cpu_count()} "
+            f"cores carries at most {most}; set n_envs to {most} or less, batch_size to a divisor of n_envs * n_steps"
+        )
 
 
 class RemoteTruth:

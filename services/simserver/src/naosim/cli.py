@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -74,6 +76,25 @@ def _serve(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _reap(arguments: argparse.Namespace) -> int:
+    from naosim import launcher_docker  # the other commands need no engine
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    try:
+        reaper = launcher_docker.Reaper()
+    except OSError as error:
+        sys.stderr.write(f"naosim: {error}\n")
+        return 1
+    if arguments.every is None:
+        _print(f"{reaper.sweep(arguments.min_age)} removed")
+        return 0
+    with contextlib.suppress(KeyboardInterrupt):
+        while True:
+            reaper.sweep(arguments.min_age)
+            time.sleep(arguments.every)
+    return 0
+
+
 def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
 
@@ -117,7 +138,22 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--script-path", help=argparse.SUPPRESS)  # of the real server; there is no script here
     serve.add_argument("--quiet", action="store_true", help="log warnings only")
     serve.set_defaults(run=_serve)
+    reap = commands.add_parser(
+        "reap", help="remove server containers and networks on this Docker engine whose owner has died"
+    )
+    reap.add_argument("--every", type=_seconds, metavar="SECONDS", help="go on doing so (default: once)")
+    reap.add_argument(
+        "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="leave younger ones alone (default: 30)"
+    )
+    reap.set_defaults(run=_reap)
     return parser
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"must be 0 to 86400 seconds, not {text}")
+    return value
 
 
 def main(argv: Sequence[str] | None = None) -> int:

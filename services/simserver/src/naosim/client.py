@@ -14,7 +14,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
@@ -31,17 +31,20 @@ logger = logging.getLogger(__name__)
 _QUIET_S = 0.1
 """A server in sync mode that says nothing for so long is waiting for its agent."""
 
+_GREETING_QUIET_S = 0.02
+"""The same while a robot is being built, where one cycle more does no harm."""
+
 _LANDING_CYCLES = 15
 """A trainer's move shows up within so many cycles."""
 
 _LIFT_M = 1.0
-_GAIN = 7.0
+_GAIN = 20.0
 """rad/s of joint speed a rad of error, while a robot is untangled in the air."""
 
 _NUDGE = 1e-3
 """rad/s: any motor that turns wakes a robot."""
 
-_UNTANGLED_DEG = 1.0
+_UNTANGLED_DEG, _BEND_DEG = 1.0, 4.0
 _UNTANGLE_CYCLES = 150
 _FREEZE_CYCLES = 150
 """3 s: after these no joint is frozen by the self-collision rule, and the clock may be set back."""
@@ -138,6 +141,7 @@ class RemoteBatch:
         self._still = np.zeros((n, len(self.model.joints)))
         self._nudge = self._still.copy()
         self._nudge[:, self.model.joint_index["hj1"]] = _NUDGE
+        self._bent_deg = np.copysign(_BEND_DEG, self.model.low_deg + self.model.high_deg)
         try:
             self._open(range(n))
             for row in range(n):
@@ -207,7 +211,7 @@ class RemoteBatch:
         todo = moved.copy()
         with self._lock:
             for row in np.flatnonzero(todo):
-                self._move(int(row), where[row], float(yaw[row]))
+                self._move(int(row), where[row], float(yaw[row]), show=True)
             for _ in range(_LANDING_CYCLES):
                 self.step(self._nudge, todo)
                 todo &= ~self.failed
@@ -221,20 +225,26 @@ class RemoteBatch:
             self._note_failures()
 
     def reset(self, mask: ArrayLike | None = None) -> None:
-        """Untangle robots: hold them in the air until all joints are at 0; the caller beams them down then."""
+        """Untangle robots: hold them in the air until all joints are at 0; the caller beams them down then.
+
+        On the way every joint has to obey, so that no limb is left that the self-collision rule has frozen.
+        """
         rows = self._rows(mask)
         todo = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
         late = todo & (self._game_time > _CLOCK_S)
+        obeyed = np.zeros(self.n, dtype=np.bool_)
         lifted = np.array([0.0, 0.0, self.model.standing_height + _LIFT_M])
         with self._lock:
             for cycle in range(_UNTANGLE_CYCLES):
                 for row in np.flatnonzero(todo):
                     self._move(int(row), lifted, -90.0)
-                angles = self.perceptors.joint_angles
-                self.step(np.clip(-_GAIN * np.deg2rad(angles), -self.model.max_speed, self.model.max_speed), todo)
+                target = np.where(obeyed[:, None], 0.0, self._bent_deg)
+                error = np.deg2rad(target - self.perceptors.joint_angles)
+                self.step(np.clip(_GAIN * error, -self.model.max_speed, self.model.max_speed), todo)
                 todo &= ~self.failed
-                straight = np.abs(angles).max(axis=1) < _UNTANGLED_DEG
-                todo &= ~straight | (late & (cycle < _FREEZE_CYCLES - 1)) | (cycle < 2)
+                there = np.abs(target - self.perceptors.joint_angles).max(axis=1) < _UNTANGLED_DEG
+                todo &= ~(there & obeyed) | (late & (cycle < _FREEZE_CYCLES - 1))
+                obeyed |= there
                 if not todo.any():
                     break
             for row in np.flatnonzero(late & ~self.failed):
@@ -325,10 +335,10 @@ class RemoteBatch:
     def _trainer(self, row: int, command: str) -> None:
         self._exchange.post(row, True, command.encode())
 
-    def _move(self, row: int, where: Floats, yaw_deg: float) -> None:
+    def _move(self, row: int, where: Floats, yaw_deg: float, *, show: bool = False) -> None:
         x, y, z = (float(c) for c in where)
         place = f"{x:.6f} {y:.6f} {z:.6f} {yaw_deg:.6f}"
-        full = "" if self._exact else "(reqfullstate)"
+        full = "(reqfullstate)" if show and not self._exact else ""
         self._trainer(row, f"(agent (unum {self._number})(team Left)(move {place})){full}")
 
     def _arrived(self, where: Floats, yaw_deg: Floats, rows: NDArray[np.intp]) -> Flags:
@@ -403,22 +413,35 @@ class RemoteBatch:
         only = np.zeros(self.n, dtype=np.uint8)
         only[row] = 1
 
-        def ask(text: str, frames: int = 0) -> None:
+        def ask(text: str) -> None:
             exchange.post(row, False, text.encode())
-            exchange.collect(only, 1, frames, max(0.1, deadline - time.monotonic()))
+            exchange.collect(only, 1, 1, max(0.1, deadline - time.monotonic()))
+
+        def bring_about(text: str, done: Callable[[], object], failing: str) -> None:
+            # A server gives a new agent some cycles for nothing, then answers a (syn) only when the next one comes.
+            exchange.post(row, False, text.encode() + b"(syn)")
+            while not exchange.failure(row):
+                exchange.drain(row, _GREETING_QUIET_S, max(0.1, deadline - time.monotonic()))
+                if done():
+                    return
+                if time.monotonic() > deadline:
+                    exchange.fail(row, failing)
+                exchange.post(row, False, b"(syn)")
 
         exchange.choose(row, 1, self._number)
-        ask(f"(scene rsg/agent/nao/nao_hetero.rsg {self.robot_type})")
-        ask(f"(init (unum {self._number})(teamname {self._team}))")
-        for _ in range(10):
-            ask("(syn)")
-            side, number, _mode = exchange.game(row)
-            if side or exchange.failure(row):
-                break
-        else:
-            exchange.fail(row, "the server did not give the robot a team within 10 cycles")
+        bring_about(
+            f"(scene rsg/agent/nao/nao_hetero.rsg {self.robot_type})",
+            lambda: exchange.counts(row)[2],
+            "the server does not build the robot",
+        )
+        bring_about(
+            f"(init (unum {self._number})(teamname {self._team}))",
+            lambda: exchange.game(row)[0],
+            "the server does not give the robot a team",
+        )
         if exchange.failure(row):
             return
+        side, number, _mode = exchange.game(row)
         joints = exchange.counts(row)[2]
         if joints != len(self.model.joints):
             exchange.fail(
@@ -431,7 +454,7 @@ class RemoteBatch:
         exchange.drain(row, _QUIET_S, max(0.1, deadline - time.monotonic()))
         messages, frames = exchange.counts(row)[:2]
         for _ in range(4):
-            ask("(syn)", frames=1)
+            ask("(syn)")
         exchange.drain(row, _QUIET_S, max(0.1, deadline - time.monotonic()))
         more_messages, more_frames = (
             now - before for now, before in zip(exchange.counts(row), (messages, frames), strict=False)
@@ -446,5 +469,5 @@ class RemoteBatch:
             if exchange.failure(row) or (exchange.scene_complete(row) and exchange.counts(row)[3]):
                 return
             self._trainer(row, "(reqfullstate)")
-            ask("(syn)", frames=1)
+            ask("(syn)")
         exchange.fail(row, "the robot does not show up on the monitor port")

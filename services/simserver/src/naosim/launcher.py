@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 
 _GUARD = Path(__file__).with_name("launcher_guard.py")
 _GRACE_S = 2.0
+_ENDING_S = 0.5
 _LOG_TAIL = 400
 
 SERVER_SCRIPT = """\
@@ -225,7 +226,10 @@ class _ServerProcess:
         return False
 
     def describe(self) -> str:
-        code = self._process.poll()
+        # asked about when its connections break, which they do a moment before the process is gone
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_ENDING_S)
+        code = self._process.returncode
         state = "runs" if code is None else f"exit code {code}"
         try:
             with (self._home / "server.log").open("rb") as log:

@@ -1,20 +1,28 @@
 """Start servers as containers beside a worker, and remove those whose owner has died.
 
 Every container carries labels that say whose it is: the owner's host, process and the moment that process started, for
-a process number alone is used again. Only what is provably an orphan of this host is removed.
+a process number alone is used again, and the container that the owner runs in, if any. Only what is provably an orphan
+is removed: its owner was a process of this host and is gone, or the owner's whole container no longer runs.
+
+The engine is spoken to by names, and all names begin with PREFIX, so that a filter in front of it can keep everything
+else out of reach (deploy/docker-proxy).
 """
 
 from __future__ import annotations
 
-import calendar
 import contextlib
 import importlib
 import logging
 import os
+import re
+import secrets
 import socket
+import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +33,10 @@ logger = logging.getLogger(__name__)
 
 LABEL = "naosim.server"
 OWNER_HOST, OWNER_PID, OWNER_START = "naosim.owner.host", "naosim.owner.pid", "naosim.owner.start"
+OWNER_CONTAINER = "naosim.owner.container"
+PREFIX = "naosim-"
+OWN_NETWORK = "own"
+"""As a network's name: one that the launcher makes, joins, and removes with its last server."""
 _STOP_S = 2
 
 
@@ -39,7 +51,8 @@ class ContainerSettings:
     cpus: float = 1.0
     pids: int = 64
     network: str | None = None
-    """A network that the caller is on, too; without one the ports are published on this machine's loopback alone."""
+    """A network that the caller is on, too, or :data:`OWN_NETWORK`, for a caller that runs in a container; without one
+    the ports are published on this machine's loopback alone."""
 
     def __post_init__(self) -> None:
         if not self.image:
@@ -52,7 +65,18 @@ class ContainerSettings:
 
 def owner_labels() -> dict[str, str]:
     """Return labels that name this process beyond doubt."""
-    return {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
+    labels = {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
+    container = own_container()
+    return labels if container is None else {**labels, OWNER_CONTAINER: container}
+
+
+def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
+    """Return the id of the Docker container that this process runs in, None outside of one."""
+    with contextlib.suppress(OSError):
+        # the engine mounts the container's own /etc/hostname out of a folder that is named after the container
+        if found := re.search(r"/containers/([0-9a-f]{64})/hostname /etc/hostname ", mounts.read_text()):
+            return found[1]
+    return None
 
 
 def host_name() -> str:
@@ -113,12 +137,21 @@ class DockerLauncher:
         client: a `docker.DockerClient`; default: one from the environment.
 
     Raises:
-        OSError: the Docker SDK is not installed, or no engine answers.
+        OSError: the Docker SDK is not installed, no engine answers, or an own network is asked for outside a container.
     """
 
     def __init__(self, settings: ContainerSettings, client: Any = None) -> None:
         self._settings = settings
-        self._client = client if client is not None else connect()
+        self._api: Any = (client if client is not None else connect()).api
+        self._network = None
+        if settings.network == OWN_NETWORK:
+            container = own_container()
+            if container is None:
+                raise OSError(
+                    f"network: {OWN_NETWORK!r} is for owners that run in a container; leave it out to have the ports "
+                    "published on the loopback"
+                )
+            self._network = _OwnNetwork(self._api, settings, container)
 
     def start(self) -> ServerHandle:
         """Start a container; the server in it may not listen yet.
@@ -126,52 +159,163 @@ class DockerLauncher:
         Raises:
             OSError: it cannot be started.
         """
-        with _engine_errors():
-            container = self._client.containers.run(**container_options(self._settings))
+        network = self._settings.network if self._network is None else self._network.enter()
+        name = PREFIX + secrets.token_hex(6)
         try:
             with _engine_errors():
-                return _ServerContainer(container, _address(container, self._settings.network))
+                _create(self._api, name, replace(self._settings, network=network))
+                try:
+                    self._api.start(name)
+                    return _ServerContainer(self._api, name, _address(self._api, name, network), self._network)
+                except BaseException:
+                    with contextlib.suppress(OSError), _engine_errors():
+                        self._api.remove_container(name, force=True, v=True)
+                    raise
         except BaseException:
-            with contextlib.suppress(OSError), _engine_errors():
-                container.remove(force=True)
+            if self._network is not None:
+                self._network.leave()
             raise
 
     def reap(self, min_age_s: float = 30.0) -> int:
-        """Remove containers whose owner has died; return how many. What goes wrong is logged."""
-        removed = 0
+        """Remove containers, and their networks, whose owner has died; return how many. What goes wrong is logged."""
+        return Reaper(self._api).sweep(min_age_s)
+
+
+class Reaper:
+    """Remove what servers' owners have left behind.
+
+    Args:
+        api: a `docker.APIClient`; default: one from the environment.
+
+    Raises:
+        OSError: the Docker SDK is not installed, or no engine answers.
+    """
+
+    def __init__(self, api: Any = None) -> None:
+        self._api: Any = api if api is not None else connect().api
+
+    def sweep(self, min_age_s: float = 30.0) -> int:
+        """Remove containers, and their networks, whose owner has died; return how many. What goes wrong is logged."""
+        ours = {"label": f"{LABEL}=1"}
         try:
             with _engine_errors():
-                containers = self._client.containers.list(all=True, filters={"label": f"{LABEL}=1"})
+                containers = self._api.containers(all=True, filters=ours)
+                networks = self._api.networks(filters=ours)
+                running = {one["Id"] for one in self._api.containers()} if containers or networks else set()
         except OSError as error:
             logger.warning("orphaned servers: %s", error)
             return 0
-        for container in containers:
-            if not is_orphan(container.labels) or _age_s(container) < min_age_s:
-                continue
-            try:
-                with _engine_errors():
-                    container.remove(force=True, v=True)
-                removed += 1
-                logger.info("removed orphaned server %s", container.name)
-            except OSError as error:
-                logger.warning("orphaned server %s: %s", container.name, error)
+        removed = 0
+        for one in containers:
+            name = one["Names"][0].lstrip("/") if one.get("Names") else ""
+            if _is_left(one["Labels"], running) and time.time() - one["Created"] >= min_age_s:
+                removed += self._remove("container", name, partial(self._api.remove_container, force=True, v=True))
+        for one in networks:
+            if _is_left(one["Labels"], running) and _age_s(one) >= min_age_s:
+                owner = one["Labels"].get(OWNER_CONTAINER)
+                removed += self._remove("network", one["Name"], partial(_remove_network, self._api, owner=owner))
         return removed
+
+    def _remove(self, what: str, name: str, remove: Callable[[str], None]) -> bool:
+        try:
+            with _engine_errors():
+                remove(name)
+        except OSError as error:
+            logger.warning("orphaned %s %s: %s", what, name, error)
+            return False
+        logger.info("removed orphaned %s %s", what, name)
+        return True
+
+
+class _OwnNetwork:
+    """A network of one launcher, without a way out; it lasts as long as there is a server on it."""
+
+    def __init__(self, api: Any, settings: ContainerSettings, container: str) -> None:
+        self._api = api
+        self._settings = settings
+        self._container = container
+        self._lock = threading.Lock()
+        self._name = ""
+        self._servers = 0
+
+    def enter(self) -> str:
+        """Count one more server; return the network's name."""
+        with self._lock:
+            if self._servers == 0:
+                name = PREFIX + secrets.token_hex(6)
+                labels = {**self._settings.labels, LABEL: "1", **owner_labels()}
+                with _engine_errors():
+                    self._api.create_network(name, driver="bridge", internal=True, labels=labels)
+                    try:
+                        self._api.connect_container_to_network(self._container, name)
+                    except BaseException:
+                        self._api.remove_network(name)
+                        raise
+                self._name = name
+            self._servers += 1
+            return self._name
+
+    def leave(self) -> None:
+        """Count one server less; the network goes with the last."""
+        with self._lock:
+            self._servers -= 1
+            if self._servers == 0:
+                try:
+                    with _engine_errors():
+                        _remove_network(self._api, self._name, self._container)
+                except OSError as error:
+                    logger.warning("network %s: %s", self._name, error)
+
+
+def _remove_network(api: Any, name: str, owner: str | None) -> None:
+    """Remove a network from under whoever is still on it; ``owner`` is the container that made it."""
+    found = api.inspect_network(name)
+    # a container that has stopped is not listed, but would not start again without the network
+    for container in {*(found.get("Containers") or {}), *((owner,) if owner else ())}:
+        with contextlib.suppress(OSError), _engine_errors():
+            api.disconnect_container_from_network(container, name, force=True)
+    api.remove_network(name)
+
+
+def _is_left(labels: Mapping[str, str], running: Collection[str]) -> bool:
+    """Return whether the owner that labels name is gone; ``running`` are the ids of all running containers."""
+    if is_orphan(labels):
+        return True
+    container = labels.get(OWNER_CONTAINER)
+    # an owner that shares our host can be looked at itself, see `is_orphan`
+    return bool(container) and labels.get(OWNER_HOST) != host_name() and container not in running
+
+
+def _create(api: Any, name: str, settings: ContainerSettings) -> None:
+    options = container_options(settings)
+    image, command, labels = options.pop("image"), options.pop("command"), options.pop("labels")
+    network, ports = options.pop("network", None), options.pop("ports", None)
+    options.pop("detach")
+    api.create_container(
+        image,
+        command,
+        name=name,
+        labels=labels,
+        ports=None if ports is None else [port.partition("/")[0] for port in ports],
+        host_config=api.create_host_config(network_mode=network, port_bindings=ports, **options),
+    )
 
 
 class _ServerContainer:
     """Hold on to one container."""
 
-    def __init__(self, container: Any, address: Address) -> None:
+    def __init__(self, api: Any, name: str, address: Address, network: _OwnNetwork | None) -> None:
         self.address = address
-        self._container = container
+        self._api = api
+        self._name = name
+        self._network = network
 
     def alive(self) -> bool:
         try:
             with _engine_errors():
-                self._container.reload()
+                return bool(self._api.inspect_container(self._name)["State"]["Running"])
         except OSError:
             return False
-        return bool(self._container.status == "running")
 
     def owns(self, port: int) -> bool:
         # the engine has given this port to this container
@@ -180,23 +324,24 @@ class _ServerContainer:
     def describe(self) -> str:
         try:
             with _engine_errors():
-                self._container.reload()
-                words = " ".join(self._container.logs(tail=5).decode(errors="replace").split())[-400:]
+                state = self._api.inspect_container(self._name)["State"]
+                words = " ".join(self._api.logs(self._name, tail=5).decode(errors="replace").split())[-400:]
         except OSError as error:
-            return f"container {self._container.name}: {error}"
-        state = self._container.attrs.get("State", {})
+            return f"container {self._name}: {error}"
         killed = ", out of memory" if state.get("OOMKilled") else ""
-        ended = f"{self._container.status}, exit code {state.get('ExitCode')}{killed}"
-        return f"container {self._container.name}, {ended}: {words}"
+        return f"container {self._name}, {state['Status']}, exit code {state.get('ExitCode')}{killed}: {words}"
 
     def stop(self) -> None:
         try:
             with _engine_errors():
-                self._container.stop(timeout=_STOP_S)
+                self._api.stop(self._name, timeout=_STOP_S)
         except OSError as error:
-            logger.info("container %s: %s", self._container.name, error)
+            logger.info("container %s: %s", self._name, error)
         with contextlib.suppress(OSError), _engine_errors():
-            self._container.remove(force=True, v=True)
+            self._api.remove_container(self._name, force=True, v=True)
+        if self._network is not None:
+            self._network.leave()
+            self._network = None
 
 
 def connect() -> Any:
@@ -215,27 +360,30 @@ def connect() -> Any:
         return client
 
 
-def _address(container: Any, network: str | None) -> Address:
+def _address(api: Any, name: str, network: str | None) -> Address:
     if network is not None:
-        return Address(container.name, protocol.AGENT_PORT, protocol.MONITOR_PORT)
+        return Address(name, protocol.AGENT_PORT, protocol.MONITOR_PORT)
+    status = ""
     for _ in range(50):
-        container.reload()
-        ports = [container.ports.get(f"{port}/tcp") for port in (protocol.AGENT_PORT, protocol.MONITOR_PORT)]
+        found = api.inspect_container(name)
+        published, status = found["NetworkSettings"]["Ports"] or {}, found["State"]["Status"]
+        ports: list[Any] = [published.get(f"{port}/tcp") for port in (protocol.AGENT_PORT, protocol.MONITOR_PORT)]
         if all(ports):
-            agent, monitor = (int(found[0]["HostPort"]) for found in ports)
+            agent, monitor = (int(bindings[0]["HostPort"]) for bindings in ports)
             return Address("127.0.0.1", agent, monitor)
-        if container.status in ("exited", "dead"):
+        if status in ("exited", "dead"):
             break
         time.sleep(0.1)
-    raise OSError(f"container {container.name} has no published ports ({container.status})")
+    raise OSError(f"container {name} has no published ports ({status})")
 
 
-def _age_s(container: Any) -> float:
-    created = str(container.attrs.get("Created", ""))[:19]
-    try:
-        return time.time() - calendar.timegm(time.strptime(created, "%Y-%m-%dT%H:%M:%S"))
-    except ValueError:
-        return 0.0
+def _age_s(network: Mapping[str, Any]) -> float:
+    """Return a network's age in seconds; 0 where the engine does not tell."""
+    created = str(network.get("Created", ""))
+    with contextlib.suppress(ValueError):
+        # nanoseconds are more than Python's fractions
+        return time.time() - datetime.fromisoformat(re.sub(r"\.(\d{6})\d*", r".\1", created)).timestamp()
+    return 0.0
 
 
 @contextlib.contextmanager

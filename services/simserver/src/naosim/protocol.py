@@ -51,11 +51,12 @@ Landmark = tuple[str, tuple[float, float, float]]
 
 def _landmarks() -> tuple[Landmark, ...]:
     x, y, post = FIELD_LENGTH / 2, FIELD_WIDTH / 2, GOAL_WIDTH / 2
-    marks: list[Landmark] = []
-    for name, width, height in (("F", y, 0.0), ("G", post, GOAL_HEIGHT)):
-        for side, sign in (("L", -1.0), ("R", 1.0)):
-            marks += [(f"{name}1{side}", (sign * x, width, height)), (f"{name}2{side}", (sign * x, -width, height))]
-    return tuple(marks)
+    # in the order of the server's scene, where the right goal is the left one turned round
+    goals = [("G1L", -x, post), ("G2L", -x, -post), ("G2R", x, -post), ("G1R", x, post)]
+    flags = [("F1L", -x, y), ("F2L", -x, -y), ("F1R", x, y), ("F2R", x, -y)]
+    return tuple((name, (at, to, GOAL_HEIGHT)) for name, at, to in goals) + tuple(
+        (name, (at, to, 0.0)) for name, at, to in flags
+    )
 
 
 def _lines() -> NDArray[np.float64]:

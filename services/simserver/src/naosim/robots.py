@@ -187,6 +187,11 @@ def _plus(a: Vector, b: Vector) -> Vector:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
+def _decimal(value: float) -> float:
+    """Round as the server's scene language rounds every result: six significant digits of single precision."""
+    return float(f"{np.float32(value):.6g}")
+
+
 def _build(robot_type: int) -> RobotModel:
     variant = _VARIANTS[robot_type]
     bodies: list[Body] = []
@@ -237,8 +242,9 @@ def _build(robot_type: int) -> RobotModel:
         hinge(f"{j}3", f"{e}3", f"{s}elbow", f"{s}upperarm", (0, 0, 0), (0, 1, 0), (-120, 120))
         hinge(f"{j}4", f"{e}4", f"{s}lowerarm", f"{s}elbow", (0, -0.05, 0), (0, 0, 1), mirrored((-1, 90), s))
 
-    toe = variant.toe_length
-    foot_length, foot_mass = 0.16 - toe, 0.2 * (1 - 0.5 * toe / 0.16)
+    toe = _decimal(variant.toe_length)
+    foot_length, toe_share = _decimal(0.16 - toe), _decimal(0.5 * _decimal(toe / 0.16))
+    foot_mass, toe_mass = _decimal(0.2 * _decimal(1 - toe_share)), _decimal(0.2 * toe_share)
     for s, lr in (("r", 1.0), ("l", -1.0)):
         leg = f"{s}leg"
         hip = (lr * variant.hip_x, -0.01, -0.115)
@@ -263,8 +269,8 @@ def _build(robot_type: int) -> RobotModel:
             variant.ankle_roll_speed,
         )  # fmt: skip
         if toe:
-            body(f"{s}toe", 0.2 - foot_mass, _box(0.08, toe, 0.01), _plus(foot, (0.0, 0.08, -0.005)), leg)
-            hinge(f"{j}7", f"{e}7", f"{s}toe", f"{s}foot", (0, -toe / 2, -0.005), (1, 0, 0), (-1, 70))
+            body(f"{s}toe", toe_mass, _box(0.08, toe, 0.01), _plus(foot, (0.0, 0.08, -0.005)), leg)
+            hinge(f"{j}7", f"{e}7", f"{s}toe", f"{s}foot", (0, _decimal(-toe / 2), -0.005), (1, 0, 0), (-1, 70))
 
     order = ["hj1", "hj2"]
     order += [f"{s}aj{k}" for s in "lr" for k in range(1, 5)]

@@ -126,10 +126,11 @@ class Connection(asyncio.Protocol):
                 if payload is None:
                     break
                 if self.handle(payload):
-                    if len(self._framer):
-                        self._pumping = True
-                        self._transport.pause_reading()
-                        asyncio.get_running_loop().call_soon(self._pump)
+                    if not len(self._framer):
+                        break
+                    self._pumping = True
+                    self._transport.pause_reading()
+                    asyncio.get_running_loop().call_soon(self._pump)
                     return
         except (ProtocolError, ValueError) as error:
             self.close(str(error))
@@ -333,9 +334,11 @@ class Monitor(Connection):
             "ball": self._ball,
             "playMode": self._play_mode,
             "kickOff": self._kick_off,
-            "dropBall": lambda _: self._set_play_mode("PlayOn"),
+            "dropBall": lambda _: self._drop_ball(),
             "time": self._time,
             "score": self._score,
+            "select": self._select,
+            "repos": self._repos,
             "kill": self._kill,
             "killsim": lambda _: self.server.stop("killsim"),
             "reqfullstate": lambda _: self.server.request_full_state(),
@@ -357,7 +360,7 @@ class Monitor(Connection):
             tag = str(expression[0]) if expression else ""
             action = self._actions.get(tag)
             if action is None:
-                if tag not in ("getAck", "select", "repos", "init"):
+                if tag not in ("getAck", "init"):
                     logger.warning("%s: unknown trainer command %r", self.name, tag[:40])
                 continue
             try:
@@ -366,13 +369,16 @@ class Monitor(Connection):
                 logger.warning("%s: %s", self.name, error)
         return False
 
-    def _find(self, expression: Expression) -> Agent | None:
+    def _find(self, expression: Expression, *, else_selected: bool = False) -> Agent | None:
         values = {item[0]: item[1] for item in expression[1:] if isinstance(item, tuple) and len(item) == 2}
         number, team = str(values.get("unum", "")), str(values.get("team", ""))
         side = {"Left": 1, "Right": 2}.get(team, 0)
+        selected = self.server.selected if else_selected and not (number and team) else None
         for agent in self.server.agents():
             robot = agent.robot
-            if robot is not None and robot.side == side and str(robot.uniform_number) == number and side:
+            if robot is None or not robot.side:
+                continue
+            if agent is selected or (robot.side == side and str(robot.uniform_number) == number):
                 return agent
         logger.warning("%s: no robot %s of team %s is here", self.name, number[:10] or "?", team[:10] or "?")
         return None
@@ -390,7 +396,25 @@ class Monitor(Connection):
             elif item[0] == "pos":
                 agent.robot.shift(_place(_numbers(item, 3, "agent: pos"), "agent: pos"))
             elif item[0] == "rot":
-                logger.warning("%s: agent: rot is not supported; use move", self.name)
+                x, y, z = (math.fmod(angle, 360.0) for angle in _numbers(item, 3, "agent: rot"))
+                agent.robot.turn((x, y, z))
+
+    def _select(self, expression: Expression) -> None:
+        server = self.server
+        if len(expression) == 1:
+            players = [agent for agent in server.agents() if agent.robot is not None and agent.robot.side]
+            after = players.index(server.selected) + 1 if server.selected in players else 0
+            server.select(players[after % len(players)] if players else None)
+        elif ("unum", "-1") in expression:
+            server.select(None)
+        else:
+            server.select(self._find(expression) or server.selected)
+
+    def _repos(self, expression: Expression) -> None:
+        agent = self._find(expression, else_selected=True)
+        if agent is not None and agent.robot is not None:
+            game, robot = self.server.game, agent.robot
+            robot.shift(game.sideline(robot.side, robot.uniform_number))
 
     def _ball(self, expression: Expression) -> None:
         ball = self.server.game.ball
@@ -409,7 +433,18 @@ class Monitor(Connection):
         self._set_play_mode(mode)
 
     def _kick_off(self, expression: Expression) -> None:
-        self._set_play_mode("KickOff_Right" if list(expression[1:]) == ["Right"] else "KickOff_Left")
+        team = str(expression[1]) if len(expression) == 2 else ""
+        if team not in ("Left", "Right", "None"):
+            raise ProtocolError(f"kickOff: {team[:20]!r} is none of Left, Right and None")
+        self._set_play_mode(f"KickOff_{team if team != 'None' else self.server.random.choice(('Left', 'Right'))}")
+
+    def _drop_ball(self) -> None:
+        ball = self.server.game.ball
+        ball.velocity = (0.0, 0.0, 0.0)
+        x, y, _ = ball.position
+        farthest = protocol.FIELD_WIDTH / 2 - protocol.BALL_RADIUS
+        ball.position = (x, min(max(y, -farthest), farthest), protocol.BALL_RADIUS)
+        self._set_play_mode("PlayOn")
 
     def _set_play_mode(self, mode: str) -> None:
         self.server.game.play_mode = mode
@@ -428,7 +463,7 @@ class Monitor(Connection):
         self.server.game.scores = (int(left), int(right))
 
     def _kill(self, expression: Expression) -> None:
-        agent = self._find(expression)
+        agent = self._find(expression, else_selected=True)
         if agent is not None:
             agent.close("killed by the trainer")
 
@@ -440,6 +475,8 @@ class Server:
         self.settings = settings or ServerSettings()
         self.game = Game()
         self.random = random.Random(self.settings.seed)  # noqa: S311 - sensor noise
+        self.selected: Agent | None = None
+        """Whom a trainer has selected: commands that name nobody are for this one."""
         self.agent_port = 0
         self.monitor_port = 0
         self._connections: set[Connection] = set()
@@ -447,7 +484,7 @@ class Server:
         self._playing: list[Agent] = []
         self._time = 0.0
         self._writer: _core.SceneWriter | None = None
-        self._shown: tuple[object, ...] = ()
+        self._shown: dict[str, str] = {}
         self._stopped = asyncio.Event()
 
     @staticmethod
@@ -510,6 +547,8 @@ class Server:
             self._monitors.remove(connection)
         if isinstance(connection, Agent) and connection in self._playing:
             self._playing.remove(connection)
+        if connection is self.selected:
+            self.selected = None
 
     def agents(self) -> list[Agent]:
         """Return the agents that have a robot, in the order of their coming."""
@@ -518,6 +557,14 @@ class Server:
     def enlist(self, agent: Agent) -> None:
         """Put an agent's robot on the field."""
         self._playing.append(agent)
+        self.scene_changed()
+
+    def select(self, agent: Agent | None) -> None:
+        """Select one robot, or none."""
+        self.selected = agent
+        for other in self._playing:
+            if other.robot is not None:
+                other.robot.selected = other is agent
         self.scene_changed()
 
     def build(self, robot_type: int) -> Robot:
@@ -603,17 +650,14 @@ class Server:
 
     def _values(self, full: bool) -> bytes:
         game = self.game
-        state = (tuple(game.teams), game.scores, game.play_mode)
-        text = "("
-        if full:
-            text += _GAME_VALUES
-        text += f"(time {self._game_time():g})"
-        if full or state != self._shown:
-            self._shown = state
-            text += "".join(f"(team_{side} {name})" for side, name in zip(("left", "right"), game.teams, strict=False))
-            text += f"(half 1)(score_left {game.scores[0]})(score_right {game.scores[1]})"
-            text += f"(play_mode {protocol.PLAY_MODES.index(game.play_mode)})"
-        return (text + ")").encode()
+        values = {f"team_{side}": name for side, name in zip(("left", "right"), game.teams, strict=False)}
+        values |= {"half": "1", "score_left": f"{game.scores[0]}", "score_right": f"{game.scores[1]}"}
+        values["play_mode"] = f"{protocol.PLAY_MODES.index(game.play_mode)}"
+        news = values.items() if full else values.items() - self._shown.items()
+        if not full:  # a full frame may be for one monitor alone; the others have yet to hear what is new
+            self._shown = values
+        text = "".join(f"({name} {values[name]})" for name in values if (name, values[name]) in news)
+        return f"({_GAME_VALUES if full else ''}(time {self._game_time():g}){text})".encode()
 
     async def _tick(self) -> None:
         loop = asyncio.get_running_loop()

@@ -87,3 +87,9 @@ class Game:
         x = sign * (protocol.FIELD_LENGTH / 2 - 2 * radius) + 2 * radius * column
         y = protocol.FIELD_WIDTH / 2 - 2 * radius - 3 * radius * row
         return (x, y, radius), 90.0 * sign
+
+    def sideline(self, side: int, uniform_number: int) -> tuple[float, float, float]:
+        """Return where a referee puts a player outside the field: beside it, away from the ball, m."""
+        x = (-0.6 if side == 1 else 0.6) * (7 - uniform_number)
+        y = protocol.FIELD_WIDTH / 2 + 0.5
+        return (x, y if self.ball.position[1] < 0 else -y, 1.0)

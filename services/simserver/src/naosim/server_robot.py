@@ -32,6 +32,7 @@ class Robot:
         self.team = ""
         self.side = 0
         self.uniform_number = 0
+        self.selected = False
         self.game_time = 0.0
         self.cycles = 0
         self.speeds: NDArray[np.float64] = np.zeros((1, len(self.model.joints)))
@@ -51,7 +52,7 @@ class Robot:
     @property
     def actor(self) -> Actor:
         """Return how a monitor sees the robot."""
-        return Actor(self.model, self.side, self.uniform_number)
+        return Actor(self.model, self.side, self.uniform_number, self.selected)
 
     @property
     def poses(self) -> NDArray[np.float64]:
@@ -77,6 +78,22 @@ class Robot:
         """Put the torso's centre at a place without turning the robot; everything comes to rest."""
         bodies = self.engine.truth.bodies
         bodies[0, :, :3] += np.asarray(position) - bodies[0, 0, :3]
+        bodies[0, :, 7:] = 0.0
+        self.engine.set_bodies(bodies)
+
+    def turn(self, angles_deg: Point) -> None:
+        """Turn the torso to Rx Ry Rz about its centre, pose kept; everything comes to rest."""
+        bodies = self.engine.truth.bodies
+        half = np.deg2rad(angles_deg) / 2
+        to = np.array([1.0, 0.0, 0.0, 0.0])
+        for axis in range(3):
+            factor = np.zeros(4)
+            factor[0], factor[1 + axis] = np.cos(half[axis]), np.sin(half[axis])
+            to = _product(to, factor)
+        by = _product(to, bodies[0, 0, 3:7] * (1, -1, -1, -1))
+        centre = bodies[0, 0, :3].copy()
+        bodies[0, :, :3] = centre + (bodies[0, :, :3] - centre) @ _rotation(by).T
+        bodies[0, :, 3:7] = _product(by, bodies[0, :, 3:7])
         bodies[0, :, 7:] = 0.0
         self.engine.set_bodies(bodies)
 
@@ -146,6 +163,13 @@ class Robot:
 
 def _point(pose: NDArray[np.float64]) -> Point:
     return (float(pose[0]), float(pose[1]), float(pose[2]))
+
+
+def _product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply quaternions, shapes (..., 4), real part first."""
+    real = a[..., :1] * b[..., :1] - (a[..., 1:] * b[..., 1:]).sum(axis=-1, keepdims=True)
+    rest = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + np.cross(a[..., 1:], b[..., 1:])
+    return np.concatenate([real, rest], axis=-1)
 
 
 def _rotation(q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ class Trace:
     enabled: NDArray[np.bool_]
     """(T, bodies), awake before the step."""
     percepts: dict[str, Floats]
-    """As received in the reply to cycle t: `joint_angles` (T, joints), `gyro`, `accel` (T, 3), `foot_*` (T, 6)."""
+    """As received in the reply to cycle t: `joint_angles` (T, joints), `gyro`, `accel` (T, 3), feet and toes (T, 6)."""
     beam: tuple[float, float, float, float]
     """Where the robot was beamed one cycle before cycle 0: x, y, z (m) and yaw (degrees)."""
 
@@ -49,6 +49,7 @@ class Trace:
 
 
 _PERCEPTS = {"joint_angles": "angle", "gyro": "gyro", "accel": "accel", "foot_left": "foot_l", "foot_right": "foot_r"}
+_TOE_PERCEPTS = {"toe_left": "toe_l", "toe_right": "toe_r"}
 
 
 def load(path: Path) -> Trace:
@@ -64,6 +65,7 @@ def load(path: Path) -> Trace:
         raise TraceError(f"{path}: no such file") from error
     except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, AttributeError, TypeError) as error:
         raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
+    percepts = _PERCEPTS | {name: key for name, key in _TOE_PERCEPTS.items() if key in data}
     needed = ["command", "state", "enabled", "meta", *_PERCEPTS.values()]
     for key in needed:
         if key not in data:
@@ -91,13 +93,13 @@ def load(path: Path) -> Trace:
         "accel": (cycles, 3),
         "foot_l": (cycles, 6),
         "foot_r": (cycles, 6),
-    }
+    } | {key: (cycles, 6) for key in _TOE_PERCEPTS.values() if key in data}
     for key, shape in shapes.items():
         if data[key].shape != shape or data[key].dtype.kind not in "fbiu" or cycles == 0:
             raise TraceError(
                 f"{path}: field {key!r} must be numbers of shape {shape}, not {data[key].dtype} of {data[key].shape}"
             )
-        if key not in ("foot_l", "foot_r", "enabled") and not np.isfinite(data[key]).all():
+        if key not in ("foot_l", "foot_r", "toe_l", "toe_r", "enabled") and not np.isfinite(data[key]).all():
             raise TraceError(f"{path}: field {key!r} holds values that are not finite")
     return Trace(
         Path(path).stem,
@@ -105,7 +107,7 @@ def load(path: Path) -> Trace:
         np.asarray(data["command"], np.float64),
         np.asarray(data["state"], np.float64),
         np.asarray(data["enabled"]).astype(bool),
-        {name: np.asarray(data[key], np.float64) for name, key in _PERCEPTS.items()},
+        {name: np.asarray(data[key], np.float64) for name, key in percepts.items()},
         (beam[0], beam[1], beam[2], beam[3]),
     )
 
