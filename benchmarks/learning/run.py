@@ -4,7 +4,8 @@
     python benchmarks/learning/run.py WORKDIR --only throughput  # or some of it
     python benchmarks/learning/run.py WORKDIR --only plots       # draw again from results.json
 
-Trainings lie in WORKDIR and are continued, not repeated, when the script is called again.
+Trainings lie in WORKDIR and are continued, not repeated, when the script is called again. Each runs on one core, so
+that two sections can be measured side by side on two.
 """
 
 from __future__ import annotations
@@ -49,6 +50,9 @@ CURVE_EPISODES = 200
 
 MEASURE_S = 20.0
 """Seconds that each throughput is measured."""
+
+
+ONE_CORE: dict[str, Any] = {"simulator_threads": 1, "torch_threads": 1}
 
 
 class Log:
@@ -104,7 +108,7 @@ def judged(checkpoint: Path, episodes: int) -> dict[str, Any]:
     folder = checkpoint.parent / f"evaluation-{checkpoint.name}-{episodes}"
     if not (folder / "evaluation.json").exists():
         began = time.perf_counter()
-        evaluation = evaluate(checkpoint, EvaluationSpec(episodes=episodes, seed=1000), threads=2)
+        evaluation = evaluate(checkpoint, EvaluationSpec(episodes=episodes, seed=1000))
         evaluation.save(folder)
         print(f"  {checkpoint.name}: {episodes} episodes in {time.perf_counter() - began:.1f} s")
     summary: dict[str, Any] = json.loads((folder / "evaluation.json").read_text())
@@ -166,7 +170,7 @@ def seeds(workdir: Path) -> dict[str, Any]:
     """Train preset fast with every seed and average."""
     runs = []
     for seed in SEEDS:
-        spec = TrainingSpec(seed=seed, total_steps=STEPS)
+        spec = TrainingSpec(seed=seed, total_steps=STEPS, **ONE_CORE)
         runs.append(digest(trained(workdir, f"fast-{seed}", spec), spec, steps=STEPS))
     names = ("distance_m", "speed_mps", "fall_rate", "top_speed_mps", "deviation_deg")
     mean = {name: float(np.mean([run["final"][name] for run in runs])) for name in names}
@@ -176,8 +180,8 @@ def seeds(workdir: Path) -> dict[str, Any]:
 
 def long(workdir: Path) -> dict[str, Any]:
     """Take the first seed on to fifty million steps."""
-    trained(workdir, "fast-0", TrainingSpec(seed=0, total_steps=STEPS))
-    spec = TrainingSpec(seed=0, total_steps=LONG_STEPS, checkpoint_interval_steps=5_000_000)
+    trained(workdir, "fast-0", TrainingSpec(seed=0, total_steps=STEPS, **ONE_CORE))
+    spec = TrainingSpec(seed=0, total_steps=LONG_STEPS, checkpoint_interval_steps=5_000_000, **ONE_CORE)
     folder = workdir / "fast-0-long"
     if not folder.exists():
         # a training that goes on is that of one that never stopped, so the first part need not be repeated
@@ -189,7 +193,7 @@ def long(workdir: Path) -> dict[str, Any]:
 
 def paper(workdir: Path) -> dict[str, Any]:
     """Train the paper's settings for as many steps."""
-    spec = TrainingSpec(preset="paper", total_steps=STEPS)
+    spec = TrainingSpec(preset="paper", total_steps=STEPS, **ONE_CORE)
     return digest(trained(workdir, "paper-0", spec), spec, steps=STEPS)
 
 
@@ -379,6 +383,9 @@ def main() -> int:
             **SECTIONS[name](options.workdir),
             "measured": {"on": datetime.now(UTC).date().isoformat(), **machine()},
         }
+        # another section may have been measured meanwhile
+        latest = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        results = {**latest, name: results[name]}
         RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
     return 0
 

@@ -7,6 +7,7 @@ The server has to run in sync mode (agentSyncMode). Nobody else may be on the fi
 from __future__ import annotations
 
 import re
+import select
 import socket
 import struct
 import sys
@@ -16,14 +17,18 @@ import numpy as np
 
 class Port:
     def __init__(self, host, port):
-        self.stream = socket.create_connection((host, port), timeout=10).makefile("rwb")
+        self.socket = socket.create_connection((host, int(port)))
 
     def send(self, text):
-        self.stream.write(struct.pack(">I", len(text)) + text.encode())
-        self.stream.flush()
+        self.socket.sendall(struct.pack(">I", len(text)) + text.encode())
 
     def receive(self):
-        return self.stream.read(struct.unpack(">I", self.stream.read(4))[0]).decode()
+        size = struct.unpack(">I", self.socket.recv(4, socket.MSG_WAITALL))[0]
+        return self.socket.recv(size, socket.MSG_WAITALL).decode()
+
+    def drain(self):
+        while select.select([self.socket], [], [], 0.2)[0]:
+            self.receive()
 
 
 class Runner:
@@ -35,21 +40,19 @@ class Runner:
         self.loaded, self.counters, self.steps, self.features = np.zeros(2, bool), np.zeros(2), 0, None
 
     def perceive(self, message):
-        joints = dict(re.findall(r"\(HJ \(n (\w+)\) ?\(ax ([^)]+)\)\)", message))
+        joints = dict(re.findall(r"\(HJ \(n (\w+)\) *\(ax ([^)]+)\)\)", message))
         self.angles = np.array([float(joints[name]) for name in self.p["joint_names"]])
-        feet = {n: c + " " + f for n, c, f in re.findall(r"\(FRP \(n (\w+)\) ?\(c ([^)]+)\) ?\(f ([^)]+)\)\)", message)}
+        feet = {n: c + " " + f for n, c, f in re.findall(r"\(FRP \(n (\w+)\) *\(c ([^)]+)\) *\(f ([^)]+)\)\)", message)}
         gyro, accel = re.search(r"\(rt ([^)]+)\)", message)[1], re.search(r"\(a ([^)]+)\)", message)[1]
         return [np.array(t.split(), float) for t in (gyro, accel, feet.get("lf", "0 " * 6), feet.get("rf", "0 " * 6))]
 
     def centre_of_mass(self):
         p = self.p
         turn, at = np.tile(np.eye(3), (len(p["body_mass"]), 1, 1)), np.zeros((len(p["body_mass"]), 3))
-        for k, body, parent, anchor, axis in zip(
-            *(p["chain_" + n] for n in ("joint", "body", "parent", "anchor", "axis"))
-        ):
-            a, (x, y, z) = np.radians(self.angles[k]), axis
-            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            turn[body] = turn[parent] @ (np.eye(3) + np.sin(a) * cross + (1 - np.cos(a)) * cross @ cross)
+        chain = zip(*(p["chain_" + name] for name in ("joint", "body", "parent", "anchor", "axis")))
+        for joint, body, parent, anchor, axis in chain:
+            angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
+            turn[body] = turn[parent] @ (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
             hinge = p["body_offset"][body] - p["body_offset"][parent] + anchor
             at[body] = at[parent] + turn[parent] @ hinge - turn[body] @ anchor
         return p["body_mass"] @ at / p["body_mass"].sum()
@@ -58,13 +61,12 @@ class Runner:
         """message: of the agent port; torso: (4, 4) world pose, current. Returns the observation."""
         gyro, accel, left, right = self.perceive(message)
         joints = np.radians(self.angles[self.p["action_index"]]) * self.p["action_sign"]
-        yaw = np.arctan2(torso[1, 1], torso[0, 1])
-        blocks = [joints, [yaw], [torso[2, 3]], self.centre_of_mass(), np.radians(gyro), accel]
+        yaw, height = np.arctan2(torso[1, 1], torso[0, 1]), torso[2, 3]
+        blocks = [joints, [yaw], [height], self.centre_of_mass(), np.radians(gyro), accel]
         blocks += [left[:3], left[3:], right[:3], right[3:]]
-        now = np.concatenate(blocks)
+        now, loaded = np.concatenate(blocks), np.array([right[3:].any(), left[3:].any()])
         rates = np.zeros(len(now)) if self.features is None else now - self.features
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
-        loaded = np.array([right[3:].any(), left[3:].any()])
         if self.features is not None:
             self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
         self.features, self.loaded = now, loaded
@@ -77,51 +79,45 @@ class Runner:
         p, hidden = self.p, np.clip((observation - self.p["mean"]) * self.p["scale"], -self.p["clip"], self.p["clip"])
         for i in range(p["layers"]):
             hidden = p[f"weights_{i}"] @ (np.tanh(hidden) if i else hidden) + p[f"bias_{i}"]
-        targets = np.zeros(len(self.angles))
-        unit = (np.clip(hidden, -1, 1) + 1) / 2
-        targets[p["action_index"]] = (p["low_rad"] + unit * (p["high_rad"] - p["low_rad"])) * p["action_sign"]
+        targets, share = np.zeros(len(self.angles)), (np.clip(hidden, -1, 1) + 1) / 2
+        targets[p["action_index"]] = (p["low_rad"] + share * (p["high_rad"] - p["low_rad"])) * p["action_sign"]
         return targets
 
     def command(self, targets):
-        speeds = np.clip(
-            self.p["gain"] * (targets - np.radians(self.angles)), -self.p["max_speed"], self.p["max_speed"]
-        )
+        speeds = self.p["gain"] * (targets - np.radians(self.angles))
+        speeds = np.clip(speeds, -self.p["max_speed"], self.p["max_speed"])
         return "".join(f"({name} {speed:.5f})" for name, speed in zip(self.p["effector_names"], speeds)) + "(syn)"
 
 
 def torso_pose(scene):
     """Return the (4, 4) pose of the robot's torso in a full scene graph, None in one of changes alone."""
-    before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody.obj")[0])
+    before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
     # the last matrix before the mesh turns the mesh, the one before it is the torso's, column after column
-    return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody.obj" in scene else None
+    return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody" in scene else None
 
 
 def main(path, host="127.0.0.1", agent_port="3100", monitor_port="3200"):
-    runner = Runner(path)
-    agent, monitor = Port(host, int(agent_port)), Port(host, int(monitor_port))
-    torso = None
+    runner, agent, monitor = Runner(path), Port(host, agent_port), Port(host, monitor_port)
 
     def cycle(command):
-        nonlocal torso
         monitor.send("(reqfullstate)")
         agent.send(command)
-        message, pose = agent.receive(), torso_pose(monitor.receive())
-        torso = pose if pose is not None else torso
-        return message
+        return agent.receive(), torso_pose(monitor.receive())
 
-    cycle(f"(scene rsg/agent/nao/nao_hetero.rsg {runner.p['robot_type']})(syn)")
-    cycle("(init (unum 1)(teamname naosprint))(syn)")
+    for greeting in (f"(scene rsg/agent/nao/nao_hetero.rsg {runner.p['robot_type']})", "(init (unum 1)(teamname A))"):
+        agent.send(greeting + "(syn)")
+        agent.receive()
     x, y, z, yaw = runner.p["start"]
-    for k in range(5 + int(runner.p["settling_cycles"])):
-        if k == 3:
-            monitor.send(f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {x} {y} {z} {yaw}))")
-        message = cycle(runner.command(runner.p["start_pose_rad"]) if k > 2 else "(syn)")
-        if "(HJ " in message:
-            runner.perceive(message)
+    monitor.send(f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {x} {y} {z} {yaw}))")
+    monitor.drain()
+    # a symmetric policy does not run from a perfectly symmetric start, which no training begins with
+    pose = runner.p["start_pose_rad"] + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.angles)))
+    for _ in range(2 + int(runner.p["settling_cycles"])):
+        message, torso = cycle(runner.command(pose))
+        runner.perceive(message)
     begin = torso[0, 3]
     while torso[2, 3] > 0.25 and torso[0, 3] < 14 and runner.steps < 3000:
-        targets = runner.act(runner.observe(message, torso))
-        message = cycle(runner.command(targets))
+        message, torso = cycle(runner.command(runner.act(runner.observe(message, torso))))
     seconds = (runner.steps + 1) * runner.p["cycle_s"]
     print(f"{torso[0, 3] - begin:.2f} m in {seconds:.2f} s: {(torso[0, 3] - begin) / seconds:.2f} m/s")
 

@@ -16,10 +16,14 @@ FALL = np.ones(20)
 FALL[8:] = np.tile([0.0, 0.0, 1.0, -1.0, -1.0, 0.0], 2)
 
 
-def batch_of(n: int, the_task: Task, *, fall_height_m: float = 0.27, reward_scale: float = 100.0) -> SprintBatch:
+def batch_of(
+    n: int, the_task: Task, *, fall_height_m: float = 0.27, reward_scale: float = 100.0, **penalties: float
+) -> SprintBatch:
     """Return n standard robots at their starts."""
     simulator = EmbeddedSimulator(n, robot_type=0, task=the_task)
-    batch = SprintBatch(simulator, the_task, robot_type=0, fall_height_m=fall_height_m, reward_scale=reward_scale)
+    batch = SprintBatch(
+        simulator, the_task, robot_type=0, fall_height_m=fall_height_m, reward_scale=reward_scale, **penalties
+    )
     batch.load_starts(draw_start_poses(batch.actuation, n, 2.0, seed=0))
     batch.restart(np.arange(n), np.arange(n))
     return batch
@@ -47,6 +51,44 @@ def test_reward_is_forward_displacement_times_scale() -> None:
     moved = batch.simulator.truth.torso_position[:, 0] - x
     np.testing.assert_allclose(total, 100.0 * moved, atol=1e-9)
     np.testing.assert_allclose(batch.displacement, moved, atol=1e-12)
+
+
+def test_penalties_take_from_the_reward_what_drift_and_fall_cost() -> None:
+    """A step costs the metres it leads away from the line, and pays them back on the way home; a fall costs once."""
+    batch = batch_of(4, task("sprint1"), drift_penalty=0.5, fall_penalty_m=3.0)
+    rng = np.random.default_rng(0)
+    homeward = 0
+    for _ in range(200):
+        before = batch.simulator.truth.torso_position.copy()
+        batch.step(0.3 * rng.uniform(-1, 1, (4, 20)) + 0.7 * FALL)
+        after = batch.simulator.truth.torso_position
+        away = np.abs(after[:, 1]) - np.abs(before[:, 1])
+        fell = after[:, 2] < 0.27
+        np.testing.assert_allclose(
+            batch.rewards, 100.0 * (after[:, 0] - before[:, 0] - 0.5 * away - 3.0 * fell), atol=1e-9
+        )
+        homeward += int((away < 0.0).sum())
+        if fell.any():
+            break
+    assert fell.any()
+    assert homeward > 0
+
+
+def test_practised_starts_are_cut_off_after_two_seconds() -> None:
+    """Only the environments that practise, and as a cut, after which something could still have come."""
+    batch = batch_of(4, task("sprint2"))
+    batch.practises[:2] = True
+    for step in range(1, 101):
+        batch.step(hold(batch))
+        assert not batch.terminated.any()
+        assert batch.truncated.tolist() == [step == 100, step == 100, False, False]
+
+
+def test_share_of_environments_that_practise_starts(make_spec: Callable[..., TrainingSpec]) -> None:
+    """The share is the specification's."""
+    batch, _ = open_training_batch(make_spec(n_envs=8, n_steps=8, batch_size=64, start_practice=0.25))
+    assert batch.practises.tolist() == [True] * 2 + [False] * 6
+    batch.close()
 
 
 def test_standing_robot_goes_on() -> None:

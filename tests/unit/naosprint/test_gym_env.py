@@ -32,7 +32,7 @@ def test_seed_decides_the_start() -> None:
 
 def test_falling_ends_the_episode_and_says_so() -> None:
     """A random policy falls; the rewards add up to the distance."""
-    env = SprintEnv(TrainingSpec(reward_scale=1.0))
+    env = SprintEnv(TrainingSpec(reward_scale=1.0, drift_penalty=0.0))
     env.reset(seed=0)
     env.action_space.seed(0)
     total, terminated = 0.0, False

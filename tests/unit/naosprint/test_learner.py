@@ -93,7 +93,7 @@ def test_time_limit_bootstraps_the_value_of_what_was_cut_off(
         if len(rows):
             with torch.no_grad():
                 value = learner.policy.predict_values(torch.from_numpy(observations)).numpy()[:, 0]
-            expected[rows] += 0.99 * value
+            expected[rows] += learner.spec.gamma * value
             cuts += len(rows)
         np.testing.assert_allclose(learner.rollout_buffer.rewards[step], expected, atol=1e-5)
     assert cuts >= 16
@@ -149,6 +149,42 @@ def test_target_kl_moves_linearly_to_its_final_value(final: float | None, remain
     spec = TrainingSpec(target_kl=0.03, target_kl_final=final)
     assert _target_kl(spec, remaining) == pytest.approx(wanted)
     assert _target_kl(TrainingSpec(target_kl=None, learning_rate_schedule="constant"), remaining) is None
+
+
+def test_scheduled_spread_follows_the_steps_and_nothing_else(open_learner: Open) -> None:
+    """It goes straight from the first value to the last, whatever updates say, and actions explore with it."""
+    learner = open_learner(initial_log_std=-1.0, final_log_std=-2.0, total_steps=1024, learning_rate=0.01)
+    assert learner.spec.rollout_steps == 256
+    for wanted in (-1.0, -1.25, -1.5, -1.75, -2.0, -2.0):
+        collect(learner)
+        assert learner.policy.log_std.tolist() == pytest.approx([wanted] * 20)
+        with torch.no_grad():
+            observations = torch.from_numpy(learner.rollout_buffer.observations.reshape(256, -1))
+            means = learner.policy.get_distribution(observations).mode().numpy()
+        spread = float(np.std(learner.rollout_buffer.actions.reshape(256, -1) - means))
+        assert spread == pytest.approx(np.exp(wanted), rel=0.1)
+        learner.train()
+        assert learner.policy.log_std.tolist() == pytest.approx([wanted] * 20)
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.75])
+def test_checkpoints_hold_the_running_mean_of_the_weights(open_learner: Open, decay: float) -> None:
+    """A plain mean at first, then one that forgets; without averaging, the latest weights."""
+    learner = open_learner(policy_averaging=decay, learning_rate=0.01)
+    name = "action_net.weight"
+    seen = []
+    for _ in range(6):
+        collect(learner)
+        learner.train()
+        seen.append(learner.policy.state_dict()[name].numpy().astype(np.float64))
+    if decay:
+        wanted = np.mean(seen[:4], axis=0)
+        for latest in seen[4:]:
+            wanted = 0.75 * wanted + 0.25 * latest
+    else:
+        wanted = seen[-1]
+    np.testing.assert_allclose(learner.policy_state()[name], wanted, atol=1e-6)
+    assert np.array_equal(learner.learner_state()[f"latest.{name}"], seen[-1].astype(np.float32))
 
 
 def test_target_kl_ends_an_update_early(open_learner: Open) -> None:

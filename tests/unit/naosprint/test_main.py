@@ -66,12 +66,20 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
         (["train", "x", "--task", "swim"], "--task: unknown task 'swim'"),
         (["train", "x", "--n-envs", "many"], "--n-envs"),
         (["train", "x", "--batch-size", "7"], "batch_size: 7 does not divide"),
-        (["train", "x", "--simulator", "rcssserver3d"], "NAOSPRINT_SIMSERVER: there is no program 'no-such-server'"),
-        (["evaluate", "nowhere"], "no checkpoint here"),
+        (
+            ["train", "x", "--simulator", "rcssserver3d", "--n-envs", "2", "--n-steps", "64", "--batch-size", "128"],
+            "NAOSPRINT_SIMSERVER: there is no program 'no-such-server'",
+        ),
+        (
+            ["train", "x", "--simulator", "rcssserver3d", "--n-envs", "4096"],
+            "n_envs: 4096 environments on rcssserver3d",
+        ),
+        (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint's folder nor a shipped policy"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),
         (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
         (["report", "nowhere", "page"], "nowhere: no complete evaluation"),
-        (["export", "nowhere", "policy"], "no checkpoint here"),
+        (["export", "nowhere", "policy"], "neither a checkpoint's folder nor a shipped policy"),
+        (["replay", ".", "policy"], "no checkpoint here"),
     ],
 )
 def test_bad_input_is_explained(

@@ -25,6 +25,7 @@ def test_policy_agrees_with_torch(
     env = SprintVecEnv.from_spec(manifest.spec, batch, n_starts)
     session = _Session(make_spec(), env, tmp_path, recorder)
     session.resume(checkpoint)
+    session.ppo.load_policy_state(session.ppo.policy_state())  # act with the running mean, not with the latest weights
     raw = np.concatenate([batch.step(np.random.default_rng(i).uniform(-1, 1, (8, 20))) for i in range(20)])
     with torch.no_grad():
         seen = torch.from_numpy(env.normaliser.observations(raw))

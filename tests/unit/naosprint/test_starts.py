@@ -114,7 +114,7 @@ def test_unavailable_simulator_is_refused() -> None:
 def test_missing_server_program_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message names the setting and what to do."""
     monkeypatch.setenv("NAOSPRINT_SIMSERVER", "/nowhere/rcssserver3d")
-    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_SIMSERVER.*'/nowhere/rcssserver3d'.*set it to 'embedded'"):
+    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_SIMSERVER.*'/nowhere/rcssserver3d'.*or to 'embedded'"):
         open_simulator(
             "rcssserver3d",
             1,

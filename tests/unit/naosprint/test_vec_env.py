@@ -61,7 +61,7 @@ def test_step_and_advance_are_the_same(open_env: Open) -> None:
 
 def test_episode_figures_are_those_of_the_episode(open_env: Open) -> None:
     """Length and return of an episode, counted by hand."""
-    env = open_env(normalise_rewards=False)
+    env = open_env(normalise_rewards=False, start_practice=0.0)
     env.reset()
     rng = np.random.default_rng(1)
     length, total = np.zeros(8, int), np.zeros(8)
@@ -162,3 +162,17 @@ def test_environments_share_one_batch(open_env: Open) -> None:
         env.set_attr("fall_height_m", 1.0)
     with pytest.raises(AttributeError, match="of one batch"):
         env.env_method("step")
+
+
+def test_practised_starts_do_not_count_as_runs(open_env: Open) -> None:
+    """What is reported of training speaks of whole episodes alone."""
+    env = open_env(start_practice=0.5)
+    env.reset()
+    rng = np.random.default_rng(0)
+    whole = practised = 0
+    for _ in range(150):
+        dones = env.advance(rng.uniform(-1, 1, (8, 20))).dones
+        practised += int(dones[:4].sum())
+        whole += int(dones[4:].sum())
+    assert practised > 0
+    assert env.window.episodes == whole > 0

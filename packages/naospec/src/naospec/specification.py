@@ -192,6 +192,20 @@ class TrainingSpec(_Specification):
         title="Initial log-std",
         description="Logarithm of the initial standard deviation of the actions.",
     )
+    final_log_std: float | None = Field(
+        default=_fast("final_log_std"),
+        ge=-10.0,
+        le=2.0,
+        title="Final log-std",
+        description="If set, log-std is not learnt but goes straight from initial_log_std to this over the training.",
+    )
+    policy_averaging: float = Field(
+        default=_fast("policy_averaging"),
+        ge=0.0,
+        lt=1.0,
+        title="Policy averaging",
+        description="Decay per update of the running mean of the weights that checkpoints hold; 0: the latest weights.",
+    )
     normalise_observations: bool = Field(
         default=_fast("normalise_observations"),
         title="Normalise observations",
@@ -220,7 +234,29 @@ class TrainingSpec(_Specification):
         description="Reward per metre of forward displacement.",
         json_schema_extra={"unit": "1/m"},
     )
+    drift_penalty: float = Field(
+        default=_fast("drift_penalty"),
+        ge=0.0,
+        le=10.0,
+        title="Drift penalty",
+        description="Reward lost per metre away from the line straight ahead, as a share of that for a metre forward.",
+    )
+    fall_penalty_m: float = Field(
+        default=_fast("fall_penalty_m"),
+        ge=0.0,
+        le=100.0,
+        title="Fall penalty",
+        description="Reward lost at a fall, as that of so many metres forward.",
+        json_schema_extra={"unit": "m"},
+    )
 
+    start_practice: float = Field(
+        default=_fast("start_practice"),
+        ge=0.0,
+        le=0.9,
+        title="Start practice",
+        description="Share of the environments that practise starts: their episodes are cut off after two seconds.",
+    )
     start_noise_deg: float = Field(
         default=2.0,
         ge=0.0,

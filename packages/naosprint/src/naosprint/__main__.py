@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import naopolicies
 from naosim import ServerLostError
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import ValidationError
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 EXIT_USAGE = 2
 EXIT_FAILURE = 1
+
+_CHECKPOINT_HELP = "checkpoint directory, or the name of a shipped policy"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,13 +52,13 @@ def _parser() -> argparse.ArgumentParser:
     train.add_argument("workdir", type=Path, help="directory for checkpoints and metrics.jsonl")
     train.add_argument("--resume", type=Path, metavar="CHECKPOINT", help="continue this training")
     train.add_argument(
-        "--initial-policy", type=Path, metavar="CHECKPOINT", help="start from the weights of this checkpoint"
+        "--initial-policy", metavar="CHECKPOINT", help="start from the weights of this checkpoint or shipped policy"
     )
     _add_fields(train, TrainingSpec)
     train.set_defaults(run=_train)
 
     evaluate = commands.add_parser("evaluate", help="judge a policy", description="Run a policy and print its figures.")
-    evaluate.add_argument("checkpoint", type=Path, help="checkpoint directory")
+    evaluate.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     evaluate.add_argument("--output", type=Path, help="directory for evaluation.json, trajectories.npz and replay.json")
     evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     _add_fields(evaluate, EvaluationSpec)
@@ -78,16 +81,32 @@ def _parser() -> argparse.ArgumentParser:
         help="write a policy for use elsewhere",
         description="Write policy.onnx, policy.npz and policy.json.",
     )
-    export.add_argument("checkpoint", type=Path, help="checkpoint directory")
+    export.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     export.add_argument("output", type=Path, help="directory for the files")
     export.set_defaults(run=_export)
+
+    replay = commands.add_parser(
+        "replay",
+        help="let a policy run, and film it",
+        description="Run one episode; write replay.json, replay.npz and the film replay.mp4.",
+    )
+    replay.add_argument("checkpoint", help=_CHECKPOINT_HELP)
+    replay.add_argument("output", type=Path, help="directory for the files")
+    replay.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
+    _add_fields(replay, EvaluationSpec, only=("task", "seed", "simulator", "start_noise_deg"))
+    replay.set_defaults(run=_replay)
+
+    policies = commands.add_parser("policies", help="list the shipped policies", description="List shipped policies.")
+    policies.set_defaults(run=_policies)
     return parser
 
 
-def _add_fields(parser: argparse.ArgumentParser, model: type[BaseModel]) -> None:
-    """Add an option for each field of a specification; pydantic reads and checks the values."""
+def _add_fields(parser: argparse.ArgumentParser, model: type[BaseModel], *, only: Sequence[str] | None = None) -> None:
+    """Add an option for each field of a specification, or some; pydantic reads and checks the values."""
     group = parser.add_argument_group("specification")
     for name, field in model.model_fields.items():
+        if only is not None and name not in only:
+            continue
         default = "from the preset or the task" if field.default is None else field.default
         text = f"{field.description} (default: {default})"
         group.add_argument(
@@ -132,6 +151,7 @@ def _train(options: argparse.Namespace) -> int:
         spec = TrainingSpec.model_validate({**known, **fields})
     else:
         spec = TrainingSpec.model_validate(fields)
+    initial_policy = None if options.initial_policy is None else naopolicies.resolve(options.initial_policy)
     stop = _stop_on_signals()
 
     from naosprint.console import ConsoleReporter
@@ -144,7 +164,7 @@ def _train(options: argparse.Namespace) -> int:
                 workdir=options.workdir,
                 reporter=reporter,
                 resume=options.resume,
-                initial_policy=options.initial_policy,
+                initial_policy=initial_policy,
                 stop=stop.is_set,
             )
         except TrainingDivergedError as error:
@@ -156,6 +176,7 @@ def _train(options: argparse.Namespace) -> int:
 
 def _evaluate(options: argparse.Namespace) -> int:
     spec = EvaluationSpec.model_validate(_fields(options))
+    checkpoint = naopolicies.resolve(options.checkpoint)
     stop = _stop_on_signals()
 
     from rich.progress import Progress
@@ -166,7 +187,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         bar = progress.add_task("episodes", total=spec.episodes)
         try:
             evaluation = evaluate(
-                options.checkpoint,
+                checkpoint,
                 spec,
                 threads=options.threads,
                 progress=lambda done, total: progress.update(bar, completed=done, total=total),
@@ -198,8 +219,35 @@ def _report(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from naosprint.export import export_policy
 
-    for path in export_policy(options.checkpoint, options.output):
+    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output):
         sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    spec = EvaluationSpec.model_validate({**_fields(options), "episodes": 1})
+    checkpoint = naopolicies.resolve(options.checkpoint)
+
+    from naosprint.evaluation import evaluate
+    from naosprint.film import write_mp4
+
+    replay = evaluate(checkpoint, spec).replay
+    options.output.mkdir(parents=True, exist_ok=True)
+    written = [*replay.save(options.output)]
+    if not options.no_film:
+        written.append(options.output / "replay.mp4")
+        write_mp4(replay, written[-1])
+    for path in written:
+        sys.stdout.write(f"{path}\n")
+    end = "arrived" if replay.arrived else "fell" if replay.fallen else "stopped"
+    sys.stderr.write(f"{replay.distance_m:.2f} m in {replay.duration_s:.2f} s, {end}\n")
+    return 0
+
+
+def _policies(options: argparse.Namespace) -> int:
+    del options
+    for name in naopolicies.names():
+        sys.stdout.write(f"{name:14} {naopolicies.card(name)['summary']}\n")
     return 0
 
 

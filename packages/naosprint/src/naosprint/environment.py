@@ -23,6 +23,10 @@ TRAINING_STARTS = 256
 """Start poses that training draws from, where there is start noise."""
 
 
+PRACTICE_STEPS = 100
+"""Steps after which episodes of environments that practise starts are cut off: by then the robot is at full speed."""
+
+
 class SprintBatch:
     """Run the sprint task for n robots at once, without a Python loop over them.
 
@@ -31,14 +35,17 @@ class SprintBatch:
 
     Attributes:
         observations: (n, D) the latest observations.
-        rewards: (n,) rewards of the last step: forward displacement of the torso times ``reward_scale``.
+        rewards: (n,) rewards of the last step, ``reward_scale`` times these metres: forward displacement of the torso,
+            less ``drift_penalty`` times how much farther it is now from the straight line, less ``fall_penalty_m`` at
+            a fall.
         terminated: (n,) whether the last step ended the episode: fallen, arrived, or at the task's horizon.
-        truncated: (n,) whether the last step cut the episode off: by a time limit, which is no part of the task, or
-            because the robot was lost with its server.
+        truncated: (n,) whether the last step cut the episode off: by a time limit, which is no part of the task, at
+            the end of a practised start, or because the robot was lost with its server.
         lost: (n,) whether the last step lost the robot; its observation and position are those before the step.
         fallen: (n,) whether the torso sank below the minimum height.
         arrived: (n,) whether the torso passed the finish line without having fallen.
         steps: (n,) steps of the episode so far.
+        practises: (n,) whether the environment's episodes are cut off after ``PRACTICE_STEPS``, to practise starts.
         displacement: (n,) metres the torso has come forward since the start.
     """
 
@@ -50,6 +57,8 @@ class SprintBatch:
         robot_type: int,
         fall_height_m: float,
         reward_scale: float = 1.0,
+        drift_penalty: float = 0.0,
+        fall_penalty_m: float = 0.0,
     ) -> None:
         n = simulator.n
         self.n = n
@@ -59,6 +68,8 @@ class SprintBatch:
         self.observer = Observer(n, self.actuation, robot_type)
         self.fall_height_m = fall_height_m
         self.reward_scale = reward_scale
+        self.drift_penalty = drift_penalty
+        self.fall_penalty_m = fall_penalty_m
         self.rewards: FloatArray = np.zeros(n)
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
         self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -66,8 +77,10 @@ class SprintBatch:
         self.fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.arrived: BoolArray = np.zeros(n, dtype=np.bool_)
         self.steps: IntArray = np.zeros(n, dtype=np.int64)
+        self.practises: BoolArray = np.zeros(n, dtype=np.bool_)
         self._x: FloatArray = np.zeros(n)
         self._start_x: FloatArray = np.zeros(n)
+        self._aside: FloatArray = np.zeros(n)  # distance from the line straight ahead of the start, metres
 
     @property
     def observations(self) -> FloatArray:
@@ -105,6 +118,7 @@ class SprintBatch:
         x = truth.torso_position[rows, 0]
         self._x[rows] = x
         self._start_x[rows] = x
+        self._aside[rows] = np.abs(truth.torso_position[rows, 1] - self.task.start_y_m)
         self.steps[rows] = 0
         self.fallen[rows] = False
 
@@ -129,11 +143,13 @@ class SprintBatch:
         x = truth.torso_position[:, 0].copy()
         # what a server said while it broke down is no ground to learn from
         observations[lost] = last_seen
-        x[lost] = self._x[lost]
-        self.rewards = (x - self._x) * self.reward_scale
-        self._x = x
+        aside = np.abs(truth.torso_position[:, 1] - self.task.start_y_m)
+        x[lost], aside[lost] = self._x[lost], self._aside[lost]
         self.steps += 1
         self.fallen = (truth.torso_position[:, 2] < self.fall_height_m) & ~self.lost
+        gain = x - self._x - self.drift_penalty * (aside - self._aside) - self.fall_penalty_m * self.fallen
+        self.rewards = gain * self.reward_scale
+        self._x, self._aside = x, aside
         task = self.task
         if task.finish_x_m is not None:
             self.arrived = (x > task.finish_x_m) & ~self.fallen & ~self.lost
@@ -145,6 +161,7 @@ class SprintBatch:
         else:
             self.terminated = over
             self.truncated = (late & ~over) | self.lost
+        self.truncated |= self.practises & (self.steps >= PRACTICE_STEPS) & ~self.terminated
         return observations
 
     def elapsed_s(self) -> FloatArray:
@@ -157,6 +174,7 @@ class SprintBatch:
         state["steps"] = self.steps.copy()
         state["x"] = self._x.copy()
         state["start_x"] = self._start_x.copy()
+        state["aside"] = self._aside.copy()
         snapshot = self.simulator.snapshot()
         if snapshot is not None:
             state["simulator"] = snapshot
@@ -169,6 +187,7 @@ class SprintBatch:
         self.steps = np.array(state["steps"], dtype=np.int64)
         self._x = np.array(state["x"], dtype=np.float64)
         self._start_x = np.array(state["start_x"], dtype=np.float64)
+        self._aside = np.array(state["aside"], dtype=np.float64)
         self.simulator.restore(np.array(state["simulator"], dtype=np.uint8))
 
     def close(self) -> None:
@@ -183,6 +202,7 @@ def open_training_batch(spec: TrainingSpec) -> tuple[SprintBatch, int]:
         The environments and the number of start poses.
     """
     batch = open_batch(spec, spec.n_envs, task=spec.task_definition, threads=spec.simulator_threads)
+    batch.practises[: round(spec.start_practice * spec.n_envs)] = True
     poses = draw_start_poses(batch.actuation, TRAINING_STARTS, spec.start_noise_deg, spec.seed)
     try:
         batch.load_starts(poses)
@@ -209,4 +229,6 @@ def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int) -> Sprin
         robot_type=spec.robot_type,
         fall_height_m=spec.fall_height_m,
         reward_scale=spec.reward_scale,
+        drift_penalty=spec.drift_penalty,
+        fall_penalty_m=spec.fall_penalty_m,
     )

@@ -45,9 +45,12 @@ def export_policy(checkpoint: Path, directory: Path) -> tuple[Path, Path, Path]:
 
     Raises:
         CheckpointError: if the checkpoint is damaged.
+        OSError: onnx is not installed.
     """
-    import onnx
-
+    try:
+        import onnx
+    except ImportError as error:
+        raise OSError("policy.onnx needs onnx: pip install naosprint[export]") from error
     policy, manifest = load_policy(checkpoint)
     directory.mkdir(parents=True, exist_ok=True)
     arrays, network, text = directory / "policy.npz", directory / "policy.onnx", directory / "policy.json"

@@ -90,8 +90,15 @@ class Film:
 
 
 def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None) -> None:
-    """Write a replay as an H.264 film in real time, 50 pictures a second."""
-    import imageio_ffmpeg  # type: ignore[import-untyped]
+    """Write a replay as an H.264 film in real time, 50 pictures a second.
+
+    Raises:
+        OSError: imageio-ffmpeg is not installed.
+    """
+    try:
+        import imageio_ffmpeg  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or leave the film out") from error
 
     chosen = range(len(replay.positions)) if frames is None else frames
     writer = imageio_ffmpeg.write_frames(

@@ -81,6 +81,8 @@ class SprintPPO(PPO):
             if spec.symmetric_policy:
                 batch = env.batch
                 tie_weights(self.policy, Mirror.of_names(batch.observer.names), Mirror.of_names(batch.actuation.names))
+        if spec.final_log_std is not None:
+            self.policy.log_std.requires_grad_(False)
         self.set_logger(Logger(folder=None, output_formats=[]))
         self.spec = spec
         self.generator = torch.Generator()
@@ -88,6 +90,8 @@ class SprintPPO(PPO):
         self.collect_s = 0.0
         self.learn_s = 0.0
         self.rate_factor = 1.0
+        self._average = {name: tensor.clone() for name, tensor in self.policy.state_dict().items()}
+        self._averaged = 0
         self._total_timesteps = spec.planned_steps
 
     def begin(self) -> None:
@@ -132,6 +136,8 @@ class SprintPPO(PPO):
         policy.set_training_mode(False)
         action_dim = buffer.action_dim
         with torch.no_grad():
+            if self.spec.final_log_std is not None:
+                policy.log_std.fill_(_scheduled_log_std(self.spec, self.num_timesteps / self._total_timesteps))
             log_std = policy.log_std.detach()
             noise = torch.randn((n_rollout_steps, n, action_dim), generator=self.generator)
             actions = torch.from_numpy(buffer.actions)
@@ -247,6 +253,7 @@ class SprintPPO(PPO):
             raise TrainingDivergedError(
                 f"a weight is no longer finite after {self.num_timesteps} steps; lower learning_rate"
             )
+        self._update_average()
         means = np.mean(logs, axis=0).tolist()
         record = self.logger.record
         record("train/learning_rate", rate)
@@ -265,21 +272,31 @@ class SprintPPO(PPO):
         """Return what the last update recorded, under stable-baselines3's names."""
         return {name: float(value) for name, value in self.logger.name_to_value.items()}
 
+    def _update_average(self) -> None:
+        """Let the latest weights into their running mean: a plain mean until it is as long as the decay's memory."""
+        self._averaged += 1
+        share = max(1.0 - self.spec.policy_averaging, 1.0 / self._averaged)
+        for name, tensor in self.policy.state_dict().items():
+            self._average[name].lerp_(tensor, share)
+
     def policy_state(self) -> dict[str, AnyArray]:
-        """Return the weights by stable-baselines3's names."""
-        return {name: tensor.detach().numpy().copy() for name, tensor in self.policy.state_dict().items()}
+        """Return the weights that a checkpoint's policy has, by stable-baselines3's names: their running mean."""
+        return {name: tensor.numpy().copy() for name, tensor in self._average.items()}
 
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Take over weights by stable-baselines3's names."""
+        """Take over weights by stable-baselines3's names, as the latest ones and as their mean."""
         self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in state.items()})
+        self._average = {name: torch.from_numpy(np.array(value)) for name, value in state.items()}
 
     def learner_state(self) -> dict[str, AnyArray]:
-        """Return optimiser, generators and where the rollout stands."""
+        """Return optimiser, generators, where the rollout stands, and the latest weights."""
         state: dict[str, AnyArray] = {
             "generator": self.generator.get_state().numpy().copy(),
             "episode_starts": np.array(self._last_episode_starts, dtype=np.bool_),
             "n_updates": np.array([self._n_updates], dtype=np.int64),
             "rate_factor": np.array([self.rate_factor]),
+            "averaged": np.array([self._averaged], dtype=np.int64),
+            **{f"latest.{name}": tensor.numpy().copy() for name, tensor in self.policy.state_dict().items()},
         }
         for name, parameter in self.policy.named_parameters():
             slots = self.policy.optimizer.state.get(parameter)
@@ -295,6 +312,10 @@ class SprintPPO(PPO):
         self._last_obs = observations
         self._n_updates = int(np.asarray(state["n_updates"])[0])
         self.rate_factor = float(np.asarray(state["rate_factor"], dtype=np.float64)[0])
+        self._averaged = int(np.asarray(state["averaged"])[0])
+        prefix = "latest."
+        latest = {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
+        self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in latest.items()})
         for name, parameter in self.policy.named_parameters():
             self.policy.optimizer.state[parameter] = {
                 slot: torch.from_numpy(np.array(state[f"adam.{slot}.{name}"], dtype=np.float32)) for slot in _ADAM
@@ -306,6 +327,12 @@ def _schedule(spec: TrainingSpec) -> float | Callable[[float], float]:
         return spec.learning_rate
     rate = spec.learning_rate
     return lambda remaining: rate * max(remaining, 0.0)
+
+
+def _scheduled_log_std(spec: TrainingSpec, progress: float) -> float:
+    """Return the log-std of the actions where it is not learnt, with ``progress`` of the training behind, 0 to 1."""
+    final = spec.initial_log_std if spec.final_log_std is None else spec.final_log_std
+    return spec.initial_log_std + (final - spec.initial_log_std) * min(1.0, progress)
 
 
 def _target_kl(spec: TrainingSpec, remaining: float) -> float | None:

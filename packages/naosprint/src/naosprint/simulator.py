@@ -9,7 +9,7 @@ import numpy as np
 from naosim import BatchSimulator, robots
 
 from naosprint.actuation import Actuation
-from naosprint.servers import RemoteSimulator, server_launcher
+from naosprint.servers import RemoteSimulator, require_servers, server_launcher
 from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
 
 if TYPE_CHECKING:
@@ -220,16 +220,18 @@ def open_simulator(
         robot_type: 0 to 4.
         task: says where the robots start.
         threads: threads of the embedded engine.
-        digits: decimals of the embedded engine's perceptors; a server has its own.
+        digits: decimals of the perceptors; a server that is not ours has its own.
         max_server_failures: so many servers may be replaced.
 
     Raises:
-        ValueError: if there is no such simulator.
+        ValueError: if there is no such simulator, or this machine cannot carry so many servers.
         FileNotFoundError: if the server's program is not here.
         naosim.ServerLostError: if a server does not start.
     """
     if name == "embedded":
         return EmbeddedSimulator(n, robot_type=robot_type, task=task, threads=threads, digits=digits)
     if name == "rcssserver3d":
-        return RemoteSimulator(server_launcher(), n, robot_type=robot_type, task=task, max_failures=max_server_failures)
+        require_servers(n)
+        launcher = server_launcher(digits)
+        return RemoteSimulator(launcher, n, robot_type=robot_type, task=task, max_failures=max_server_failures)
     raise ValueError(f"simulator: {name!r} is unknown; use 'embedded' or 'rcssserver3d'")

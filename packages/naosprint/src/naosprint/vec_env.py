@@ -106,8 +106,8 @@ class SprintVecEnv(VecEnv):
         cut_raw = batch.observations[cut_rows]
         self.losses = {row: batch.simulator.loss_reason(row) for row in np.flatnonzero(batch.lost).tolist()}
         if dones.any():
-            # an episode that was cut off by a broken server says nothing about the policy
-            told = np.flatnonzero(dones & ~batch.lost)
+            # an episode that a broken server cut off, or that was only to practise the start, says nothing of the run
+            told = np.flatnonzero(dones & ~batch.lost & ~batch.practises)
             self.window.add(
                 rewards=self._rewards[told],
                 distances_m=batch.displacement[told],

@@ -1,0 +1,45 @@
+"""The policies in the box, over HTTP."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import httpx
+import naopolicies
+import pytest
+from naosprint.replay import load_replay
+
+
+def test_cards_of_all_shipped_policies(client: httpx.Client) -> None:
+    cards = client.get("/policies").json()
+    assert [card["name"] for card in cards] == list(naopolicies.names())
+    for card in cards:
+        assert card == naopolicies.card(card["name"]) == client.get(f"/policies/{card['name']}").json()
+
+
+@pytest.mark.parametrize("name", naopolicies.names())
+def test_replay_can_be_played(client: httpx.Client, tmp_path: Path, name: str) -> None:
+    answer = client.get(f"/policies/{name}/replay")
+    assert answer.headers["content-type"] == "application/json"
+    path = tmp_path / "replay.json"
+    path.write_bytes(answer.content)
+    assert load_replay(path).distance_m > 1.0
+
+
+@pytest.mark.parametrize("path", ["/policies/sprnt", "/policies/sprnt/replay"])
+def test_unknown_policy_is_answered_with_those_that_exist(client: httpx.Client, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 404
+    assert "no policy 'sprnt'" in answer.json()["detail"]
+    for name in naopolicies.names():
+        assert name in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", ["..", "%2e%2e%2fcard", "A", "x" * 61])
+def test_names_cannot_leave_the_box(client: httpx.Client, name: str) -> None:
+    assert client.get(f"/policies/{name}/replay").status_code in (404, 422)
+
+
+def test_policies_need_a_token(api: Any) -> None:
+    assert httpx.get(f"{api.url}/policies").status_code == 401
