@@ -6,10 +6,14 @@ and an empty store of its own.
 
 from __future__ import annotations
 
+import os
 import shutil
 import socket
+import subprocess
+import sys
 import tempfile
 import threading
+import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator
@@ -89,6 +93,65 @@ def broker() -> Iterator[ValkeyServer]:
     finally:
         server.stop()
         shutil.rmtree(folder, ignore_errors=True)
+
+
+class S3Server:
+    """An S3 server with one bucket, which keeps its port and its data when it is stopped and started again."""
+
+    ACCESS_KEY_ID, SECRET_ACCESS_KEY = "naosprint-tests", "a-secret-of-no-use-elsewhere"
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        (folder / "bucket").mkdir(parents=True)
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self._port = int(listener.getsockname()[1])
+        self._process: subprocess.Popen[bytes] | None = None
+        self.start()
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The settings that lead a service to the bucket."""
+        return {
+            "NAOSPRINT_ARTIFACT_URL": "s3://bucket/some/prefix",
+            "NAOSPRINT_S3_ENDPOINT": f"http://127.0.0.1:{self._port}",
+            "NAOSPRINT_S3_ACCESS_KEY_ID": self.ACCESS_KEY_ID,
+            "NAOSPRINT_S3_SECRET_ACCESS_KEY": self.SECRET_ACCESS_KEY,
+        }
+
+    def start(self) -> None:
+        """Start it and wait until it answers."""
+        # The quotes belong to the value: without them it is cut at the comma.
+        keys = f'"{self.ACCESS_KEY_ID},{self.SECRET_ACCESS_KEY}"'
+        command = ["serve", "s3", str(self._folder), "--addr", f"127.0.0.1:{self._port}", "--vfs-cache-mode", "off"]
+        self._process = subprocess.Popen(
+            [Path(sys.executable).with_name("rclone"), *command],
+            env={**os.environ, "RCLONE_AUTH_KEY": keys, "RCLONE_CONFIG": str(self._folder / "rclone.conf")},
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        deadline = time.monotonic() + 60
+        while True:
+            try:
+                httpx.get(f"http://127.0.0.1:{self._port}/", trust_env=False, timeout=5)
+            except httpx.TransportError:
+                assert self._process.poll() is None and time.monotonic() < deadline, "the S3 server does not start"
+                time.sleep(0.05)
+            else:
+                return
+
+    def stop(self) -> None:
+        """Kill it."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+@pytest.fixture(scope="session")
+def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
+    """An S3 server on a loopback port."""
+    server = S3Server(tmp_path_factory.mktemp("s3"))
+    yield server
+    server.stop()
 
 
 @pytest.fixture(scope="module")

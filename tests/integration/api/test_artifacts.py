@@ -142,7 +142,9 @@ def test_an_archive_holds_all_files(client: httpx.Client, lease: Lease, checkpoi
         "a" * 1000,
     ],
 )
-def test_no_name_leads_anywhere_else(client: httpx.Client, checkpoint: str, name: str) -> None:
+def test_no_name_leads_anywhere_else(
+    client: httpx.Client, checkpoint: str, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
     # httpx would tidy the path up; a stranger's client need not.
     connection = HTTPConnection(client.base_url.host, client.base_url.port, timeout=20)
     with closing(connection):
@@ -151,7 +153,10 @@ def test_no_name_leads_anywhere_else(client: httpx.Client, checkpoint: str, name
             connection.request("GET", root + name, headers=headers)
             answer = connection.getresponse()
             assert answer.status in (404, 422), root
-            assert b"root:" not in answer.read()
+            content = answer.read()
+            assert b"root:" not in content
+            if b"there is no file" in content:
+                assert "refused a file name that is not in the list" in caplog.text
 
 
 def test_files_of_others_do_not_exist(

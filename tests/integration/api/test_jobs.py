@@ -222,7 +222,10 @@ def test_a_token_that_may_only_read_changes_nothing(make_client: Callable[..., h
 
 
 def test_jobs_of_others_do_not_exist(
-    client: httpx.Client, admin: httpx.Client, make_client: Callable[..., httpx.Client]
+    client: httpx.Client,
+    admin: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     job = submit(client)["id"]
     mallory = make_client("mallory", "submit")
@@ -244,6 +247,8 @@ def test_jobs_of_others_do_not_exist(
         theirs = problem(mallory.request(method, f"/jobs/{job}{path}"), 404)
         nobodys = problem(mallory.request(method, f"/jobs/{UNKNOWN}{path}"), 404)
         assert theirs["detail"].replace(job, UNKNOWN) == nobodys["detail"], "the answers must not tell them apart"
+        assert "refused mallory" in caplog.text and f"{job} belongs to alice" in caplog.text
+        caplog.clear()
     assert mallory.get("/jobs").json()["items"] == []
     problem(mallory.get("/jobs", params={"owner": "alice"}), 404)
     problem(mallory.post("/jobs", json={"parent_job_id": job}), 422)

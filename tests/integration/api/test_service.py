@@ -107,7 +107,9 @@ def test_what_is_not_there_is_a_problem(client: httpx.Client) -> None:
     assert set(client.put("/jobs").headers["allow"].split(", ")) == {"GET", "POST"}
 
 
-def test_large_bodies_are_refused_before_they_are_read(client: httpx.Client, api: Any) -> None:
+def test_large_bodies_are_refused_before_they_are_read(
+    client: httpx.Client, api: Any, caplog: pytest.LogCaptureFixture
+) -> None:
     def pieces() -> Iterator[bytes]:
         for _ in range(64):
             yield b"x" * 65_536
@@ -122,6 +124,7 @@ def test_large_bodies_are_refused_before_they_are_read(client: httpx.Client, api
     with socket.create_connection(("127.0.0.1", int(api.url.rsplit(":", 1)[1]))) as connection:
         connection.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 100000000\r\n\r\n")
         assert connection.recv(4096).startswith(b"HTTP/1.1 413")
+    assert caplog.text.count("refused a body: more than 1048576 bytes") == 3
 
 
 def test_who_asks_too_often_has_to_wait(start_api: Callable[..., Any], make_token: Callable[..., str]) -> None:

@@ -239,8 +239,13 @@ def test_somebody_elses_token_opens_nothing(naoctl: Shell, job: dict[str, Any]) 
     assert naoctl.json("list", **bob) == []
     assert "no job" in naoctl("status", job["id"], code=ExitCode.NOT_FOUND, **bob).stderr.lower()
     naoctl("submit", *TINY, code=ExitCode.DENIED, **bob)
+    naoctl("token", "list", code=ExitCode.DENIED, **bob)
+    listed = naoctl("token", "list").stdout
+    assert "bob" in listed and made["token"] not in listed
     naoctl("token", "revoke", made["id"])
     naoctl("list", code=ExitCode.DENIED, **bob)
+    assert "revoked" in naoctl("token", "list").stdout
+    assert "naoctl token list" in naoctl("token", "revoke", "bob", code=ExitCode.NOT_FOUND).stderr
 
 
 def test_cancel_ends_a_running_job(naoctl: Shell, stack: dict[str, Any]) -> None:

@@ -316,6 +316,14 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     assert newest is not None
     assert newest.initial_policy is not None
     assert newest.initial_policy.id == second
+    with sessions() as session:
+        assert session.get_one(Job, other.id).parent_checkpoint_id == second, "the lineage names what was taken"
+    records.record_checkpoint(sessions, running.lease, step=30, key=f"{parent}/30", manifest={"files": []})
+    lifecycle.transition(sessions, newest.lease, JobState.QUEUED)
+    once_more = lifecycle.claim(sessions, other.id, "w")
+    assert once_more is not None
+    assert once_more.initial_policy is not None
+    assert once_more.initial_policy.id == second, "every attempt starts from the same policy"
 
     own = records.record_checkpoint(sessions, claim.lease, step=5, key=f"{child.id}/5", manifest={"files": []})
     lifecycle.transition(sessions, claim.lease, JobState.QUEUED)

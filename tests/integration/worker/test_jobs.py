@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from naojobs import lifecycle, records
 from naojobs.models import Evaluation
 from naojobs.states import EvaluationState, JobState
-from naojobs.store import Manifest
+from naojobs.store import Manifest, artifact_of
 from naospec import EvaluationSpec
 
-from .conftest import ROLLOUT, Service
+from .conftest import ROLLOUT, Service, WorkerProcess
 
 
 def assert_metrics_whole(service: Service, job_id: str) -> None:
@@ -40,24 +41,33 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
     kept = json.loads(shared.store.get_bytes(f"{evaluation.key}/evaluation.json"))
     assert kept == evaluation.summary
     assert shared.store.get_bytes(f"{evaluation.key}/trajectories.npz").startswith(b"PK")
-    assert_report(shared, evaluation, updates=20)
+    assert_report(shared, evaluation, updates=20, film=False)
 
     kinds = [kind for kind in shared.kinds(finished) if kind != "checkpoint"]
     assert kinds == ["queued", "claimed", "started", "running", "evaluating", "evaluation", "succeeded"]
 
 
-def assert_report(service: Service, evaluation: Evaluation, *, updates: int) -> None:
-    """A page with everything in it, the film, pictures and their figures lie beside the evaluation."""
-    manifest = Manifest.model_validate(evaluation.manifest)
-    assert {"report.html", "report.json", "run.mp4", "run.gif", "learning-curve.csv"} <= {
-        entry.name for entry in manifest.files
-    }
+def assert_report(service: Service, evaluation: Evaluation, *, updates: int, film: bool) -> None:
+    """A page with everything in it, pictures and their figures, and a film if asked for, lie beside the evaluation."""
+    names = {entry.name for entry in Manifest.model_validate(evaluation.manifest).files}
+    assert {"report.html", "report.json", "learning-curve.csv"} <= names
     page = service.store.get_bytes(f"{evaluation.key}/report.html").decode()
     assert service.job(evaluation.job_id).name in page
-    assert "data:video/mp4;base64," in page
-    assert service.store.get_bytes(f"{evaluation.key}/run.mp4")[4:8] == b"ftyp"
+    assert ("data:video/mp4;base64," in page) is film
+    assert ({"run.mp4", "run.gif"} <= names) is film
+    if film:
+        assert service.store.get_bytes(f"{evaluation.key}/run.mp4")[4:8] == b"ftyp"
     table = service.store.get_bytes(f"{evaluation.key}/learning-curve.csv").decode().splitlines()
     assert len(table) == 1 + updates
+
+
+def test_report_with_a_film(service: Service) -> None:
+    service.start_worker(NAOSPRINT_WORKER_REPORT="film")
+    job_id = service.submit(total_steps=ROLLOUT)
+    service.until_state(job_id, JobState.SUCCEEDED)
+    with service.sessions() as session:
+        evaluation = session.query(Evaluation).where(Evaluation.job_id == job_id).one()
+    assert_report(service, evaluation, updates=1, film=True)
 
 
 def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Service) -> None:
@@ -74,6 +84,17 @@ def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Ser
     assert service.kinds(job_id).count("claimed") == 1
     assert service.job(job_id).attempt == 1
     assert_metrics_whole(service, job_id)
+
+
+@pytest.mark.parametrize("announced", [True, False])
+def test_urgent_job_goes_before_one_that_came_earlier(service: Service, worker: WorkerProcess, announced: bool) -> None:
+    """Whether the broker has their messages or has lost them."""
+    busy = service.submit(evaluate=False, total_steps=10**9)
+    service.until(lambda: service.job(busy).attempt, what="for the worker to be busy")
+    low, high, middle = (service.submit(ring=announced, total_steps=10**9, priority=priority) for priority in (1, 9, 5))
+    lifecycle.request_cancel(service.sessions, busy)
+    service.until(lambda: any(service.job(job_id).attempt for job_id in (low, high, middle)), what="for the next claim")
+    assert [service.job(job_id).attempt for job_id in (low, high, middle)] == [0, 1, 0]
 
 
 def test_cancelled_job_stops_with_what_it_has(shared: Service) -> None:
@@ -137,6 +158,22 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
     assert_metrics_whole(shared, job_id)
 
 
+def test_only_the_checkpoints_that_are_worth_it_are_kept(service: Service) -> None:
+    service.start_worker(NAOSPRINT_WORKER_KEEP_LAST="2", NAOSPRINT_WORKER_KEEP_EVERY="4")
+    job_id = service.submit(evaluate=False, total_steps=ROLLOUT * 22, checkpoint_interval_steps=ROLLOUT * 2)
+    service.until_state(job_id, JobState.SUCCEEDED)
+    stored = service.checkpoints(job_id)
+    steps = {checkpoint.step // ROLLOUT for checkpoint in stored}
+    rewards = {row.step // ROLLOUT: row.values["reward"] for row in service.metrics(job_id) if "reward" in row.values}
+    saved = {step: reward for step, reward in rewards.items() if step % 2 == 0}
+    # Which one was the best changes while it trains; each was removed only once another was better.
+    best = {step for step in saved if saved[step] == max(saved.values())}
+    assert {0, 8, 16, 20, 22} <= steps
+    assert steps <= {0, 8, 16, 20, 22} | best
+    assert not saved or steps & best
+    assert {artifact_of(key) for key in service.store.list("jobs")} == {checkpoint.key for checkpoint in stored}
+
+
 def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> None:
     job_id = shared.submit(
         total_steps=10**6, learning_rate=1.0, reward_scale=1e300, normalise_rewards=False, max_grad_norm=None
@@ -175,9 +212,28 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     whole, broken = rows
     assert (whole.state, whole.attempt, whole.error) == (EvaluationState.SUCCEEDED, 1, None)
     assert json.loads(shared.store.get_bytes(f"{whole.key}/evaluation.json")) == whole.summary
-    assert_report(shared, whole, updates=20)
+    assert_report(shared, whole, updates=20, film=False)
     assert (broken.state, broken.attempt) == (EvaluationState.FAILED, 1)
     assert "nothing lies there" in (broken.error or "")
+
+
+def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(service: Service) -> None:
+    service.start_worker()
+    job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=2 * ROLLOUT)
+    checkpoint = service.until(lambda: service.checkpoints(job_id)[:1], what="for a checkpoint")[0]
+    spec = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
+    asked = records.request_evaluation(service.sessions, job_id, checkpoint_id=checkpoint.id, spec=spec).id
+    assert service.doorbell.ring_evaluation(asked, "embedded") is None
+
+    def ended() -> Evaluation | None:
+        with service.sessions() as session:
+            row = session.get_one(Evaluation, asked)
+        return row if row.finished_at else None
+
+    row = service.until(ended, what="for the evaluation")
+    assert (row.state, row.attempt, row.error) == (EvaluationState.SUCCEEDED, 1, None)
+    job = service.job(job_id)
+    assert (job.state, job.attempt) == (JobState.RUNNING, 1)
 
 
 def test_messages_for_jobs_that_do_not_wait_do_nothing(shared: Service) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 from naojobs import lifecycle
@@ -10,6 +11,8 @@ from naojobs.models import Log
 from naojobs.states import JobState
 from naojobs.store import Manifest
 from sqlalchemy import select
+
+from tests.integration.conftest import S3Server
 
 from .conftest import ROLLOUT, Service, SmallDisk, WorkerProcess
 
@@ -68,6 +71,40 @@ def test_store_that_refuses_writes_for_a_while(service: Service, worker: WorkerP
     assert_whole(service, job_id, steps)
 
 
+def lose_the_store(service: Service, server: S3Server, job_id: str, seconds: float) -> None:
+    """Kill the S3 server under a running job and start it again once the job has complained and time has passed."""
+    service.until_checkpoints(job_id, 2)
+    server.stop()
+    started = time.monotonic()
+    try:
+        service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a complaint in the log")
+        at = service.job(job_id).progress_step
+        service.until_step(job_id, at + ROLLOUT * 40)  # it trains on meanwhile
+        known = len(service.checkpoints(job_id))
+        service.until(lambda: time.monotonic() - started > seconds, what="for time to pass")
+        assert len(service.checkpoints(job_id)) == known
+    finally:
+        server.start()
+    service.until_checkpoints(job_id, known + 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    job = service.until_state(job_id, JobState.PAUSED)
+    assert (job.attempt, job.failures, job.error) == (1, 0, None)
+    stored = service.checkpoints(job_id)
+    steps = [checkpoint.step for checkpoint in stored]
+    assert steps[:-1] == list(range(0, steps[-2] + 1, ROLLOUT * 20)), "none is missing"
+    for checkpoint in (stored[-1], stored[known]):
+        service.store.get_directory(
+            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+        )
+    assert_whole(service, job_id, steps[-1])
+
+
+def test_s3_server_that_dies_and_comes_back(s3_service: Service, s3_server: S3Server) -> None:
+    s3_service.start_worker()
+    job_id = s3_service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    lose_the_store(s3_service, s3_server, job_id, 0)
+
+
 def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> None:
     service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
     service.artifacts.mkdir(exist_ok=True)
@@ -77,14 +114,14 @@ def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> 
     assert "storing the checkpoint of step 0: gave up" in (job.error or "")
 
 
-def test_store_on_a_full_disk_is_waited_for(small_disk: SmallDisk, service: Service, worker: WorkerProcess) -> None:
-    assert small_disk.folder == service.artifacts
+def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Service, worker: WorkerProcess) -> None:
+    assert small_store.folder == service.artifacts
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
-    small_disk.fill()
+    small_store.fill()
     service.until(lambda: "No space left on device" in log_text(service, job_id), what="for a complaint in the log")
     known = service.checkpoints(job_id)
-    small_disk.free()
+    small_store.free()
     service.until_checkpoints(job_id, len(known) + 2)
     lifecycle.request_pause(service.sessions, job_id)
     job = service.until_state(job_id, JobState.PAUSED)
@@ -99,6 +136,30 @@ def test_store_on_a_full_disk_is_waited_for(small_disk: SmallDisk, service: Serv
         number * ROLLOUT * 20 for number in range(len(stored) - 1)
     ]
     assert_whole(service, job_id, stored[-1].step)
+
+
+def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: SmallDisk, service: Service) -> None:
+    """The state tells the reason, and the worker takes nothing more until there is space again."""
+    worker = service.start_worker(NAOSPRINT_WORKER_MIN_FREE_MB="4", NAOSPRINT_WORKER_STOP_GRACE_S="5")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+
+    def lost() -> bool:
+        small_work.fill()  # each attempt frees its earlier checkpoints
+        return service.job(job_id).failures > 0
+
+    service.until(lost, what="for the attempt to end")
+    service.until(lambda: "left to others until there is more" in worker.output(), what="for the worker to hold back")
+    job = service.job(job_id)
+    assert (job.state, job.attempt, job.failures) == (JobState.QUEUED, 1, 1)
+    assert "no space left on the disk of the worker's folder" in (job.error or "")
+    known = service.checkpoints(job_id)[-1].step
+    steps = service.shorten(job_id)
+    small_work.free()
+    job = service.until_state(job_id, JobState.SUCCEEDED)
+    assert (job.attempt, job.error) == (2, None)
+    assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == known
+    assert_whole(service, job_id, steps)
 
 
 def log_text(service: Service, job_id: str) -> str:

@@ -6,6 +6,7 @@ import errno
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from naojobs.errors import LeaseLostError
@@ -29,24 +30,38 @@ from sqlalchemy.exc import OperationalError
         (StoreError("refused"), ExitCode.TRANSIENT, "service_unavailable"),
         (PatienceExhaustedError("gave up"), ExitCode.TRANSIENT, "service_unavailable"),
         (OperationalError("SELECT", {}, Exception("down")), ExitCode.TRANSIENT, "service_unavailable"),
-        (OSError(errno.ENOSPC, "No space left on device"), ExitCode.TRANSIENT, "disk_full"),
+        (OSError(errno.ENOSPC, "No space left on device"), ExitCode.DISK_FULL, "disk_full"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), ExitCode.DISK_FULL, "disk_full"),
+        (OSError("12 requested and 0 written"), ExitCode.TRANSIENT, "system"),
         (ConnectionResetError("simulator"), ExitCode.TRANSIENT, "system"),
         (MemoryError(), ExitCode.TRANSIENT, "system"),
         (ValueError("n_envs: too many"), ExitCode.PERMANENT, "error"),
     ],
 )
-def test_judgement(error: Exception, code: ExitCode, kind: str) -> None:
-    got, outcome = judge(error)
+def test_judgement(error: Exception, code: ExitCode, kind: str, tmp_path: Path) -> None:
+    got, outcome = judge(error, tmp_path)
     assert (got, outcome.kind) == (code, kind)
     assert code is ExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
 
 
-def test_judgement_keeps_the_traceback() -> None:
+def test_judgement_keeps_the_traceback(tmp_path: Path) -> None:
     try:
         raise ValueError("n_envs: too many")
     except ValueError as error:
-        _, outcome = judge(error)
+        _, outcome = judge(error, tmp_path)
     assert "test_judgement_keeps_the_traceback" in outcome.traceback
+
+
+def test_full_disk_behind_another_error_is_found(tmp_path: Path) -> None:
+    try:
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as error:
+            raise CheckpointError("cannot be written") from error
+    except CheckpointError as error:
+        code, outcome = judge(error, tmp_path / "attempt")
+    assert (code, outcome.kind) == (ExitCode.DISK_FULL, "disk_full")
+    assert f"the worker's folder {tmp_path}" in outcome.message
 
 
 @pytest.fixture

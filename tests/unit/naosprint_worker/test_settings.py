@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from naojobs.retention import Retention
 from naosprint_worker.settings import WorkerSettings
 from pydantic import ValidationError
 
@@ -38,3 +39,30 @@ def test_wrong_queues_are_named(monkeypatch: pytest.MonkeyPatch, queues: str, me
 def test_orphans_must_end_before_the_lease_does(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValidationError, match="worker_orphan_grace_s"):
         settings(monkeypatch, NAOSPRINT_WORKER_ORPHAN_GRACE_S="30")
+
+
+def test_which_checkpoints_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert settings(monkeypatch).retention is None
+    got = settings(monkeypatch, NAOSPRINT_WORKER_KEEP_LAST="3", NAOSPRINT_WORKER_KEEP_EVERY="10")
+    assert got.retention == Retention(3, every=10)
+
+
+@pytest.mark.parametrize(
+    ("values", "field"),
+    [
+        ({"NAOSPRINT_WORKER_KEEP_LAST": "1"}, "worker_keep_last"),
+        ({"NAOSPRINT_WORKER_KEEP_EVERY": "5"}, "worker_keep_every"),
+    ],
+)
+def test_keeping_too_few_checkpoints_is_refused(
+    monkeypatch: pytest.MonkeyPatch, values: dict[str, str], field: str
+) -> None:
+    with pytest.raises(ValidationError, match=field):
+        settings(monkeypatch, **values)
+
+
+def test_a_film_that_cannot_be_made_is_refused_when_the_worker_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("naosprint_worker.settings.find_spec", lambda name: None)
+    with pytest.raises(ValidationError, match=r"worker_report: film needs imageio-ffmpeg.*naosprint\[film\]"):
+        settings(monkeypatch, NAOSPRINT_WORKER_REPORT="film")
+    assert settings(monkeypatch, NAOSPRINT_WORKER_REPORT="pictures").worker_report == "pictures"

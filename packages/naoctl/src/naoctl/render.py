@@ -123,6 +123,12 @@ def ago(text: str | None, now: datetime | None = None) -> str:
     return f"{duration(((now or datetime.now(UTC)) - moment).total_seconds())} ago"
 
 
+def has_passed(text: str | None) -> bool:
+    """Tell whether a time of the service is over; one that is not set never is."""
+    moment = parse_time(text)
+    return moment is not None and moment <= datetime.now(UTC)
+
+
 def clock(text: str | None) -> str:
     """Write a time of the service as the local wall clock shows it, without zone: hours to milliseconds."""
     moment = parse_time(text)

@@ -9,6 +9,8 @@ The row in Postgres is the truth of a job; the Celery message is only a doorbell
 - `naojobs.lifecycle`  submit, claim, heartbeat, cancel, pause, resume, retry, re-queue: each one small transaction
 - `naojobs.records`    metrics, logs, events, checkpoints and evaluations
 - `naojobs.store`      the artifact store
+- `naojobs.retention`  which checkpoints and files are kept
+- `naojobs.archive`    all artifacts as one tar archive
 - `naojobs.doorbell`   the Celery producer
 - `naojobs.tokens`     bearer tokens, hashed at rest
 - `naojobs.registry`   the workers and their heartbeats

@@ -1,4 +1,4 @@
-"""Administer the job service from a shell: `python -m naojobs migrate`, `python -m naojobs token create ...`."""
+"""Administer the job service from a shell: `python -m naojobs migrate`, `... token create`, `... artifacts export`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 
+from naojobs.archive import export_artifacts, import_artifacts
 from naojobs.database import downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
+from naojobs.lifecycle import Sessions
+from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
+from naojobs.schemas import TokenPublic
 from naojobs.settings import ServiceSettings
+from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
 
 
@@ -32,6 +38,18 @@ def _parser() -> argparse.ArgumentParser:
     create.add_argument("--days", type=float, help="days until it expires (default: never)")
     token.add_parser("list", help="show all tokens, without their secrets")
     token.add_parser("revoke", help="make a token useless").add_argument("id")
+
+    artifacts = commands.add_parser("artifacts", help="copy artifacts out of the store and into it, and tidy it up")
+    verbs = artifacts.add_subparsers(dest="verb", required=True)
+    verbs.add_parser("export", help="write all artifacts to a tar archive").add_argument(
+        "file", nargs="?", type=Path, help="the archive (default: standard output)"
+    )
+    verbs.add_parser("import", help="verify the artifacts of an archive and put them into the store").add_argument(
+        "file", nargs="?", type=Path, help="the archive (default: standard input)"
+    )
+    sweep = verbs.add_parser("sweep", help="delete files that no job refers to")
+    sweep.add_argument("--hours", type=float, default=DEFAULT_AGE_S / 3600, help="only files as old (default: 24)")
+    sweep.add_argument("--dry-run", action="store_true", help="only show them")
     return parser
 
 
@@ -44,40 +62,53 @@ def main(argv: Sequence[str] | None = None) -> int:
         change(settings.sqlalchemy_url, arguments.directory.resolve(), arguments.revision)
         return 0
     engine = make_engine(settings.sqlalchemy_url, pool_size=1)
-    sessions = make_sessions(engine)
     try:
-        if arguments.verb == "create":
-            token_id, secret = create_token(
-                sessions,
-                name=arguments.name,
-                owner=arguments.owner,
-                scopes=[Scope(scope) for scope in arguments.scope],
-                valid_for=timedelta(days=arguments.days) if arguments.days is not None else None,
-            )
-            answer: object = {"id": token_id, "token": secret}
-        elif arguments.verb == "list":
-            answer = [
-                {
-                    "id": token.id,
-                    "name": token.name,
-                    "owner": token.owner,
-                    "scopes": token.scopes,
-                    "created_at": token.created_at.isoformat(),
-                    "expires_at": token.expires_at.isoformat() if token.expires_at else None,
-                    "revoked_at": token.revoked_at.isoformat() if token.revoked_at else None,
-                }
-                for token in list_tokens(sessions)
-            ]
+        if arguments.command == "artifacts":
+            answer = _artifacts(arguments, make_sessions(engine), ArtifactStore.from_settings(settings))
         else:
-            revoke(sessions, arguments.id)
-            answer = {"id": arguments.id, "revoked": True}
-    except (JobError, ValueError) as error:
+            answer = _token(arguments, make_sessions(engine))
+    except (JobError, StoreError, OSError, ValueError) as error:
         sys.stderr.write(f"{error}\n")
         return 1
     finally:
         engine.dispose()
-    sys.stdout.write(json.dumps(answer) + "\n")
+    # An archive that goes to standard output must stay alone there.
+    stream = sys.stderr if arguments.verb == "export" and arguments.file is None else sys.stdout
+    stream.write(json.dumps(answer) + "\n")
     return 0
+
+
+def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
+    if arguments.verb == "create":
+        token_id, secret = create_token(
+            sessions,
+            name=arguments.name,
+            owner=arguments.owner,
+            scopes=[Scope(scope) for scope in arguments.scope],
+            valid_for=timedelta(days=arguments.days) if arguments.days is not None else None,
+        )
+        return {"id": token_id, "token": secret}
+    if arguments.verb == "list":
+        return [TokenPublic.model_validate(token).model_dump(mode="json") for token in list_tokens(sessions)]
+    revoke(sessions, arguments.id)
+    return {"id": arguments.id, "revoked": True}
+
+
+def _artifacts(arguments: argparse.Namespace, sessions: Sessions, store: ArtifactStore) -> object:
+    if arguments.verb == "export":
+        if arguments.file is None:
+            return {"files": export_artifacts(store, sys.stdout.buffer)}
+        partial = arguments.file.with_name(arguments.file.name + ".partial")
+        with partial.open("wb") as target:
+            count = export_artifacts(store, target)
+        partial.replace(arguments.file)
+        return {"files": count, "archive": str(arguments.file)}
+    if arguments.verb == "import":
+        with arguments.file.open("rb") if arguments.file is not None else nullcontext(sys.stdin.buffer) as source:
+            return {"files": import_artifacts(store, source)}
+    age_s = arguments.hours * 3600
+    found = find_orphans(sessions, store, age_s=age_s) if arguments.dry_run else sweep(sessions, store, age_s=age_s)
+    return {"deleted": not arguments.dry_run, "prefixes": list(found)}
 
 
 if __name__ == "__main__":

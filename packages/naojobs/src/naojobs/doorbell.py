@@ -7,9 +7,11 @@ without failing what it was sent for.
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from celery import Celery
+# Celery is imported where it is used: trainers need the names of the queues, and no broker.
+if TYPE_CHECKING:
+    from celery import Celery
 
 #: The tasks of the worker, by name: who sends them imports nothing of the worker.
 RUN_JOB = "naosprint_worker.run_job"
@@ -26,6 +28,8 @@ def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
 
     Results live in the database, not in Celery. Priorities are those of the Redis transport: 0 goes first.
     """
+    from celery import Celery
+
     app = Celery(name, broker=broker_url, set_as_current=False)
     app.conf.update(
         task_ignore_result=True,

@@ -492,7 +492,11 @@ def _claim(sessions: Sessions, which: ColumnElement[bool], worker: str, lease_s:
         if own is None and job.parent_checkpoint_id is not None:
             parent = session.get(Checkpoint, job.parent_checkpoint_id)
         elif own is None and job.parent_job_id is not None:
+            # From now on this one is the parent, for every attempt: the lock and the reference keep it from being
+            # pruned by the parent job, which may still run.
+            session.execute(select(Job.id).where(Job.id == job.parent_job_id).with_for_update(key_share=True))
             parent = newest_checkpoint(session, job.parent_job_id)
+            job.parent_checkpoint_id = parent.id if parent is not None else None
         return Claim(
             lease=Lease(job.id, worker, job.attempt),
             name=job.name,

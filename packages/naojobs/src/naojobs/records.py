@@ -440,6 +440,17 @@ def requeue_stale_evaluations(sessions: Sessions, *, limit: int = 100) -> None:
             notify(session, row.job_id)
 
 
+def waiting_evaluation(sessions: Sessions, queues: Sequence[str]) -> str | None:
+    """Return the id of the evaluation that waits longest in one of `queues`; none if none waits."""
+    with sessions() as session:
+        return session.scalar(
+            select(Evaluation.id)
+            .where(Evaluation.state == EvaluationState.QUEUED, Evaluation.queue.in_(queues))
+            .order_by(Evaluation.created_at)
+            .limit(1),
+        )
+
+
 def due_evaluation_doorbells(sessions: Sessions, *, after_s: float = 30.0, limit: int = 10) -> list[tuple[str, str]]:
     """Return (id, queue) of queued evaluations whose doorbell is due, and mark them rung."""
     due = (

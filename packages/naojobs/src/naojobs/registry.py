@@ -62,13 +62,6 @@ def workers(sessions: Sessions, *, stale_s: float = 30.0) -> list[WorkerPublic]:
         ]
 
 
-def is_alive(sessions: Sessions, host: str, *, stale_s: float = 30.0) -> bool:
-    """Tell whether a worker on `host` was heard of within `stale_s`, by the database's clock."""
-    with sessions.begin() as session:
-        recent = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
-        return session.scalar(select(Worker.id).where(Worker.host == host, recent).limit(1)) is not None
-
-
 def leased_jobs_of(sessions: Sessions, owner: str) -> frozenset[str]:
     """Return the jobs of `owner` that some worker holds."""
     with sessions.begin() as session:

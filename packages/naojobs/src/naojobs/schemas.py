@@ -9,6 +9,7 @@ from naospec import TASKS, EvaluationSpec, TrainingSpec
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from naojobs.ids import PATTERN
+from naojobs.scopes import Scope
 from naojobs.states import EvaluationState, JobState
 
 Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
@@ -227,6 +228,42 @@ class EvaluationCreate(_Request):
 
     checkpoint_id: Id | None = Field(None, description="Which checkpoint to judge; left out, the newest.")
     spec: EvaluationSpec | None = Field(None, description="How to judge it; left out, 1000 episodes of the job's task.")
+
+
+class TokenCreate(_Request):
+    """Asks for a token."""
+
+    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
+        description="Whose jobs it opens."
+    )
+    name: Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
+        "", description="What it is for."
+    )
+    scopes: list[Scope] = Field(
+        default_factory=lambda: [Scope.SUBMIT],
+        min_length=1,
+        max_length=len(Scope),
+        description="read: see one's own jobs; submit: also submit and steer them; admin: everybody's, and tokens.",
+    )
+    expires_in_days: float | None = Field(None, gt=0, le=36_500, description="Days until it expires; null for never.")
+
+
+class TokenPublic(_Public):
+    """Shows a token without its secret."""
+
+    id: str
+    name: str
+    owner: str
+    scopes: list[Scope]
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+
+
+class TokenMade(TokenPublic):
+    """Shows a token that was made just now."""
+
+    token: str = Field(description="The secret. It is shown only here: the service keeps nothing but its SHA-256.")
 
 
 class WorkerPublic(_Public):

@@ -6,9 +6,11 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import timedelta
+from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import unquote, urlsplit
@@ -19,9 +21,16 @@ from obstore.store import LocalStore, S3Store
 from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
+    from obstore import GetOptions
+    from typing_extensions import Buffer
+
     from naojobs.settings import ServiceSettings
 
 MANIFEST_NAME = "manifest.json"
+#: Below it lies everything that rows of the database refer to.
+ARTIFACTS = "jobs"
+#: Below it lie the files with which a store is tried out.
+PROBES = "probes"
 _CHUNK_BYTES = 1 << 20
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
 
@@ -65,6 +74,16 @@ class Manifest(BaseModel):
         return next((entry for entry in self.files if entry.name == name), None)
 
 
+@dataclass(frozen=True, slots=True)
+class StoredFile:
+    """Is one file as the store lists it."""
+
+    key: str
+    #: Bytes.
+    size: int
+    modified: datetime
+
+
 def check_key(key: str) -> str:
     """Return `key`, or raise ValueError if it could lead out of the store or mean two things.
 
@@ -77,12 +96,22 @@ def check_key(key: str) -> str:
 
 def checkpoint_key(job_id: str, step: int, attempt: int) -> str:
     """Return where the files of a checkpoint lie; it sorts by step, then by attempt."""
-    return check_key(f"jobs/{job_id}/checkpoints/{step:012d}-{attempt}")
+    return check_key(f"{ARTIFACTS}/{job_id}/checkpoints/{step:012d}-{attempt}")
+
+
+def job_prefix(job_id: str) -> str:
+    """Return below what all artifacts of a job lie."""
+    return check_key(f"{ARTIFACTS}/{job_id}")
 
 
 def evaluation_key(job_id: str, evaluation_id: str, attempt: int) -> str:
     """Return where the files of an evaluation lie."""
-    return check_key(f"jobs/{job_id}/evaluations/{evaluation_id}-{attempt}")
+    return check_key(f"{ARTIFACTS}/{job_id}/evaluations/{evaluation_id}-{attempt}")
+
+
+def artifact_of(key: str) -> str:
+    """Return the prefix of the artifact that a file belongs to: jobs/ID/checkpoints/NAME, or the like."""
+    return "/".join(key.split("/")[:4])
 
 
 @contextmanager
@@ -93,6 +122,27 @@ def _store_errors(action: str) -> Iterator[None]:
         raise MissingArtifactError(f"{action}: nothing lies there") from error
     except (BaseError, OSError) as error:
         raise StoreError(f"{action}: {error}") from error
+
+
+def _range_options(start: int, stop: int | None) -> GetOptions:
+    if stop is not None:
+        return {"range": (start, stop)}
+    return {"range": {"offset": start}} if start else {}
+
+
+def _cut(pieces: Iterable[Buffer], skip: int, left: int | None) -> Iterator[memoryview]:
+    """Leave the first `skip` bytes out and end after `left` more; none for all."""
+    for piece in pieces:
+        view = memoryview(piece)
+        skipped = min(skip, len(view))
+        skip -= skipped
+        view = view[skipped:] if left is None else view[skipped : skipped + left]
+        if left is not None:
+            left -= len(view)
+        if view:
+            yield view
+        if left == 0:
+            return
 
 
 class ArtifactStore:
@@ -186,17 +236,20 @@ class ArtifactStore:
         Raises MissingArtifactError, StoreError.
         """
         check_key(key)
+        skip, left = 0, None
         with _store_errors(f"get {key}"):
-            if stop is not None:
-                result = obstore.get(self._store, key, options={"range": (start, stop)})
-            elif start:
-                result = obstore.get(self._store, key, options={"range": {"offset": start}})
-            else:
+            try:
+                result = obstore.get(self._store, key, options=_range_options(start, stop))
+            except BaseError as error:
+                # A server may ignore the range and say so by its status; then the part is cut out here.
+                if "non-partial response" not in str(error):
+                    raise
                 result = obstore.get(self._store, key)
+                skip, left = start, None if stop is None else stop - start
 
         def pieces() -> Iterator[bytes]:
             with _store_errors(f"get {key}"):
-                for piece in result.stream(min_chunk_size=_CHUNK_BYTES):
+                for piece in _cut(result.stream(min_chunk_size=_CHUNK_BYTES), skip, left):
                     yield bytes(piece)
 
         return pieces()
@@ -245,9 +298,18 @@ class ArtifactStore:
 
     def list(self, prefix: str) -> list[str]:
         """Return the keys of all files below `prefix`, sorted. Raises StoreError."""
+        return [file.key for file in self.files(prefix)]
+
+    def files(self, prefix: str) -> Sequence[StoredFile]:
+        """Return all files below `prefix`, sorted by key. Raises StoreError."""
         check_key(prefix)
         with _store_errors(f"list {prefix}"):
-            return sorted(meta["path"] for chunk in obstore.list(self._store, prefix) for meta in chunk)
+            found = [
+                StoredFile(meta["path"], meta["size"], meta["last_modified"])
+                for chunk in obstore.list(self._store, prefix)
+                for meta in chunk
+            ]
+        return sorted(found, key=lambda file: file.key)
 
     def delete_prefix(self, prefix: str) -> int:
         """Delete all files below `prefix`; return how many. Raises StoreError."""
@@ -256,6 +318,13 @@ class ArtifactStore:
             with _store_errors(f"delete {prefix}"):
                 obstore.delete(self._store, keys)
         return len(keys)
+
+    def delete_file(self, key: str) -> int:
+        """Delete one file; return 1. Raises MissingArtifactError, StoreError."""
+        check_key(key)
+        with _store_errors(f"delete {key}"):
+            obstore.delete(self._store, key)
+        return 1
 
     def url_for(self, key: str, expires_in: timedelta = timedelta(minutes=15)) -> str | None:
         """Return a signed URL from which anybody may read `key` for a while, or none if the store has no such."""
@@ -266,13 +335,13 @@ class ArtifactStore:
             return obstore.sign(self._store, "GET", key, expires_in)
 
     def check(self) -> None:
-        """Write, read and delete one small file. Raises StoreError."""
-        key = f"probes/{os.getpid()}"
-        self.put_bytes(key, b"probe")
-        if self.get_bytes(key) != b"probe":
-            raise CorruptArtifactError("probes: what was read is not what was written")
-        with _store_errors(f"delete {key}"):
-            obstore.delete(self._store, key)
+        """Write, read and delete one small file; any number of processes may do so at once. Raises StoreError."""
+        key = f"{PROBES}/{secrets.token_hex(16)}"
+        content = secrets.token_bytes(16)
+        self.put_bytes(key, content)
+        if self.get_bytes(key) != content:
+            raise CorruptArtifactError(f"{PROBES}: what was read is not what was written")
+        self.delete_file(key)
 
     def _settle(self, key: str) -> None:
         """Force a local file and its folder to the disk: a power cut must not undo a recorded checkpoint."""

@@ -10,7 +10,6 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from enum import StrEnum
 
 from sqlalchemy import func, select, update
 
@@ -18,20 +17,11 @@ from naojobs.errors import NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import Sessions
 from naojobs.models import Token
+from naojobs.scopes import Scope
+
+__all__ = ["Principal", "Scope", "create_token", "get_token", "list_tokens", "revoke", "verify"]
 
 _PREFIX = "nao_"
-
-
-class Scope(StrEnum):
-    """What a token allows; each one includes those before it."""
-
-    #: See one's own jobs.
-    READ = "read"
-    #: Submit and steer one's own jobs.
-    SUBMIT = "submit"
-    #: See and steer everybody's jobs, and read the service's own figures.
-    ADMIN = "admin"
-
 
 _INCLUDES = {
     Scope.READ: frozenset({Scope.READ}),
@@ -110,6 +100,15 @@ def revoke(sessions: Sessions, token_id: str) -> None:
         )
     if found is None:
         raise NotFoundError(f"no token {token_id}")
+
+
+def get_token(sessions: Sessions, token_id: str) -> Token:
+    """Return a token, without its secret. Raises NotFoundError."""
+    with sessions.begin() as session:
+        token = session.get(Token, token_id)
+    if token is None:
+        raise NotFoundError(f"no token {token_id}")
+    return token
 
 
 def list_tokens(sessions: Sessions) -> list[Token]:

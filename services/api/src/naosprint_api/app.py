@@ -11,12 +11,13 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp
 
 from naosprint_api import __version__, problems
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
-from naosprint_api.routes import artifacts, jobs, streams, system
+from naosprint_api.routes import artifacts, jobs, policies, streams, system, tokens
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
@@ -50,7 +51,7 @@ def create_app(service: Service) -> FastAPI:
     )
     app.state.service = service
     # Streams come before jobs: /jobs/stream is no job's id.
-    routers = (system.router, streams.router, jobs.router, artifacts.router)
+    routers = (system.router, streams.router, jobs.router, artifacts.router, policies.router, tokens.router)
     problems.install(app, routers)
     for router in routers:
         app.include_router(router)
@@ -60,7 +61,8 @@ def create_app(service: Service) -> FastAPI:
         """Serve the dashboard."""
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
-    app.mount("/ui", StaticFiles(directory=STATIC, html=True, check_dir=False), name="ui")
+    pages = StaticFiles(directory=STATIC, html=True, check_dir=False)
+    app.mount("/ui", GZipMiddleware(pages, minimum_size=1000, compresslevel=6), name="ui")
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:

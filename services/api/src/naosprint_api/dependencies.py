@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from math import ceil
 from typing import Annotated, cast
 
@@ -18,7 +18,9 @@ from naosprint_api.service import Service
 _log = logging.getLogger(__name__)
 
 _bearer = HTTPBearer(
-    auto_error=False, scheme_name="token", description="A token made by `python -m naojobs token create`."
+    auto_error=False,
+    scheme_name="token",
+    description="A token made by `POST /tokens`, or the first one by `python -m naojobs token create`.",
 )
 
 #: The largest number that the database can hold in the columns that callers ask for.
@@ -33,7 +35,12 @@ def service_of(request: Request) -> Service:
     return cast(Service, request.app.state.service)
 
 
-ServiceDep = Annotated[Service, Depends(service_of)]
+async def _service(request: Request) -> Service:
+    # What waits for nothing is async: it runs where the request is, not in a thread of its own.
+    return service_of(request)
+
+
+ServiceDep = Annotated[Service, Depends(_service)]
 
 
 def _caller(request: Request) -> str:
@@ -54,7 +61,7 @@ def authenticate(
             [FieldError(field="Authorization", message="missing; send `Bearer <token>`")],
             {"WWW-Authenticate": "Bearer"},
         )
-    principal = verify(service.sessions, credentials.credentials)
+    principal = verify(service.reads, credentials.credentials)
     if principal is None:
         _log.warning("refused an unknown token from %s", _caller(request))
         service.telemetry.refused.labels("token").inc()
@@ -81,19 +88,24 @@ def _limit(service: Service, caller: str) -> None:
         )
 
 
-def needs(scope: Scope) -> Callable[..., Principal]:
+def require(scope: Scope, principal: Principal, service: Service) -> Principal:
+    """Return `principal`, or refuse it if its token has not `scope`."""
+    if scope not in principal.scopes:
+        _log.warning("refused %s (%s): no scope %s", principal.owner, principal.token_id, scope)
+        service.telemetry.refused.labels("scope").inc()
+        raise ProblemError(
+            403,
+            f"this token has not the scope {scope}; ask for one that has",
+            [FieldError(field="Authorization", message=f"scope {scope} is needed")],
+        )
+    return principal
+
+
+def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
     """Return a dependency that lets only tokens with `scope` pass."""
 
-    def check(principal: Annotated[Principal, Depends(authenticate)], service: ServiceDep) -> Principal:
-        if scope not in principal.scopes:
-            _log.warning("refused %s (%s): no scope %s", principal.owner, principal.token_id, scope)
-            service.telemetry.refused.labels("scope").inc()
-            raise ProblemError(
-                403,
-                f"this token has not the scope {scope}; ask for one that has",
-                [FieldError(field="Authorization", message=f"scope {scope} is needed")],
-            )
-        return principal
+    async def check(principal: Annotated[Principal, Depends(authenticate)], service: ServiceDep) -> Principal:
+        return require(scope, principal, service)
 
     return check
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import tarfile
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from naojobs.errors import NotFoundError
 from naojobs.store import ArtifactStore, FileEntry, Manifest
 
 from naosprint_api.problems import FieldError, ProblemError
+
+_log = logging.getLogger(__name__)
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 _BLOCK = 512
@@ -58,6 +61,7 @@ def send_file(
     """
     entry = manifest.entry(name)
     if entry is None:
+        _log.warning("refused a file name that is not in the list of %s: %.200r", key, name)
         raise NotFoundError(f"there is no file {name[:200]!r}; take a name of the list")
     target = f"{key}/{entry.name}"
     if presigned and (url := store.url_for(target)) is not None:

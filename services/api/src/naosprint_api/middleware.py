@@ -30,6 +30,7 @@ _SECURITY_HEADERS = {
 
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,80}")
 
+_log = logging.getLogger(__name__)
 _access = logging.getLogger("naosprint_api.access")
 
 
@@ -141,5 +142,6 @@ class BodyLimit:
 
     def _error(self, received: int) -> ProblemError:
         detail = f"the body is larger than {self._max_bytes} bytes; send less"
+        _log.warning("refused a body: more than %d bytes", self._max_bytes)
         headers = {} if received else {"Connection": "close"}
         return ProblemError(413, detail, [FieldError(field="body", message=detail)], headers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -13,6 +14,8 @@ from naojobs.schemas import MetricsPublic
 from naojobs.states import JobState
 from naojobs.tokens import Principal
 from sqlalchemy import Select, func, select
+
+_log = logging.getLogger(__name__)
 
 #: The most rows that metrics are answered with, asked or not.
 MAX_POINTS = 5_000
@@ -82,9 +85,17 @@ def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:
     """Return a job that `principal` may see. Raises NotFoundError, also for jobs of others."""
     with sessions.begin() as session:
         job = session.get(Job, job_id)
-    if job is None or not (principal.is_admin or job.owner == principal.owner):
+    if job is None or not _may_see(principal, job.owner, job_id):
         raise NotFoundError(f"no job {job_id} that this token may see")
     return job
+
+
+def _may_see(principal: Principal, owner: str, what: str) -> bool:
+    """Tell whether something of `owner` is open to `principal`; an attempt on what is not is logged."""
+    if principal.is_admin or owner == principal.owner:
+        return True
+    _log.warning("refused %s (%s): %s belongs to %s", principal.owner, principal.token_id, what, owner)
+    return False
 
 
 def visible_checkpoint(sessions: Sessions, principal: Principal, checkpoint_id: str) -> Checkpoint:
@@ -93,7 +104,7 @@ def visible_checkpoint(sessions: Sessions, principal: Principal, checkpoint_id: 
         row = session.execute(
             select(Checkpoint, Job.owner).join(Job, Job.id == Checkpoint.job_id).where(Checkpoint.id == checkpoint_id),
         ).one_or_none()
-    if row is None or not (principal.is_admin or row.owner == principal.owner):
+    if row is None or not _may_see(principal, row.owner, checkpoint_id):
         raise NotFoundError(f"no checkpoint {checkpoint_id} that this token may see")
     checkpoint: Checkpoint = row.Checkpoint
     return checkpoint
@@ -105,7 +116,7 @@ def visible_evaluation(sessions: Sessions, principal: Principal, evaluation_id: 
         row = session.execute(
             select(Evaluation, Job.owner).join(Job, Job.id == Evaluation.job_id).where(Evaluation.id == evaluation_id),
         ).one_or_none()
-    if row is None or not (principal.is_admin or row.owner == principal.owner):
+    if row is None or not _may_see(principal, row.owner, evaluation_id):
         raise NotFoundError(f"no evaluation {evaluation_id} that this token may see")
     evaluation: Evaluation = row.Evaluation
     return evaluation

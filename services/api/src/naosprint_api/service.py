@@ -11,7 +11,7 @@ from naojobs.database import make_engine, make_sessions
 from naojobs.doorbell import Doorbell, make_celery
 from naojobs.errors import JobError
 from naojobs.lifecycle import Sessions, mark_rung
-from naojobs.store import ArtifactStore, StoreError
+from naojobs.store import ArtifactStore, StoreError, job_prefix
 from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -31,6 +31,8 @@ class Service:
     settings: ApiSettings
     engine: Engine
     sessions: Sessions
+    #: For requests that only look.
+    reads: Sessions
     store: ArtifactStore
     doorbell: Doorbell
     broadcaster: Broadcaster
@@ -44,17 +46,18 @@ class Service:
         engine = make_engine(
             settings.sqlalchemy_url, pool_size=settings.database_pool_size, application_name="naosprint-api"
         )
-        sessions = make_sessions(engine)
+        sessions, reads = make_sessions(engine), make_sessions(engine, read_only=True)
         return cls(
             settings=settings,
             engine=engine,
             sessions=sessions,
+            reads=reads,
             store=ArtifactStore.from_settings(settings),
             doorbell=Doorbell(make_celery(settings.broker_url.get_secret_value(), "naosprint_api")),
             broadcaster=Broadcaster(settings.libpq_url),
             limiter=RateLimiter(settings.api_rate_per_s, settings.api_rate_burst),
-            telemetry=Telemetry(sessions),
-            feed=Feed(sessions),
+            telemetry=Telemetry(reads),
+            feed=Feed(reads),
         )
 
     @asynccontextmanager
@@ -84,9 +87,9 @@ class Service:
             self.telemetry.doorbell_failures.inc()
 
     def discard_artifacts(self, job_id: str) -> None:
-        """Delete the files of a deleted job."""
+        """Delete the files of a deleted job; a store that fails keeps them until a worker sweeps."""
         try:
-            count = self.store.delete_prefix(f"jobs/{job_id}")
+            count = self.store.delete_prefix(job_prefix(job_id))
         except StoreError as error:
             _log.error("the files of the deleted job %s are still in the store: %s", job_id, error)
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import cast
 
 from naojobs.lifecycle import Sessions
 from naojobs.models import Job, Worker
@@ -14,6 +15,13 @@ from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
 from sqlalchemy import func, select, text
 
+#: Name, help and labels of what is counted in the database.
+_ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("naosprint_jobs", "Jobs by state.", ("state",)),
+    ("naosprint_workers_alive", "Workers heard of in the last 30 s.", ()),
+    ("naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", ()),
+)
+
 _BUCKETS = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
 
 
@@ -24,8 +32,8 @@ class _Rows(Collector):
         self._sessions = sessions
 
     def describe(self) -> list[GaugeMetricFamily]:
-        """Name nothing in advance: registering must not ask the database."""
-        return []
+        """Name the figures without asking the database."""
+        return [GaugeMetricFamily(name, text, labels=labels) for name, text, labels in _ROWS]
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         """Count."""
@@ -41,14 +49,12 @@ class _Rows(Collector):
             oldest = session.scalar(
                 select(func.extract("epoch", func.now() - func.min(Job.queued_at))).where(Job.state == JobState.QUEUED),
             )
-        jobs = GaugeMetricFamily("naosprint_jobs", "Jobs by state.", labels=["state"])
+        jobs, workers, waited = self.describe()
         for state in JobState:
             jobs.add_metric([state], counts.get(state, 0))
-        yield jobs
-        yield GaugeMetricFamily("naosprint_workers_alive", "Workers heard of in the last 30 s.", value=alive or 0)
-        yield GaugeMetricFamily(
-            "naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", value=float(oldest or 0)
-        )
+        workers.add_metric([], alive or 0)
+        waited.add_metric([], float(oldest or 0))
+        yield from (jobs, workers, waited)
 
 
 class Telemetry:
@@ -76,6 +82,17 @@ class Telemetry:
         """Count one request."""
         known = method if method in {"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"} else "(other)"
         self._seconds.labels(known, route, str(status)).observe(seconds)
+
+    @classmethod
+    def catalogue(cls) -> list[tuple[str, str, tuple[str, ...], str]]:
+        """Return name, kind, labels and help of every figure of the service's own."""
+        figures = [(name, "gauge", labels, text) for name, text, labels in _ROWS]
+        unread = cls(cast("Sessions", None))  # it asks the database only when it renders
+        for figure in (unread._seconds, unread.followers, unread.refused, unread.doorbell_failures):
+            (family,) = figure.describe()
+            name = f"{family.name}_total" if family.type == "counter" else family.name
+            figures.append((name, family.type, tuple(figure._labelnames), family.documentation))
+        return figures
 
     def render(self) -> bytes:
         """Return all figures in Prometheus's text format."""

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import logging
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -28,6 +29,9 @@ from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
+
+#: Bytes below which a disk has no room for any file.
+_SMALLEST_BLOCK = 4096
 
 
 class StopRequestedError(Exception):
@@ -138,17 +142,16 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
         store = ArtifactStore.from_settings(settings)
         return int(work(Services(settings, make_sessions(engine), store, workdir, stop)))
     except Exception as error:
-        code, outcome = judge(error)
+        code, outcome = judge(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
-        with contextlib.suppress(OSError):
-            outcome.write(workdir)
+        outcome.leave(workdir)
         return int(code)
     finally:
         engine.dispose()
 
 
-def judge(error: Exception) -> tuple[ExitCode, Outcome]:
-    """Say what an error that ended the work means for the job."""
+def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
+    """Say what an error that ended the work in ``workdir`` means for the job."""
     from naosprint import CheckpointError, TrainingDivergedError  # loads PyTorch, which is loaded by now anyway
 
     text = "".join(traceback.format_exception(error))
@@ -156,14 +159,33 @@ def judge(error: Exception) -> tuple[ExitCode, Outcome]:
         return ExitCode.STOPPED, Outcome("stopped", "stopped as asked")
     if isinstance(error, LeaseLostError):
         return ExitCode.FENCED, Outcome("lease_lost", describe(error))
+    if _tells_of_full_disk(error, workdir):
+        message = f"no space left on the disk of the worker's folder {workdir.parent}: {describe(error)}"
+        return ExitCode.DISK_FULL, Outcome("disk_full", message, text)
     if isinstance(error, TrainingDivergedError):
         return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
     if isinstance(error, CheckpointError | CorruptArtifactError | MissingArtifactError):
         return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
     if isinstance(error, (PatienceExhaustedError, StoreError, *DATABASE_TROUBLE)):
         return ExitCode.TRANSIENT, Outcome("service_unavailable", describe(error), text)
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return ExitCode.TRANSIENT, Outcome("disk_full", f"no space for the attempt's files: {describe(error)}", text)
     if isinstance(error, OSError | MemoryError):
         return ExitCode.TRANSIENT, Outcome("system", describe(error), text)
     return ExitCode.PERMANENT, Outcome("error", describe(error), text)
+
+
+def _tells_of_full_disk(error: BaseException, workdir: Path) -> bool:
+    """Say whether an error, or one behind it, is that of a full disk or an exhausted quota.
+
+    Some errors of the system come without their number: those of NumPy's own writes, and those that ``copytree``
+    gathers. What the disk says decides about them.
+    """
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError):
+            if cause.errno in (errno.ENOSPC, errno.EDQUOT):
+                return True
+            if cause.errno is None:
+                with contextlib.suppress(OSError):
+                    return shutil.disk_usage(workdir).free < _SMALLEST_BLOCK
+        cause = cause.__cause__ or cause.__context__
+    return False

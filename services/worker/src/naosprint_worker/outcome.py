@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import json
 import os
+import shutil
 import signal
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +22,8 @@ class ExitCode(enum.IntEnum):
     PERMANENT = 65
     #: Something outside failed (store, database, disk, simulator); another attempt may succeed.
     TRANSIENT = 69
+    #: Its working folder's disk is full: the status alone says so, since an account may not fit there any more.
+    DISK_FULL = 74
     #: It was asked to stop and did, leaving a checkpoint behind.
     STOPPED = 75
     #: The row no longer belongs to this attempt; nothing may be written any more.
@@ -39,6 +43,20 @@ class Outcome:
         temporary = workdir / (OUTCOME_FILE + ".tmp")
         temporary.write_text(json.dumps(asdict(self)), encoding="utf-8")
         temporary.replace(workdir / OUTCOME_FILE)
+
+    def leave(self, workdir: Path) -> None:
+        """Store the account in ``workdir`` if at all possible; on a full disk the attempt's own files make room.
+
+        Call it when the work has ended: what the job goes on from lies in the store.
+        """
+        try:
+            self.write(workdir)
+        except OSError:
+            for folder in workdir.iterdir():
+                if folder.is_dir():
+                    shutil.rmtree(folder, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                self.write(workdir)
 
     @classmethod
     def read(cls, workdir: Path) -> Outcome | None:

@@ -10,6 +10,7 @@ from datetime import timedelta
 from naojobs import lifecycle, records, registry
 from naojobs.models import Evaluation, Job
 from naojobs.states import EvaluationState, JobState
+from naosprint.servers import reap_servers
 from sqlalchemy import Select, func, select, text
 
 from naosprint_worker.context import Context
@@ -36,9 +37,20 @@ class Reaper:
         """Look once for everything."""
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
+        self._remove_servers()
         self._take_back()
         self._ring_again()
         registry.forget(self._context.sessions)
+
+    def _remove_servers(self) -> None:
+        """Remove the containers of servers whose training is gone."""
+        try:
+            removed = reap_servers(self._context.settings.simserver)
+        except OSError as error:
+            logger.warning("looking for servers without an owner: %s", error)
+        else:
+            if removed:
+                logger.warning("removed %d servers, whose training is gone", removed)
 
     def _take_back(self) -> None:
         """Take stale leases back, but only once their owners have had time to renew them since the last outage."""

@@ -17,6 +17,7 @@ from naojobs.lifecycle import Claim, Orders
 from naojobs.models import Job
 from naojobs.records import EvaluationClaim, LogLine
 from naojobs.states import EvaluationState, JobState
+from naosprint.servers import LABELS_VARIABLE, NETWORK_VARIABLE, PROGRAM_VARIABLE
 from sqlalchemy import select
 
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
@@ -78,7 +79,8 @@ class JobRun:
             shutil.rmtree(self._workdir, ignore_errors=True)
 
     def _start(self, on_exit: Callable[[], None]) -> Child:
-        return _start_child("trainer", self._workdir, on_exit)
+        labels = f"job={self._lease.job_id},attempt={self._lease.attempt}"
+        return _start_child("trainer", self._workdir, on_exit, self._context.settings, labels)
 
     def _look(self) -> Orders:
         with self._context.sessions() as session:
@@ -194,7 +196,8 @@ class EvaluationRun:
             shutil.rmtree(self._workdir, ignore_errors=True)
 
     def _start(self, on_exit: Callable[[], None]) -> Child:
-        return _start_child("evaluator", self._workdir, on_exit)
+        labels = f"evaluation={self._claim.id},attempt={self._claim.attempt}"
+        return _start_child("evaluator", self._workdir, on_exit, self._context.settings, labels)
 
     def _beat(self) -> Orders:
         records.heartbeat_evaluation(self._context.sessions, self._claim, lease_s=self._context.settings.lease_s)
@@ -229,6 +232,8 @@ def describe_ending(who: str, ending: Ending) -> str:
     if ending.outcome is not None:
         return ending.outcome.message if ending.returncode > 0 else f"{who}: {ending.outcome.message}"
     text = f"the {who} ended by {describe_exit(ending.returncode)}"
+    if ending.returncode == ExitCode.DISK_FULL:
+        return f"the {who} found no space left on the disk of the worker's folder"
     if ending.returncode == 0:
         return f"the {who} finished"
     if ending.oom:
@@ -246,7 +251,9 @@ def _memory_message(who: str, ending: Ending, settings: WorkerSettings) -> str:
     )
 
 
-def _start_child(module: str, workdir: Path, on_exit: Callable[[], None]) -> Child:
+def _start_child(
+    module: str, workdir: Path, on_exit: Callable[[], None], settings: WorkerSettings, server_labels: str
+) -> Child:
     return Child(
         [sys.executable, "-m", f"naosprint_worker.{module}", "--workdir", str(workdir)],
         env={
@@ -254,6 +261,9 @@ def _start_child(module: str, workdir: Path, on_exit: Callable[[], None]) -> Chi
             "PYTHONFAULTHANDLER": "1",
             "PYTHONUNBUFFERED": "1",
             OWNER_VARIABLE: str(Owner.current()),
+            PROGRAM_VARIABLE: settings.simserver,
+            NETWORK_VARIABLE: settings.simserver_network or "",
+            LABELS_VARIABLE: server_labels,
         },
         cwd=workdir,
         log_path=workdir / "output.log",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from naojobs.doorbell import QUEUES
+from naojobs.retention import Retention
 from naojobs.settings import ServiceSettings
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import NoDecode
@@ -19,10 +21,15 @@ class WorkerSettings(ServiceSettings):
     worker_queues: Annotated[tuple[str, ...], NoDecode] = Field(
         ("embedded",), description="Simulators that this worker has, comma separated: embedded, rcssserver3d."
     )
-    worker_concurrency: int = Field(1, ge=1, le=256, description="Jobs that this worker runs side by side.")
+    worker_concurrency: int = Field(
+        1, ge=1, le=256, description="Jobs that this worker runs side by side, besides one asked-for evaluation."
+    )
     worker_dir: Path = Field(
         default_factory=lambda: Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}",
         description="Folder for the files of running attempts; emptied attempt by attempt.",
+    )
+    worker_min_free_mb: int = Field(
+        256, ge=0, description="MiB that must be free on worker_dir's disk for a job to be taken; below it jobs wait."
     )
     worker_poll_s: float = Field(1.0, gt=0, le=60, description="Seconds between two looks at a job's flags.")
     worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two looks for lost jobs.")
@@ -42,6 +49,21 @@ class WorkerSettings(ServiceSettings):
     worker_memory_mb: int | None = Field(
         None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."
     )
+    worker_keep_last: int | None = Field(
+        None,
+        ge=2,
+        description="Newest checkpoints that are kept of a job, besides its best one and those that were evaluated or "
+        "that another job starts from; left out: all. At least 2, since one may turn out damaged.",
+    )
+    worker_keep_every: int | None = Field(
+        None, ge=1, description="With worker_keep_last: every n-th checkpoint is kept as well; left out: no others."
+    )
+    worker_sweep_s: float = Field(
+        21_600.0,
+        gt=0,
+        le=86_400,
+        description="Seconds between two looks for files in the store, a day old or older, that no job refers to.",
+    )
     worker_evaluation_threads: int = Field(
         2, ge=1, le=256, description="Simulator threads of an evaluation that a user asks for."
     )
@@ -49,6 +71,17 @@ class WorkerSettings(ServiceSettings):
         "off",
         description="Report stored with every evaluation: film, pictures (no film, which takes longest), or off: "
         "whoever wants one draws it with `naoctl report`.",
+    )
+    simserver: str = Field(
+        "rcssserver3d",
+        min_length=1,
+        description="What each environment of a job on rcssserver3d runs on: a program, `embedded` for `naosim serve`, "
+        "or `docker:IMAGE` for a container of that image.",
+    )
+    simserver_network: str | None = Field(
+        None,
+        description="Docker network of those containers, or `own` for one of each job's own where the worker itself is "
+        "a container; left out: their ports are on the loopback alone.",
     )
     worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
 
@@ -66,6 +99,22 @@ class WorkerSettings(ServiceSettings):
             raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(QUEUES)}")
         return tuple(dict.fromkeys(value))
 
+    @field_validator("worker_report")
+    @classmethod
+    def _can_film(cls, value: str) -> str:
+        if value == "film" and find_spec("imageio_ffmpeg") is None:
+            raise ValueError(
+                "worker_report: film needs imageio-ffmpeg, which is not installed; choose pictures, install "
+                "naosprint[film], or build the image with WORKER_EXTRAS=film"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _every_needs_last(self) -> Self:
+        if self.worker_keep_every is not None and self.worker_keep_last is None:
+            raise ValueError("worker_keep_every: has a meaning only together with worker_keep_last; set that, too")
+        return self
+
     @model_validator(mode="after")
     def _orphans_end_within_lease(self) -> Self:
         if self.worker_orphan_grace_s >= self.lease_s:
@@ -74,3 +123,8 @@ class WorkerSettings(ServiceSettings):
                 "so that a training whose worker died is gone before its job starts elsewhere"
             )
         return self
+
+    @property
+    def retention(self) -> Retention | None:
+        """Return which checkpoints of a job are kept; none for all."""
+        return None if self.worker_keep_last is None else Retention(self.worker_keep_last, self.worker_keep_every)

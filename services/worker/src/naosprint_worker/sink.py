@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from naojobs import records
 from naojobs.lifecycle import Lease, Sessions
+from naojobs.retention import Retention, prune_checkpoints
 from naojobs.store import ArtifactStore, StoreError, checkpoint_key
 
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.recorder import Batch, StoredCheckpoint
+
+logger = logging.getLogger(__name__)
 
 
 class JobSink:
@@ -20,11 +24,14 @@ class JobSink:
 
     transient: tuple[type[Exception], ...] = (*DATABASE_TROUBLE, StoreError)
 
-    def __init__(self, sessions: Sessions, store: ArtifactStore, lease: Lease) -> None:
-        """Write under ``lease``."""
+    def __init__(
+        self, sessions: Sessions, store: ArtifactStore, lease: Lease, *, retention: Retention | None = None
+    ) -> None:
+        """Write under ``lease``; without ``retention`` every checkpoint is kept."""
         self._sessions = sessions
         self._store = store
         self._lease = lease
+        self._retention = retention
         self._checkpoint_ids: dict[int, str] = {}
 
     def write(self, batch: Batch) -> None:
@@ -50,7 +57,8 @@ class JobSink:
             del batch.checkpoints[0]
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
-        """Put a checkpoint's files into the store."""
+        """Put a checkpoint's files into the store, once those that need not be kept have left it."""
+        self.prune()
         key = checkpoint_key(self._lease.job_id, step, self._lease.attempt)
         manifest = self._store.put_directory(key, directory)
         return StoredCheckpoint(step, key, manifest.model_dump(mode="json"))
@@ -58,3 +66,13 @@ class JobSink:
     def checkpoint_id(self, step: int) -> str | None:
         """Return the id under which this attempt recorded the checkpoint of ``step``."""
         return self._checkpoint_ids.get(step)
+
+    def prune(self) -> None:
+        """Delete the recorded checkpoints that need not be kept; what the store does not delete now is swept later."""
+        if self._retention is None:
+            return
+        for key in prune_checkpoints(self._sessions, self._lease, self._retention):
+            try:
+                self._store.delete_prefix(key)
+            except StoreError as error:
+                logger.warning("%s stays for now: %s", key, error)

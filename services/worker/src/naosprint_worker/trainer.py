@@ -48,7 +48,7 @@ class Attempt:
         self._services = services
         self._assignment = assignment
         self._lease = assignment.lease
-        self._sink = JobSink(services.sessions, services.store, assignment.lease)
+        self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
         self._recorder = Recorder(
             self._sink,
             spool=services.workdir / "spool",
@@ -98,8 +98,9 @@ class Attempt:
             stop=lambda: services.stop.requested() or self._recorder.failed,
         )
         self._recorder.flush(services.settings.worker_patience_s * 2)
+        self._database(self._sink.prune, "removing old checkpoints")
         if result.status == "stopped":
-            Outcome("stopped", f"stopped at step {result.steps}").write(services.workdir)
+            Outcome("stopped", f"stopped at step {result.steps}").leave(services.workdir)
             return ExitCode.STOPPED
         evaluation = self._assignment.evaluation
         if evaluation is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -35,6 +36,8 @@ from naoctl.render import ago, cell, pairs, size, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
+#: The page of a report, beside the evaluation's files if a worker has drawn it.
+REPORT_PAGE = "report.html"
 #: Most rows of metrics that the service gives at once.
 MAX_POINTS = 5_000
 #: Seconds between two looks at an evaluation that runs.
@@ -152,10 +155,20 @@ def report(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
     ] = None,
-    film: Annotated[bool, typer.Option("--film/--no-film", help="Also write the film, which takes longest.")] = True,
+    film: Annotated[
+        bool | None,
+        typer.Option(
+            "--film/--no-film",
+            help="Draw it here, with the film, which takes longest, or without.",
+            show_default="the one that the service has drawn; else with",
+        ),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a page with curves, figures and a film about a job's policy; needs naosprint on this machine."""
+    """Get a page with curves, figures and a film about a job's policy.
+
+    It is the one that a worker has drawn, if there is one; else it is drawn here, which needs naosprint.
+    """
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -168,8 +181,13 @@ def report(
             )
         folder = output or Path(_folder_name(found))
         fetch_artifacts(context, client, [("evaluation", folder / "evaluation", judged)], quiet=as_json)
-        write_metrics(client, found["id"], folder / "metrics.jsonl")
-    page = write_report(folder, title=found["name"], film=film)
+        if film is None and any(file["name"] == REPORT_PAGE for file in judged["files"]):
+            page = folder / "report" / REPORT_PAGE
+            page.parent.mkdir(exist_ok=True)
+            shutil.copyfile(folder / "evaluation" / REPORT_PAGE, page)  # all it shows is in it
+        else:
+            write_metrics(client, found["id"], folder / "metrics.jsonl")
+            page = write_report(folder, title=found["name"], film=film is not False)
     if as_json:
         context.json({"page": str(page)})
     else:
@@ -186,7 +204,7 @@ def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
     if (folder / "metrics.jsonl").stat().st_size:
         arguments += ["--metrics", str(folder / "metrics.jsonl")]
     run_naosprint("report", *arguments, *([] if film else ["--no-film"]))
-    return folder / "report" / "report.html"
+    return folder / "report" / REPORT_PAGE
 
 
 def export(

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed_version
-from pathlib import Path
 from typing import Annotated, Any
+from urllib.parse import quote
 
 import typer
 from rich.table import Table
 
 from naoctl import __version__
-from naoctl.client import Client
+from naoctl.client import ApiError, Client
 from naoctl.config import Config, Target, normal_url, resolve_target
-from naoctl.context import DataDir, JsonFlag, context_of, stdin_is_terminal
-from naoctl.errors import CliError, ExitCode, InvalidInput, StackError
-from naoctl.render import ago, cell, plain
+from naoctl.context import JsonFlag, context_of, stdin_is_terminal
+from naoctl.errors import CliError, ExitCode, InvalidInput
+from naoctl.render import ago, cell, has_passed, plain
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
-token_app = typer.Typer(no_args_is_help=True, help="Make, list and revoke tokens of the stack on this machine.")
+token_app = typer.Typer(no_args_is_help=True, help="Make, list and revoke tokens; needs a token with scope admin.")
+SCOPES = ("read", "submit", "admin")
 
 
 def login(
@@ -139,20 +137,16 @@ def token_create(
         ),
     ] = None,
     days: Annotated[float | None, typer.Option(min=0.001, help="Days until it expires.", show_default="never")] = None,
-    data_dir: DataDir = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Make a token for the stack that runs on this machine. Its secret is shown once."""
+    """Make a token. Its secret is shown once."""
     context = context_of(ctx)
     for word in scope or []:
-        if word not in ("read", "submit", "admin"):
-            raise InvalidInput(f"--scope {word!r} is no scope", fix="Choose from read, submit, admin.")
-    arguments = ["create", "--owner", owner, "--name", name]
-    for word in scope or ["submit"]:
-        arguments += ["--scope", word]
-    if days is not None:
-        arguments += ["--days", str(days)]
-    made = _administer(data_dir, arguments)
+        if word not in SCOPES:
+            raise InvalidInput(f"--scope {word!r} is no scope", fix=f"Choose from {', '.join(SCOPES)}.")
+    body = {"owner": owner, "name": name, "scopes": scope or ["submit"], "expires_in_days": days}
+    with context.client() as client:
+        made = client.post("/tokens", body)
     if as_json:
         context.json(made)
         return
@@ -161,10 +155,11 @@ def token_create(
 
 
 @token_app.command("list")
-def token_list(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag = False) -> None:
-    """List the tokens of the stack that runs on this machine, without their secrets."""
+def token_list(ctx: typer.Context, as_json: JsonFlag = False) -> None:
+    """List all tokens, without their secrets."""
     context = context_of(ctx)
-    found = _administer(data_dir, ["list"])
+    with context.client() as client:
+        found = client.get("/tokens")
     if as_json:
         context.json(found)
         return
@@ -179,7 +174,7 @@ def token_list(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag =
             ", ".join(item["scopes"]),
             ago(item["created_at"]),
             item["expires_at"] or "never",
-            "revoked" if item["revoked_at"] else "valid",
+            "revoked" if item["revoked_at"] else "expired" if has_passed(item["expires_at"]) else "valid",
         )
     context.out.print(table)
 
@@ -188,40 +183,25 @@ def token_list(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag =
 def token_revoke(
     ctx: typer.Context,
     token_id: Annotated[str, typer.Argument(metavar="ID", help="The token's id, as `naoctl token list` shows it.")],
-    data_dir: DataDir = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Make a token of the stack on this machine useless from now on."""
+    """Make a token useless from now on."""
     context = context_of(ctx)
-    answer = _administer(data_dir, ["revoke", token_id])
+    with context.client() as client:
+        try:
+            client.request("DELETE", f"/tokens/{quote(token_id, safe='')}")
+        except ApiError as error:
+            if error.status not in (404, 422):
+                raise
+            raise CliError(
+                f"There is no token {plain(token_id)}",
+                fix="`naoctl token list` shows the tokens there are.",
+                code=ExitCode.NOT_FOUND,
+            ) from None
     if as_json:
-        context.json(answer)
+        context.json({"id": token_id, "revoked": True})
     else:
         context.out.print(f"{token_id}: revoked", markup=False)
-
-
-def _administer(data_dir: Path | None, arguments: list[str]) -> Any:
-    """Run ``python -m naojobs token`` against the database of the stack on this machine."""
-    try:
-        from naoctl.stack.control import find_running
-        from naoctl.stack.environment import service_environment
-        from naoctl.stack.layout import Layout
-    except ImportError as error:
-        raise StackError(f"The stack is not installed here ({error.name})", fix="pip install 'naoctl[stack]'") from None
-    layout = Layout.at(data_dir)
-    find_running(layout)
-    done = subprocess.run(
-        [sys.executable, "-m", "naojobs", "token", *arguments],
-        check=False,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **service_environment(layout)},
-        stdin=subprocess.DEVNULL,
-    )
-    if done.returncode:
-        words = done.stderr.strip().splitlines()
-        raise CliError(words[-1] if words else "The token was refused", code=ExitCode.FAILURE)
-    return json.loads(done.stdout)
 
 
 def register(app: typer.Typer) -> None:

@@ -42,14 +42,14 @@ Presigned = Annotated[
 @router.get("/jobs/{job_id}/checkpoints", responses=_READ)
 def list_checkpoints(job_id: JobId, principal: Reader, service: ServiceDep) -> list[CheckpointPublic]:
     """List the checkpoints of a job, most steps first."""
-    queries.visible_job(service.sessions, principal, job_id)
-    return [checkpoint_view(row) for row in queries.checkpoints_of(service.sessions, job_id)]
+    queries.visible_job(service.reads, principal, job_id)
+    return [checkpoint_view(row) for row in queries.checkpoints_of(service.reads, job_id)]
 
 
 @router.get("/checkpoints/{checkpoint_id}", responses=_READ)
 def get_checkpoint(checkpoint_id: CheckpointId, principal: Reader, service: ServiceDep) -> CheckpointPublic:
     """Look up one checkpoint."""
-    return checkpoint_view(queries.visible_checkpoint(service.sessions, principal, checkpoint_id))
+    return checkpoint_view(queries.visible_checkpoint(service.reads, principal, checkpoint_id))
 
 
 @router.get("/checkpoints/{checkpoint_id}/files/{name:path}", response_class=Response, responses=_FILE)
@@ -62,7 +62,7 @@ def get_checkpoint_file(
     presigned: Presigned = False,
 ) -> Response:
     """Download a file of a checkpoint; a Range header gets a part of it."""
-    row = queries.visible_checkpoint(service.sessions, principal, checkpoint_id)
+    row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
     manifest = Manifest.model_validate(row.manifest)
     return send_file(request, service.store, row.key, manifest, name, presigned=presigned)
 
@@ -70,7 +70,7 @@ def get_checkpoint_file(
 @router.get("/checkpoints/{checkpoint_id}/archive", response_class=Response, responses=_ARCHIVE)
 def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, service: ServiceDep) -> Response:
     """Download all files of a checkpoint as a tar archive."""
-    row = queries.visible_checkpoint(service.sessions, principal, checkpoint_id)
+    row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
     manifest = Manifest.model_validate(row.manifest)
     return send_archive(service.store, row.key, manifest, f"{row.job_id}-{row.step}", row.created_at)
 
@@ -78,8 +78,8 @@ def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, servi
 @router.get("/jobs/{job_id}/evaluations", responses=_READ)
 def list_evaluations(job_id: JobId, principal: Reader, service: ServiceDep) -> list[EvaluationPublic]:
     """List the evaluations of a job, newest first."""
-    queries.visible_job(service.sessions, principal, job_id)
-    return [evaluation_view(row) for row in queries.evaluations_of(service.sessions, job_id)]
+    queries.visible_job(service.reads, principal, job_id)
+    return [evaluation_view(row) for row in queries.evaluations_of(service.reads, job_id)]
 
 
 @router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})
@@ -91,7 +91,7 @@ def request_evaluation(
     body: EvaluationCreate | None = None,
 ) -> EvaluationPublic:
     """Ask for an evaluation of a checkpoint; look it up again until its state says that it is done."""
-    queries.visible_job(service.sessions, principal, job_id)
+    queries.visible_job(service.reads, principal, job_id)
     row = records.request_evaluation(
         service.sessions,
         job_id,
@@ -105,7 +105,7 @@ def request_evaluation(
 @router.get("/evaluations/{evaluation_id}", responses=_READ)
 def get_evaluation(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> EvaluationPublic:
     """Look up one evaluation."""
-    return evaluation_view(queries.visible_evaluation(service.sessions, principal, evaluation_id))
+    return evaluation_view(queries.visible_evaluation(service.reads, principal, evaluation_id))
 
 
 def _finished(row: Evaluation) -> tuple[str, Manifest]:
@@ -124,13 +124,13 @@ def get_evaluation_file(
     presigned: Presigned = False,
 ) -> Response:
     """Download a file of an evaluation; a Range header gets a part of it."""
-    key, manifest = _finished(queries.visible_evaluation(service.sessions, principal, evaluation_id))
+    key, manifest = _finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
     return send_file(request, service.store, key, manifest, name, presigned=presigned)
 
 
 @router.get("/evaluations/{evaluation_id}/archive", response_class=Response, responses=_ARCHIVE)
 def get_evaluation_archive(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> Response:
     """Download all files of an evaluation as a tar archive."""
-    row = queries.visible_evaluation(service.sessions, principal, evaluation_id)
+    row = queries.visible_evaluation(service.reads, principal, evaluation_id)
     key, manifest = _finished(row)
     return send_archive(service.store, key, manifest, evaluation_id, row.created_at)

@@ -73,7 +73,7 @@ def job_filter(
 
 def steer(service: Service, principal: Principal, job_id: str) -> Job:
     """Return a job that the caller may change. Raises NotFoundError."""
-    return queries.visible_job(service.sessions, principal, job_id)
+    return queries.visible_job(service.reads, principal, job_id)
 
 
 @router.post("/jobs", status_code=201, responses={**SUBMIT, 200: {"model": JobPublic, "description": "Known already"}})
@@ -149,7 +149,7 @@ def list_jobs(
 ) -> JobPage:
     """List jobs, newest first."""
     wanted = job_filter(principal, state, tag, owner, group, parent, q)
-    rows = queries.list_jobs(service.sessions, wanted, limit=limit + 1, before=cursor)
+    rows = queries.list_jobs(service.reads, wanted, limit=limit + 1, before=cursor)
     page = rows[:limit]
     return JobPage(
         items=[job_view(job) for job in page],
@@ -160,7 +160,7 @@ def list_jobs(
 @router.get("/jobs/{job_id}", responses=READ)
 def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
     """Look up one job."""
-    return job_view(queries.visible_job(service.sessions, principal, job_id))
+    return job_view(queries.visible_job(service.reads, principal, job_id))
 
 
 @router.post("/jobs/{job_id}/cancel", responses=STEER)
@@ -214,8 +214,8 @@ def get_metrics(
     after_step: Annotated[int, Query(ge=-1, le=MAX_BIGINT, description="Only rows beyond this step.")] = -1,
 ) -> MetricsPublic:
     """Get the metrics of a job by column."""
-    queries.visible_job(service.sessions, principal, job_id)
-    return queries.metrics_columns(service.sessions, job_id, after_step=after_step, max_points=max_points)
+    queries.visible_job(service.reads, principal, job_id)
+    return queries.metrics_columns(service.reads, job_id, after_step=after_step, max_points=max_points)
 
 
 @router.get("/jobs/{job_id}/logs", responses=READ)
@@ -228,11 +228,11 @@ def get_logs(
     tail: Annotated[bool, Query(description="The last lines instead of those behind `after`.")] = False,
 ) -> LogPage:
     """Get lines of a job's log, oldest first."""
-    queries.visible_job(service.sessions, principal, job_id)
+    queries.visible_job(service.reads, principal, job_id)
     if tail:
-        rows = queries.logs_tail(service.sessions, job_id, limit=limit)
+        rows = queries.logs_tail(service.reads, job_id, limit=limit)
     else:
-        rows = queries.logs_after(service.sessions, job_id, after=after, limit=limit)
+        rows = queries.logs_after(service.reads, job_id, after=after, limit=limit)
     return LogPage(items=[log_view(row) for row in rows], next_after=rows[-1].id if rows else None)
 
 
@@ -241,6 +241,6 @@ def get_events(
     job_id: JobId, principal: Reader, service: ServiceDep, after: After = 0, limit: Limit = 200
 ) -> EventPage:
     """Get what happened to a job, oldest first."""
-    queries.visible_job(service.sessions, principal, job_id)
-    rows = queries.events_after(service.sessions, job_id, after=after, limit=limit)
+    queries.visible_job(service.reads, principal, job_id)
+    rows = queries.events_after(service.reads, job_id, after=after, limit=limit)
     return EventPage(items=[event_view(row) for row in rows], next_after=rows[-1].id if rows else None)

@@ -71,13 +71,13 @@ def start_position(
 
 def followed_job(job_id: JobId, principal: Reader, service: ServiceDep) -> Job:
     """Return the job to follow. Raises NotFoundError."""
-    return queries.visible_job(service.sessions, principal, job_id)
+    return queries.visible_job(service.reads, principal, job_id)
 
 
 def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
     """Return the time from which changes of jobs are told."""
     if not last_event_id:
-        return queries.database_now(service.sessions)
+        return queries.database_now(service.reads)
     try:
         since = datetime.fromisoformat(last_event_id)
         if since.tzinfo is None or since.year < 2000:
@@ -123,7 +123,7 @@ async def stream_jobs(
         yield _message("ready", json.dumps({"since": since.isoformat()}), since.isoformat())
         while not service.broadcaster.closing:
             rows = await service.feed.in_thread(
-                partial(queries.changed_jobs, service.sessions, wanted, since=since),
+                partial(queries.changed_jobs, service.reads, wanted, since=since),
             )
             for job in rows:
                 since = max(since, job.updated_at)

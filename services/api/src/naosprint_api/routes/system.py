@@ -17,7 +17,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
 
 from naosprint_api import __version__
-from naosprint_api.dependencies import Reader, ServiceDep, authenticate, needs, service_of
+from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
 from naosprint_api.problems import responses
 
 router = APIRouter(tags=["service"])
@@ -80,7 +80,7 @@ def readiness(service: ServiceDep, response: Response) -> Readiness:
     revision: Check = "failed"
     store: Check = "failed"
     try:
-        with service.sessions.begin() as session:
+        with service.reads.begin() as session:
             session.execute(text("SELECT 1"))
             database = "ok"
             found = session.scalar(text("SELECT version_num FROM alembic_version"))
@@ -110,7 +110,7 @@ def may_read_figures(request: Request, service: ServiceDep) -> None:
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
     known = HTTPAuthorizationCredentials(scheme=scheme, credentials=secret) if scheme.lower() == "bearer" else None
-    needs(Scope.ADMIN)(authenticate(request, service, known), service)
+    require(Scope.ADMIN, authenticate(request, service, known), service)
 
 
 @router.get(
@@ -137,10 +137,10 @@ def whoami(principal: Reader) -> Identity:
 @router.get("/workers", responses=responses(401, 403, 429, 503))
 def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
     """List the workers, when each was last heard of, and the jobs it holds (one's own, unless the token is admin)."""
-    found = registry.workers(service.sessions, stale_s=service.settings.lease_s)
+    found = registry.workers(service.reads, stale_s=service.settings.lease_s)
     if principal.is_admin:
         return found
-    mine = registry.leased_jobs_of(service.sessions, principal.owner)
+    mine = registry.leased_jobs_of(service.reads, principal.owner)
     return [worker.model_copy(update={"jobs": [job for job in worker.jobs if job in mine]}) for worker in found]
 
 

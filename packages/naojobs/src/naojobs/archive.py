@@ -1,0 +1,85 @@
+"""All artifacts as one tar archive: out of a store, and into another, whatever kind either is."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import tarfile
+from collections.abc import Mapping
+from typing import BinaryIO
+
+from naojobs.errors import JobError
+from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, Manifest, MissingArtifactError, artifact_of
+
+
+class DamagedArchiveError(JobError):
+    """Says that an archive does not hold what its manifests promise."""
+
+
+def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
+    """Write everything in the store to `target`; return how many files that was. Raises StoreError.
+
+    Artifacts may come and go meanwhile. One whose files go away is left without a manifest, and so counts as not there.
+    """
+    keys = sorted(store.list(ARTIFACTS), key=lambda key: (artifact_of(key), _is_manifest(key)))
+    count = 0
+    gone = ""
+    with tarfile.open(fileobj=target, mode="w|", format=tarfile.PAX_FORMAT) as archive:
+        for key in keys:
+            if _is_manifest(key) and artifact_of(key) == gone:
+                continue
+            try:
+                data = store.get_bytes(key)
+            except MissingArtifactError:
+                gone = artifact_of(key)
+                continue
+            entry = tarfile.TarInfo(key)
+            entry.size, entry.mode = len(data), 0o600
+            archive.addfile(entry, io.BytesIO(data))
+            count += 1
+    return count
+
+
+def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
+    """Write everything in `source` to the store, manifests last, and return how many files that was.
+
+    Raises:
+        DamagedArchiveError: an artifact is not what its manifest says; it has no manifest in the store then and so
+            counts as not there, while all others are.
+    """
+    digests: dict[str, str] = {}
+    manifests: dict[str, bytes] = {}
+    try:
+        with tarfile.open(fileobj=source, mode="r|") as archive:
+            for entry in archive:
+                file = archive.extractfile(entry)
+                if file is None or not entry.name.startswith(f"{ARTIFACTS}/"):
+                    raise DamagedArchiveError(f"{entry.name}: no file below {ARTIFACTS}/")
+                data = file.read()
+                digests[entry.name] = hashlib.sha256(data).hexdigest()
+                if _is_manifest(entry.name):
+                    manifests[entry.name] = data
+                else:
+                    store.put_bytes(entry.name, data)
+    except (tarfile.TarError, ValueError) as error:
+        raise DamagedArchiveError(f"not an archive of artifacts, or cut off: {error}") from error
+    damaged = [key for key, data in manifests.items() if not _fits(key, data, digests)]
+    for key in manifests.keys() - set(damaged):
+        store.put_bytes(key, manifests[key])
+    if damaged:
+        raise DamagedArchiveError(f"{len(damaged)} artifacts are not what their manifests say: {', '.join(damaged)}")
+    return len(digests)
+
+
+def _is_manifest(key: str) -> bool:
+    return key.endswith(f"/{MANIFEST_NAME}")
+
+
+def _fits(key: str, manifest: bytes, digests: Mapping[str, str]) -> bool:
+    """Tell whether the SHA-256 of every file is the one that the manifest under `key` names."""
+    folder = key.removesuffix(MANIFEST_NAME)
+    try:
+        files = Manifest.model_validate_json(manifest).files
+    except ValueError:
+        return False
+    return all(digests.get(folder + file.name) == file.sha256 for file in files)

@@ -1,0 +1,117 @@
+"""Which artifacts are kept: checkpoints that are worth it, and only files that a row refers to."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from naospec import TrainingSpec
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from naojobs.lifecycle import Lease, Sessions, hold
+from naojobs.models import Checkpoint, Evaluation, Job, Metric
+from naojobs.states import LEASED, EvaluationState
+from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
+
+#: The column of metrics that tells which checkpoint is the best: the mean reward of the latest episodes.
+BEST_BY = "reward"
+
+#: Seconds for which a file without a row is left alone: it may be on its way into the store, and its row not yet made.
+DEFAULT_AGE_S = 86_400.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Retention:
+    """Says which checkpoints of a job to keep, besides the best one and those that something refers to."""
+
+    #: The newest.
+    last: int
+    #: Every n-th of those that the training plans; none for no others.
+    every: int | None = None
+
+
+def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> list[str]:
+    """Delete the rows of a leased job's checkpoints that `wanted` does not keep; return where their files lie.
+
+    Kept in any case: the one with the highest mean reward, those that were evaluated or are to be, and those whose
+    policy another job starts from. The files are the caller's to delete; what it leaves the sweep finds.
+    Raises LeaseLostError.
+    """
+    with sessions.begin() as session:
+        # Whoever wants to refer to a checkpoint locks the row of its job first, so nobody can do so meanwhile.
+        job = hold(session, lease)
+        rows = session.execute(
+            select(Checkpoint.id, Checkpoint.step, Checkpoint.key)
+            .where(Checkpoint.job_id == job.id)
+            .order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc()),
+        ).all()
+        candidates = rows[wanted.last :]
+        if wanted.every is not None:
+            spec = TrainingSpec.model_validate(job.spec)
+            stride = wanted.every * spec.checkpoint_interval_steps
+            # A checkpoint comes with the first update at or behind a multiple of the interval.
+            candidates = [row for row in candidates if row.step % stride >= spec.rollout_steps]
+        spared = _spared(session, job.id)
+        doomed = [row for row in candidates if row.id not in spared]
+        if doomed:
+            session.execute(delete(Checkpoint).where(Checkpoint.id.in_([row.id for row in doomed])))
+    return [row.key for row in doomed]
+
+
+def _spared(session: Session, job_id: str) -> set[str]:
+    """Return the checkpoints of a job that are kept in any case."""
+    of_job = Checkpoint.job_id == job_id
+    best = session.scalar(
+        select(Checkpoint.id)
+        .join(Metric, (Metric.job_id == Checkpoint.job_id) & (Metric.step == Checkpoint.step))
+        .where(of_job, Metric.values.has_key(BEST_BY))
+        .order_by(Metric.values[BEST_BY].as_float().desc(), Checkpoint.step.desc())
+        .limit(1),
+    )
+    judged = session.scalars(select(Evaluation.checkpoint_id).where(Evaluation.job_id == job_id))
+    parents = session.scalars(
+        select(Job.parent_checkpoint_id).join(Checkpoint, Checkpoint.id == Job.parent_checkpoint_id).where(of_job),
+    )
+    return {str(item) for item in (best, *judged, *parents) if item is not None}
+
+
+def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> list[str]:
+    """Return the prefixes of files that no row refers to and that have not changed for `age_s`, sorted.
+
+    Whatever belongs to a job that somebody works on is left alone, whatever its age seems to be: a clock may be wrong.
+    Raises StoreError.
+    """
+    changed: dict[str, datetime] = {}
+    for file in (*store.files(ARTIFACTS), *store.files(PROBES)):
+        prefix = artifact_of(file.key)
+        changed[prefix] = max(file.modified, changed.get(prefix, file.modified))
+    before = datetime.now(UTC) - timedelta(seconds=age_s)
+    old = [prefix for prefix, at in changed.items() if at < before]
+    with sessions.begin() as session:
+        known = {*session.scalars(select(Checkpoint.key)), *session.scalars(select(Evaluation.key))}
+        busy = {
+            *session.scalars(select(Job.id).where(Job.state.in_(LEASED))),
+            *session.scalars(select(Evaluation.job_id).where(Evaluation.state == EvaluationState.RUNNING)),
+        }
+    return sorted(prefix for prefix in old if prefix not in known and prefix.split("/")[1] not in busy)
+
+
+def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> Sequence[str]:
+    """Delete files that no row refers to (see `find_orphans`); return their prefixes.
+
+    Several processes may do so at once. Raises StoreError.
+    """
+    gone = []
+    for prefix in find_orphans(sessions, store, age_s=age_s):
+        try:
+            count = store.delete_prefix(prefix) or store.delete_file(prefix)
+        except MissingArtifactError:
+            continue  # somebody else was faster
+        _log.info("deleted %s: %d files that nothing refers to", prefix, count)
+        gone.append(prefix)
+    return gone

@@ -1,0 +1,50 @@
+"""Tokens: make, list, revoke; for admins only."""
+
+from __future__ import annotations
+
+import logging
+from datetime import timedelta
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from naojobs.ids import PATTERN
+from naojobs.schemas import TokenCreate, TokenMade, TokenPublic
+from naojobs.tokens import create_token, get_token, list_tokens, revoke
+
+from naosprint_api.dependencies import Admin, ServiceDep
+from naosprint_api.problems import responses
+
+router = APIRouter(tags=["tokens"])
+
+_log = logging.getLogger(__name__)
+
+TokenId = Annotated[str, Path(pattern=PATTERN, description="Id of the token, never its secret.")]
+
+
+@router.post("/tokens", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
+def make_token(body: TokenCreate, principal: Admin, service: ServiceDep) -> TokenMade:
+    """Make a token. Its secret is in this answer and nowhere else: the service keeps only its SHA-256."""
+    days = body.expires_in_days
+    token_id, secret = create_token(
+        service.sessions,
+        name=body.name,
+        owner=body.owner,
+        scopes=body.scopes,
+        valid_for=None if days is None else timedelta(days=days),
+    )
+    _log.info("%s (%s) made token %s", principal.owner, principal.token_id, token_id)
+    shown = TokenPublic.model_validate(get_token(service.reads, token_id))
+    return TokenMade(**shown.model_dump(), token=secret)
+
+
+@router.get("/tokens", responses=responses(401, 403, 429, 503))
+def show_tokens(principal: Admin, service: ServiceDep) -> list[TokenPublic]:
+    """List all tokens, oldest first, without their secrets."""
+    return [TokenPublic.model_validate(token) for token in list_tokens(service.reads)]
+
+
+@router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
+def revoke_token(token_id: TokenId, principal: Admin, service: ServiceDep) -> None:
+    """Make a token useless from now on; it stays in the list."""
+    revoke(service.sessions, token_id)
+    _log.info("%s (%s) revoked token %s", principal.owner, principal.token_id, token_id)

@@ -1,0 +1,67 @@
+"""Tokens over HTTP: an admin makes, lists and revokes them; nobody else does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+
+def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> None:
+    answer = admin.post("/tokens", json={"owner": "carol", "name": "laptop", "scopes": ["read"], "expires_in_days": 30})
+    assert answer.status_code == 201
+    made = answer.json()
+    assert (made["owner"], made["name"], made["scopes"], made["revoked_at"]) == ("carol", "laptop", ["read"], None)
+    assert made["expires_at"] > made["created_at"]
+    with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {made['token']}"}) as carol:
+        assert carol.get("/whoami").json() == {"owner": "carol", "scopes": ["read"]}
+        listed = admin.get("/tokens")
+        assert made["token"] not in listed.text
+        (shown,) = (token for token in listed.json() if token["id"] == made["id"])
+        assert shown == {name: value for name, value in made.items() if name != "token"}
+        assert admin.delete(f"/tokens/{made['id']}").status_code == 204
+        assert carol.get("/whoami").status_code == 401
+    (shown,) = (token for token in admin.get("/tokens").json() if token["id"] == made["id"])
+    assert shown["revoked_at"] is not None
+
+
+def test_a_token_is_for_submitting_and_lasts_unless_told_otherwise(admin: httpx.Client) -> None:
+    made = admin.post("/tokens", json={"owner": "dave"}).json()
+    assert (made["scopes"], made["expires_at"]) == (["submit"], None)
+
+
+@pytest.mark.parametrize("scope", ["read", "submit"])
+def test_only_an_admin_may(make_client: Callable[..., httpx.Client], admin: httpx.Client, scope: str) -> None:
+    mallory = make_client("mallory", scope)
+    token = admin.get("/tokens").json()[0]["id"]
+    for method, path in (("POST", "/tokens"), ("GET", "/tokens"), ("DELETE", f"/tokens/{token}")):
+        answer = mallory.request(method, path, json={"owner": "mallory", "scopes": ["admin"]})
+        assert answer.status_code == 403
+        assert "scope admin" in answer.json()["errors"][0]["message"]
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({}, "owner"),
+        ({"owner": ""}, "owner"),
+        ({"owner": "a\u0000"}, "owner"),
+        ({"owner": "a", "scopes": []}, "scopes"),
+        ({"owner": "a", "scopes": ["root"]}, "scopes.0"),
+        ({"owner": "a", "expires_in_days": 0}, "expires_in_days"),
+        ({"owner": "a", "expires_in_days": 1e9}, "expires_in_days"),
+        ({"owner": "a", "name": "x" * 201}, "name"),
+        ({"owner": "a", "token": "nao_mine"}, "token"),
+    ],
+)
+def test_bad_wishes_are_refused_by_field(admin: httpx.Client, body: dict[str, Any], field: str) -> None:
+    answer = admin.post("/tokens", json=body)
+    assert answer.status_code == 422
+    assert [item["field"] for item in answer.json()["errors"]] == [field]
+
+
+def test_an_unknown_token_cannot_be_revoked(admin: httpx.Client) -> None:
+    assert admin.delete("/tokens/token_01m7y0bdkc59pc1szgpqz7ge55").status_code == 404
+    assert admin.delete("/tokens/nao_secret").status_code == 422

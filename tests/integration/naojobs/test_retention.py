@@ -1,0 +1,196 @@
+"""Checkpoints that are not worth it go, and so do files that no row refers to; nothing else does."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterable
+from datetime import timedelta
+
+import pytest
+from naojobs import lifecycle, records
+from naojobs.__main__ import main
+from naojobs.errors import LeaseLostError
+from naojobs.lifecycle import Lease
+from naojobs.models import Checkpoint, Job
+from naojobs.retention import Retention, find_orphans, prune_checkpoints, sweep
+from naojobs.schemas import JobCreate
+from naojobs.states import JobState
+from naojobs.store import ArtifactStore, checkpoint_key, evaluation_key
+from naospec import EvaluationSpec
+from sqlalchemy import select
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
+
+#: Steps between two updates, and planned between two checkpoints.
+ROLLOUT, INTERVAL = 100, 250
+
+
+@pytest.fixture
+def lease(sessions: Sessions) -> Lease:
+    """The lease of a running job that saves a checkpoint every 250 steps, that is at 300, 500, 800, 1000 ..."""
+    spec = {"n_envs": 10, "n_steps": 10, "batch_size": 50, "checkpoint_interval_steps": INTERVAL}
+    job, _ = lifecycle.submit(sessions, JobCreate(spec=spec), owner="alice")
+    claim = lifecycle.claim(sessions, job.id, "worker-1")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    return claim.lease
+
+
+@pytest.fixture
+def save(sessions: Sessions, store: ArtifactStore, lease: Lease) -> Callable[[int], str]:
+    """Store and record a checkpoint of a step; return its id."""
+
+    def save(step: int) -> str:
+        key = checkpoint_key(lease.job_id, step, lease.attempt)
+        entry = store.put_bytes(f"{key}/policy.npz", b"policy")
+        manifest = {"files": [entry.model_dump()]}
+        store.put_bytes(f"{key}/manifest.json", json.dumps(manifest).encode())
+        return records.record_checkpoint(sessions, lease, step=step, key=key, manifest=manifest)
+
+    return save
+
+
+def steps(sessions: Sessions, job_id: str) -> list[int]:
+    with sessions() as session:
+        return list(
+            session.scalars(select(Checkpoint.step).where(Checkpoint.job_id == job_id).order_by(Checkpoint.step))
+        )
+
+
+PLANNED = [0, 300, 500, 800, 1000, 1300, 1500, 1800, 2000]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "kept"),
+    [
+        (Retention(2), [1800, 2000]),
+        (Retention(20), PLANNED),
+        (Retention(2, every=3), [0, 800, 1500, 1800, 2000]),
+        (Retention(2, every=1), PLANNED),
+    ],
+)
+def test_the_newest_and_every_nth_are_kept(
+    sessions: Sessions, lease: Lease, save: Callable[[int], str], wanted: Retention, kept: list[int]
+) -> None:
+    for step in PLANNED:
+        save(step)
+    keys = prune_checkpoints(sessions, lease, wanted)
+    assert steps(sessions, lease.job_id) == kept
+    assert sorted(keys) == [checkpoint_key(lease.job_id, step, 1) for step in PLANNED if step not in kept]
+    assert prune_checkpoints(sessions, lease, wanted) == []
+
+
+def test_a_checkpoint_between_the_planned_ones_is_not_one_of_the_nth(
+    sessions: Sessions, lease: Lease, save: Callable[[int], str]
+) -> None:
+    """Such as that of a pause."""
+    for step in (500, 700, 1500, 1800):
+        save(step)
+    prune_checkpoints(sessions, lease, Retention(2, every=2))
+    assert steps(sessions, lease.job_id) == [500, 1500, 1800]
+
+
+def test_what_something_refers_to_and_the_best_are_kept(
+    sessions: Sessions, lease: Lease, save: Callable[[int], str]
+) -> None:
+    ids = {step: save(step) for step in PLANNED}
+    rewards: Iterable[tuple[int, float]] = ((300, 1.0), (500, 10.0), (700, 99.0), (1000, 9.5), (1800, -1.0))
+    records.append_metrics(sessions, lease, [{"step": step, "reward": reward} for step, reward in rewards])
+    records.append_metrics(sessions, lease, [{"step": 2000, "loss": 1.0}])
+    records.request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
+    parent = JobCreate(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec={"task": "sprint1"})
+    lifecycle.submit(sessions, parent, owner="alice")
+    prune_checkpoints(sessions, lease, Retention(2))
+    # No checkpoint was saved at step 700, however good it was.
+    assert steps(sessions, lease.job_id) == [500, 800, 1300, 1800, 2000]
+
+
+def test_who_lost_the_lease_removes_nothing(sessions: Sessions, lease: Lease, save: Callable[[int], str]) -> None:
+    for step in PLANNED:
+        save(step)
+    lifecycle.lose(sessions, lease, "the trainer died")
+    with pytest.raises(LeaseLostError):
+        prune_checkpoints(sessions, lease, Retention(2))
+    assert steps(sessions, lease.job_id) == PLANNED
+
+
+def grow_old(store: ArtifactStore, prefix: str, age: timedelta = timedelta(hours=25)) -> None:
+    """Let files look as if they had been written long ago."""
+    assert store.local_root is not None
+    at = time.time() - age.total_seconds()
+    for key in store.list(prefix):
+        os.utime(store.local_root / key, (at, at))
+
+
+def test_files_that_no_row_refers_to_are_swept(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
+) -> None:
+    save(300)
+    lost = checkpoint_key("job_01m7y0bdkc59pc1szgpqz7ge55", 1, 1)
+    cut = evaluation_key(lease.job_id, "eval_01m7y0bdkc59pc1szgpqz7ge55", 1)
+    young = checkpoint_key("job_01m7y0bdkc59pc1szgpqz7ge56", 1, 1)
+    for key in (lost, cut, young):
+        store.put_bytes(f"{key}/a", b"a")
+    store.put_bytes("probes/left", b"probe")
+    for prefix in (f"jobs/{lease.job_id}", lost, "probes"):
+        grow_old(store, prefix)
+
+    # A worker holds the job: what its clock says about its files does not matter.
+    assert find_orphans(sessions, store) == [lost, "probes/left"]
+    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    assert sorted(sweep(sessions, store)) == sorted([lost, cut, "probes/left"])
+    assert sweep(sessions, store) == []
+    kept = store.list("jobs")
+    assert f"{young}/a" in kept
+    assert {key for key in kept if lease.job_id in key} == {
+        f"{checkpoint_key(lease.job_id, 300, 1)}/{name}" for name in ("manifest.json", "policy.npz")
+    }
+
+
+def test_a_running_evaluation_keeps_its_files(
+    sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
+) -> None:
+    save(300)
+    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    asked = records.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
+    claim = records.claim_evaluation(sessions, asked.id, "w")
+    assert claim is not None
+    key = evaluation_key(lease.job_id, asked.id, claim.attempt)
+    store.put_bytes(f"{key}/a", b"a")
+    grow_old(store, key)
+    assert key not in find_orphans(sessions, store)
+    records.finish_evaluation(sessions, claim, error="no space")
+    assert key in find_orphans(sessions, store)
+
+
+def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
+    sessions: Sessions,
+    store: ArtifactStore,
+    lease: Lease,
+    save: Callable[[int], str],
+    service_environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The store was away when the job was deleted."""
+    save(300)
+    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    lifecycle.delete(sessions, lease.job_id)
+    with sessions() as session:
+        assert session.get(Job, lease.job_id) is None
+    key = checkpoint_key(lease.job_id, 300, 1)
+    for name, value in service_environment.items():
+        monkeypatch.setenv(name, value)
+    assert main(["artifacts", "sweep"]) == 0
+    assert key not in capsys.readouterr().out, "it is not a day old"
+    grow_old(store, key)
+    assert main(["artifacts", "sweep", "--dry-run"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert not shown["deleted"] and key in shown["prefixes"]
+    assert store.list(key)
+    assert main(["artifacts", "sweep"]) == 0
+    assert key in json.loads(capsys.readouterr().out)["prefixes"]
+    assert store.list(key) == []

