@@ -32,7 +32,7 @@ GIF_WIDTH = 640
 GIF_LIMIT = 2_000_000  # bytes
 GIF_SECONDS = 4
 GIF_FRAME_S = 0.06  # browsers draw GIF frames shorter than 0.02 s slowly; a multiple of 0.01 s
-GIF_COLOURS = 128
+GIF_COLOURS = 192
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,8 @@ with warnings.catch_warnings():
 ROOT = Path(__file__).parents[3]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")
+PATIENCE_S = 120.0  # for anything that takes a moment on a machine of its own, on one that is shared by many
+FAILED = pytest.StashKey[bool]()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -51,6 +53,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(
                 pytest.mark.skip(reason="needs Chromium and its driver: apt-get install chromium chromium-driver")
             )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Let fixtures know whether their test has failed."""
+    report = yield
+    item.stash[FAILED] = item.stash.get(FAILED, False) or report.failed
+    return report
 
 
 @dataclass(frozen=True)
@@ -99,6 +111,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
             "NAOSPRINT_WORKER_POLL_S": "0.1",
             "NAOSPRINT_WORKER_FLUSH_S": "0.1",
             "NAOSPRINT_WORKER_RING_S": "1",
+            "NAOSPRINT_WORKER_CONCURRENCY": "2",  # one slot trains while the other lets a checkpoint run
         }
         running: dict[str, subprocess.Popen[bytes]] = {}
         url = f"http://127.0.0.1:{port}"
@@ -189,7 +202,7 @@ class Browser:
         self.find("button[type=submit]").click()
         self.find("#top nav")
 
-    def until(self, condition: Callable[[], Any], timeout_s: float = 60, message: str = "") -> Any:
+    def until(self, condition: Callable[[], Any], timeout_s: float = PATIENCE_S, message: str = "") -> Any:
         """Wait until the condition is true; return what it returned. Elements that vanish meanwhile do not matter."""
         from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
 
@@ -201,7 +214,7 @@ class Browser:
         )
         return wait.until(lambda _: condition(), message)
 
-    def find(self, selector: str, timeout_s: float = 60) -> WebElement:
+    def find(self, selector: str, timeout_s: float = PATIENCE_S) -> WebElement:
         """Return the first element that fits a CSS selector and can be seen."""
 
         def visible() -> WebElement | None:
@@ -218,7 +231,7 @@ class Browser:
         """Return the text of the first visible element that fits."""
         return self.find(selector).text
 
-    def shows(self, words: str, selector: str = "main", timeout_s: float = 60) -> None:
+    def shows(self, words: str, selector: str = "main", timeout_s: float = PATIENCE_S) -> None:
         """Wait until an element shows some words."""
         self.until(
             lambda: words in self.driver.find_element(By.CSS_SELECTOR, selector).text,
@@ -275,6 +288,20 @@ class Browser:
                 found.append(message["params"]["request"]["url"])
         return found
 
+    def received(self) -> dict[str, int]:
+        """Return how many bytes came over the wire for each address since the last call, headers included."""
+        urls: dict[str, str] = {}
+        sizes: dict[str, int] = {}
+        for entry in self.driver.get_log("performance"):  # type: ignore[no-untyped-call]
+            message = json.loads(entry["message"])["message"]
+            parameters = message["params"]
+            if message["method"] == "Network.requestWillBeSent":
+                urls[parameters["requestId"]] = parameters["request"]["url"].split("#")[0]
+            elif message["method"] == "Network.loadingFinished" and parameters["requestId"] in urls:
+                url = urls[parameters["requestId"]]
+                sizes[url] = sizes.get(url, 0) + int(parameters["encodedDataLength"])
+        return sizes
+
     def complaints(self) -> list[str]:
         """Return console errors and warnings since the last call, less the allowed ones."""
         lines = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] != "INFO"]  # type: ignore[no-untyped-call]
@@ -321,8 +348,13 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chrome,
 
 
 @pytest.fixture
-def browser(chromium: tuple[Chrome, Path], stack: Stack) -> Iterator[Browser]:
-    """The browser, signed out, in a desktop's size; it must not have complained or gone elsewhere by the end."""
+def browser(
+    chromium: tuple[Chrome, Path], stack: Stack, pictures: Path, request: pytest.FixtureRequest
+) -> Iterator[Browser]:
+    """The browser, signed out, in a desktop's size; it must not have complained or gone elsewhere by the end.
+
+    What it shows when a test fails is kept among the pictures.
+    """
     driver, downloads = chromium
     page = Browser(driver, stack.url, downloads)
     page.size(1440, 900)
@@ -333,6 +365,9 @@ def browser(chromium: tuple[Chrome, Path], stack: Stack) -> Iterator[Browser]:
     page.requests()
     driver.get_log("browser")  # type: ignore[no-untyped-call]
     yield page
+    if request.node.stash.get(FAILED, False):
+        name = "".join(c if c.isalnum() else "-" for c in request.node.name)[:80]
+        (pictures / f"failed-{name}.png").write_bytes(driver.get_screenshot_as_png())
     elsewhere = [url for url in page.requests() if not url.startswith((stack.url, "about:", "blob:", "data:"))]
     complaints = page.complaints()
     driver.get("about:blank")

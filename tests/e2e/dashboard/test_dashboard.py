@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import io
+import re
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -85,19 +85,40 @@ def choose(browser: Browser, selector: str, value: str) -> None:
     )
 
 
+def choose_text(browser: Browser, selector: str, text: str) -> None:
+    """Choose an entry of a select by what it says."""
+    browser.js(
+        "const [s, text] = arguments; s.value = [...s.options].find((o) => o.text === text).value;"
+        "s.dispatchEvent(new Event('change'))",
+        browser.find(selector),
+        text,
+    )
+
+
 @pytest.fixture(scope="module")
-def finished(stack: Stack) -> tuple[str, dict[str, Any]]:
-    """A token and a job that is trained and evaluated."""
+def pair(stack: Stack) -> tuple[str, list[dict[str, Any]]]:
+    """A token and a group of two jobs, of seeds 0 and 1, that are trained and evaluated."""
     token = stack.make_token("finisher", "submit")
     with stack.client(token) as client:
-        body = {
+        job = {
             "name": "first-steps",
             "tags": ["demo"],
             "spec": {**TINY, "total_steps": 2048, "checkpoint_interval_steps": 512, "n_envs": 8},
             "evaluation": {"episodes": 12, "trajectories": 8, "bootstrap_resamples": 100},
         }
-        job_id = client.post("/jobs", json=body).json()["id"]
-        return token, wait_for(client, job_id, "succeeded", "failed")
+        answer = client.post("/groups", json={"job": job, "seeds": [0, 1]})
+        assert answer.status_code == 201, answer.text
+        jobs = [wait_for(client, job["id"], "succeeded", "failed") for job in answer.json()["jobs"]]
+    for job in jobs:
+        assert job["state"] == "succeeded", job["error"]
+    return token, jobs
+
+
+@pytest.fixture(scope="module")
+def finished(pair: tuple[str, list[dict[str, Any]]]) -> tuple[str, dict[str, Any]]:
+    """A token and a job that is trained and evaluated."""
+    token, jobs = pair
+    return token, jobs[0]
 
 
 def test_sign_in_says_what_is_wrong_and_keeps_the_place(browser: Browser, client: httpx.Client, token: str) -> None:
@@ -144,10 +165,7 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     browser.find("[name='spec.total_steps']")
     for details in browser.all("details"):
         browser.js("arguments[0].open = true", details)
-    browser.js(
-        "const s = document.querySelector(\"[name='spec.task']\");"
-        "s.value = [...s.options].find((o) => o.text === 'sprint2').value; s.dispatchEvent(new Event('change'))"
-    )
+    choose_text(browser, "[name='spec.task']", "sprint2")
     for name, value in TINY.items():
         if name != "task":
             browser.set(f"[name='spec.{name}']", ", ".join(map(str, value)) if isinstance(value, list) else str(value))
@@ -227,27 +245,65 @@ def test_presets_fill_the_form_and_keep_what_was_chosen(browser: Browser, token:
 def test_several_seeds_make_a_group_to_compare(browser: Browser, token: str, client: httpx.Client) -> None:
     browser.sign_in(token)
     browser.open("/submit")
-    for name, value in TINY.items():
-        if name != "task":
-            browser.find("[name='spec.seed']")
-            browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
-            browser.set(f"[name='spec.{name}']", ", ".join(map(str, value)) if isinstance(value, list) else str(value))
-    browser.set("[name='spec.total_steps']", "256")
+    browser.find("[name='spec.seed']")
+    choose_text(browser, "[name='spec.simulator']", "rcssserver3d")  # which no worker of the tests has
     browser.set("[name='spec.seed']", "0-2")
     browser.js("document.querySelector('#judge').click()")
     button = browser.find("aside button[type=submit]")
     assert button.text == "Submit 3 jobs"
     button.click()
-    browser.find(".legend")
+    browser.shows("(3)", ".legend")
     jobs = client.get("/jobs").json()["items"]
     assert sorted(job["spec"]["seed"] for job in jobs) == [0, 1, 2]
     assert len({job["group_id"] for job in jobs}) == 1
     assert all(job["evaluation"] is None for job in jobs)
-    for job in jobs:
-        wait_for(client, job["id"], "succeeded")
-    browser.until(lambda: [e.text for e in browser.all("tbody .state")] == ["Succeeded"] * 3)
-    browser.shows("(3)", ".legend")
+    assert [e.text for e in browser.all("tbody .state")] == ["0 %"] * 3
+    # A job that changes changes here, too; what had the focus keeps it.
+    browser.find(f"a[href='#/jobs/{jobs[0]['id']}']").send_keys("")
+    client.post(f"/jobs/{jobs[0]['id']}/cancel")
+    browser.shows("Cancelled", f"tr[data-job={jobs[0]['id']}]")
+    assert browser.js("return document.activeElement.getAttribute('href')") == f"#/jobs/{jobs[0]['id']}"
+
+
+def test_a_comparison_lays_curves_and_evaluations_over_each_other(
+    browser: Browser, stack: Stack, pair: tuple[str, list[dict[str, Any]]]
+) -> None:
+    token, jobs = pair
+    with stack.client(token) as client:
+        summaries = [client.get(f"/jobs/{job['id']}/evaluations").json()[0]["summary"] for job in jobs]
+    means = [[line["all"]["mean"] for line in summary["speed_by_line"]] for summary in summaries]
+    intervals = [[line["all"]["ci"] for line in summary["speed_by_line"]] for summary in summaries]
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={','.join(job['id'] for job in jobs)}")
     browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no curve was drawn")
+    browser.find("[data-part=evaluations] button[data-value=all]").click()
+    band = "[data-part=evaluations] svg.figure path[opacity='0.16']"
+    browser.until(lambda: len(browser.all(band)) == 2, message="not one band for each job")
+
+    def numbers() -> list[list[str]]:
+        rows = browser.all("[data-part=evaluations] tbody tr")
+        return [[cell.text for cell in row.find_elements("css selector", "td")] for row in rows]
+
+    def shown(mean: float, half: float) -> str:
+        return f"{mean:.3f}\n± {half:.3f}".replace("-", "\N{MINUS SIGN}")
+
+    # Of one job: the mean of its episodes with its interval.
+    for job, (mean, interval) in enumerate(zip(means, intervals, strict=True)):
+        for line, cell in enumerate(numbers()[job]):
+            if mean[line] is None:
+                assert cell == "\N{EN DASH}"
+            elif interval[line] is not None:
+                low, high = interval[line]
+                assert cell == shown(mean[line], (high - low) / 2)
+    # Of a group: the mean of the jobs, with the deviation between them.
+    choose(browser, "select[aria-label='Group by']", "recipe")
+    browser.shows("(2)", ".legend")
+    browser.until(lambda: len(browser.all(band)) == 1, message="not one band for the group")
+    (row,) = numbers()
+    for line, (a, b) in enumerate(zip(*means, strict=True)):
+        if a is not None and b is not None:
+            assert row[line] == shown((a + b) / 2, abs(a - b) / 2**0.5)
+    browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no band was drawn")
 
 
 def test_pause_resume_and_cancel(browser: Browser, token: str, client: httpx.Client) -> None:
@@ -271,6 +327,54 @@ def test_pause_resume_and_cancel(browser: Browser, token: str, client: httpx.Cli
     browser.find("dialog button[value=yes]").click()
     browser.shows("No jobs yet")
     assert client.get(f"/jobs/{job_id}").status_code == 404
+
+
+def test_the_newest_checkpoint_of_a_running_job_can_be_watched(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    browser.allowed += ["GPU stall", "software WebGL"]
+    browser.sign_in(token)
+    job_id = submit(client, "still-running", steps=ENDLESS, checkpoint_interval_steps=2048)
+    browser.open(f"/jobs/{job_id}/replay")
+    record = "button[data-action=record]"
+    browser.shows("There is no checkpoint to watch yet")
+    assert not browser.find(record).is_enabled()
+    # The first checkpoint comes over the stream.
+    browser.until(lambda: browser.find(record).is_enabled(), timeout_s=240, message="no checkpoint came")
+    browser.find(record).click()
+    browser.find(".stage canvas", timeout_s=240)
+    (evaluation,) = client.get(f"/jobs/{job_id}/evaluations").json()
+    assert evaluation["state"] == "succeeded"
+    assert client.get(f"/jobs/{job_id}").json()["state"] == "running"
+    step = next(
+        checkpoint["step"]
+        for checkpoint in client.get(f"/jobs/{job_id}/checkpoints").json()
+        if checkpoint["id"] == evaluation["checkpoint_id"]
+    )
+    assert f"Step {step:,}" in browser.text("select[aria-label='Which recording']")
+    browser.until(lambda: not browser.text(".replay-time").startswith("0.00"), message="the replay does not run")
+    client.post(f"/jobs/{job_id}/cancel")
+    wait_for(client, job_id, "cancelled")
+
+
+def test_reading_goes_on_while_figures_come_in(browser: Browser, token: str, client: httpx.Client) -> None:
+    """Neither the focus nor what is open or scrolled to is lost when a job tells news."""
+    job_id = submit(client, "reader", steps=ENDLESS, checkpoint_interval_steps=2048, tags=("kept",))
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/checkpoints")
+    row = browser.find("tr[data-checkpoint]", timeout_s=240)
+    first = row.get_attribute("data-checkpoint")
+    row.find_element("css selector", "summary").click()
+    browser.js("document.querySelector('.page-head + * .tag, .tag').focus()")
+    count = len(browser.all("tr[data-checkpoint]"))
+    browser.until(lambda: len(browser.all("tr[data-checkpoint]")) > count, timeout_s=240, message="no checkpoint came")
+    opened = browser.find(f"tr[data-checkpoint={first}] details")
+    assert opened.get_attribute("open") is not None
+    assert browser.js("return document.activeElement.textContent") == "kept"
+    client.post(f"/jobs/{job_id}/cancel")
+    wait_for(client, job_id, "cancelled")
+    browser.shows("Cancelled", ".page-head")
+    assert browser.js("return document.activeElement.textContent") == "kept"
 
 
 def test_the_list_is_live_and_filters(browser: Browser, token: str, client: httpx.Client) -> None:
@@ -352,7 +456,6 @@ def test_checkpoints_download_as_they_were_stored(
     browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
 ) -> None:
     token, job = finished
-    assert job["state"] == "succeeded", job["error"]
     browser.driver.execute_cdp_cmd(
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(browser.downloads)}
     )
@@ -368,7 +471,7 @@ def test_checkpoints_download_as_they_were_stored(
         browser.until(lambda path=path, size=file["size"]: path.exists() and path.stat().st_size == size)
         assert hashlib.sha256(path.read_bytes()).hexdigest() == file["sha256"]
     row.find_element("xpath", ".//button[contains(., 'Download') and not(@aria-label)]").click()
-    tar = browser.downloads / f"first-steps-{newest['step']}.tar"
+    tar = browser.downloads / f"{job['name']}-{newest['step']}.tar"
     browser.until(lambda: tar.exists() and tar.stat().st_size > newest["size"])
 
 
@@ -376,7 +479,6 @@ def test_the_evaluation_shows_the_service_s_numbers(
     browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
 ) -> None:
     token, job = finished
-    assert job["state"] == "succeeded", job["error"]
     with stack.client(token) as client:
         evaluation = client.get(f"/jobs/{job['id']}/evaluations").json()[0]
     figures = evaluation["summary"]
@@ -402,7 +504,6 @@ def test_the_replay_plays_a_recorded_episode(
     browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
 ) -> None:
     token, job = finished
-    assert job["state"] == "succeeded", job["error"]
     with stack.client(token) as client:
         files = client.get(f"/jobs/{job['id']}/evaluations").json()[0]["files"]
         replay = client.get(next(file["url"] for file in files if file["name"] == "replay.json")).json()
@@ -423,6 +524,9 @@ def test_the_replay_plays_a_recorded_episode(
     last = replay["frames"] - 1
     first, end = moment(0), moment(last)
     assert len(first.getcolors(1 << 24) or []) > 200, "the canvas is blank"
+    # The start line's amber lies on the turf, whatever the renderer's depth is good for.
+    amber = sum(n for n, (r, g, b) in first.getcolors(1 << 24) or [] if r > 130 and 60 < g < r - 25 and b < 70)
+    assert amber > 500, f"the start line is not seen: {amber} pixels of its colour"
     assert ImageChops.difference(first, end).getbbox(), "the first frame looks like the last"
     assert not ImageChops.difference(first, moment(0)).getbbox(), "the same frame looks different"
     assert browser.text(".replay-time") == f"0.00 / {last * replay['dt_s']:.2f} s"
@@ -526,32 +630,29 @@ PAGES = (
     "job/replay",
     "job/spec",
     "compare",
+    "group",
+    "/compare?empty",
+    "/?state=failed",
+    "/nowhere",
 )
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1440, 360])
+@pytest.mark.parametrize(
+    ("width", "theme"), [(1440, "light"), (1440, "dark"), (768, "light"), (360, "light"), (360, "dark")]
+)
 def test_every_page_in_both_themes_and_widths(
     browser: Browser, finished: tuple[str, dict[str, Any]], pictures: Path, theme: str, width: int
 ) -> None:
     token, job = finished
     browser.allowed += ["GPU stall", "software WebGL"]
     browser.size(width, 900 if width > 600 else 740)
-    browser.open()
-    browser.theme(theme)
-    browser.picture(pictures / f"sign-in-{width}-{theme}.png")
-    browser.sign_in(token)
     axe = (pictures.__class__(__file__).parent / "vendor" / "axe-core-4.14.1" / "axe.min.js").read_text()
     serious: dict[str, list[str]] = {}
-    for page in PAGES:
-        place = {"compare": f"/compare?jobs={job['id']}"}.get(page, page.replace("job", f"/jobs/{job['id']}", 1))
-        browser.open(place if page != "/" else "/")
-        browser.find("h1")
-        browser.until(lambda: not browser.all(".loading"), message=f"{page} never finished loading")
-        assert not browser.all(".sign-in, .empty[role=alert]"), f"{page} shows no content"
-        overflow = browser.js("return document.documentElement.scrollWidth - innerWidth")
+
+    def look(page: str) -> None:
+        overflow = browser.js("return document.documentElement.scrollWidth") - width
         assert overflow <= 0, f"{page} is {overflow} px wider than the view of {width} px"
-        name = page.strip("/").replace("/", "-") or "jobs"
+        name = re.sub(r"[^a-z]+", "-", page).strip("-") or "jobs"
         browser.picture(pictures / f"{name}-{width}-{theme}.png")
         browser.js(axe)
         result = browser.module("return await axe.run(document, { resultTypes: ['violations'] })")
@@ -562,6 +663,22 @@ def test_every_page_in_both_themes_and_widths(
         ]
         if found:
             serious[page] = found
+
+    browser.open()
+    browser.theme(theme)
+    browser.find("#token")
+    look("sign-in")
+    browser.sign_in(token)
+    for page in PAGES:
+        place = {
+            "compare": f"/compare?jobs={job['id']}",
+            "group": f"/compare?group={job['group_id']}",
+        }.get(page, page.replace("job", f"/jobs/{job['id']}", 1))
+        browser.open(place)
+        browser.find("h1")
+        browser.until(lambda: not browser.all(".loading"), message=f"{page} never finished loading")
+        assert not browser.all(".sign-in, .empty[role=alert]"), f"{page} shows no content"
+        look(page)
     assert serious == {}
 
 
@@ -570,14 +687,15 @@ def test_the_first_view_is_small_and_safe(browser: Browser, stack: Stack, token:
     policy = page.headers["Content-Security-Policy"]
     assert "default-src 'self'" in policy
     assert "unsafe" not in policy
+    browser.driver.execute_cdp_cmd("Network.clearBrowserCache", {})
+    browser.received()
     browser.sign_in(token)
     browser.shows("No jobs yet")
-    urls = {url for url in browser.requests() if url.startswith(f"{stack.url}/") and "/ui/favicon.svg" not in url}
-    static = [url.split("#")[0] for url in urls if "/ui/" in url or url.split("#")[0] == f"{stack.url}/"]
+    sent = browser.received()
+    static = {url: size for url, size in sent.items() if "/ui/" in url or url == f"{stack.url}/"}
     assert len(static) > 8
     assert not [url for url in static if "three" in url]
-    size = 0
-    for url in static:
-        body = client.get(url).content
-        size += len(body) if url.endswith(".woff2") else len(gzip.compress(body, 6))
-    assert size < 300_000, f"the first view takes {size} bytes"
+    size = sum(static.values())
+    print(f"the first view takes {size:,} bytes in {len(static)} answers")  # noqa: T201
+    assert size > 50_000, "the browser had it already"
+    assert size < 300_000, f"the first view takes {size} bytes: {static}"

@@ -29,6 +29,68 @@ export function smooth(values, weight) {
   return out;
 }
 
+/**
+ * Leave out points that no screen shows: of each of `width` runs of points between `from` and `to` only the lowest and highest of every series stay.
+ * Outside of that range fewer runs do. The first and the last point always stay. Short columns come back as they are.
+ */
+export function thin(columns, from, to, width) {
+  const x = columns[0], n = x.length, lines = columns.slice(1);
+  if (n <= 4 * width || lines.length > 4) return columns;
+  const at = (value) => {
+    let low = 0, high = n;
+    while (low < high) { const mid = (low + high) >> 1; if (x[mid] < value) low = mid + 1; else high = mid; }
+    return low;
+  };
+  const a = Math.max(0, at(from) - 1), b = Math.min(n, at(to) + 1), kept = [0];
+  const keep = (i) => { if (i > kept.at(-1)) kept.push(i); };
+  const section = (begin, end, runs) => {
+    const size = (end - begin) / runs;
+    if (size <= 4) { for (let i = begin; i < end; i++) keep(i); return; }
+    for (let k = 0; k < runs; k++) {
+      const low = begin + Math.floor(k * size), high = begin + Math.floor((k + 1) * size), picks = [low];
+      for (const line of lines) {
+        let least = -1, most = -1;
+        for (let i = low; i < high; i++) {
+          const v = line[i];
+          if (v === null || v === undefined) continue;
+          if (least < 0 || v < line[least]) least = i;
+          if (most < 0 || v > line[most]) most = i;
+        }
+        if (least >= 0) picks.push(least, most);
+      }
+      picks.sort((i, j) => i - j).forEach(keep);
+    }
+  };
+  const rough = Math.ceil(width / 8);
+  section(0, a, rough);
+  section(a, b, width);
+  section(b, n, rough);
+  keep(n - 1);
+  return columns.map((column) => kept.map((i) => column[i]));
+}
+
+/** Milliseconds of one frame that charts may take; those that do not fit are drawn in the next one. */
+const BUDGET_MS = 8;
+const waiting = new Set();
+const linked = new Map();
+let frame = 0;
+
+function schedule(chart) {
+  waiting.add(chart);
+  frame ||= requestAnimationFrame(work);
+}
+
+function work() {
+  frame = 0;
+  const end = performance.now() + BUDGET_MS;
+  for (const chart of waiting) {
+    waiting.delete(chart);
+    chart.draw();
+    if (performance.now() > end) break;
+  }
+  if (waiting.size) frame = requestAnimationFrame(work);
+}
+
 const FONT = () => `11px ${getComputedStyle(document.body).fontFamily}`;
 
 /**
@@ -47,32 +109,55 @@ export class Chart {
     this.element = h("section", { class: "card chart", "data-chart": options.key ?? options.title },
       h("div", { class: "head" }, h("h3", null, options.title, options.unit ? h("span", { class: "unit" }, options.unit) : null),
         options.lines ? h("span", { class: "legend" }, options.lines.map(([, label, token]) => h("span", null, h("i", { style: { background: `var(${token})` } }), label))) : null, this.at, this.now), this.plot);
-    this.data = null;
+    this.source = null;
+    this.data = null; // all columns
+    this.shown = null; // what is left of them for the width and zoom
+    this.span = null; // [from, to] of x while zoomed
     this.u = null;
-    this.pending = 0;
+    this.visible = true;
     this.resize = new ResizeObserver(() => this.#fit());
     this.resize.observe(this.plot);
+    this.sight = new IntersectionObserver(([entry]) => { this.visible = entry.isIntersecting; if (this.visible && this.late) schedule(this); }, { rootMargin: "200px" });
+    this.sight.observe(this.plot);
+    const key = options.sync ?? this;
+    linked.set(key, (linked.get(key) ?? new Set()).add(this));
+    this.links = linked.get(key);
+    this.unlink = () => { this.links.delete(this); if (!this.links.size) linked.delete(key); };
     this.stopTheme = onTheme(() => this.u?.redraw(false, true));
   }
 
-  /** Show columns: x first, then one per series. Drawn at most once per frame. */
+  /** Show columns: x first, then one per series; or a function that returns them, called when there is time to draw. */
   setData(columns) {
-    this.data = columns;
-    if (!this.pending) this.pending = requestAnimationFrame(() => { this.pending = 0; this.#draw(); });
+    this.source = typeof columns === "function" ? columns : () => columns;
+    schedule(this);
+  }
+
+  /** Show a part of x only, [from, to], or all of it, in every linked chart; this one is drawn first. */
+  zoom(span) {
+    for (const chart of [this, ...this.links]) {
+      chart.span = span;
+      chart.u?.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+      schedule(chart);
+    }
   }
 
   destroy() {
-    cancelAnimationFrame(this.pending);
+    waiting.delete(this);
+    this.unlink();
     this.resize.disconnect();
+    this.sight.disconnect();
     this.stopTheme();
     this.u?.destroy();
     this.u = null;
   }
 
   #fit() {
-    if (!this.u) { if (this.data) this.#draw(); return; }
+    if (!this.u) { if (this.source) schedule(this); return; }
     const [width, height] = this.#size();
-    if (width > 0 && (width !== this.u.width || height !== this.u.height)) this.u.setSize({ width, height });
+    if (width > 0 && (width !== this.u.width || height !== this.u.height)) {
+      this.u.setSize({ width, height });
+      schedule(this); // another width shows other points
+    }
   }
 
   #size() {
@@ -81,9 +166,12 @@ export class Chart {
       Math.floor(this.plot.clientHeight - parseFloat(style.paddingTop) - parseFloat(style.paddingBottom))];
   }
 
-  #draw() {
-    const columns = this.data;
-    const any = columns && columns[0].length > 0 && columns.slice(1).some((c) => c.some((v) => v !== null && v !== undefined));
+  /** Draw what was set last; out of sight it waits, once there is something to see. */
+  draw() {
+    this.late = Boolean(this.u) && !this.visible;
+    if (this.late || !this.source) return;
+    const columns = (this.data = this.source());
+    const any = columns[0].length > 0 && columns.slice(1).some((c) => c.some((v) => v !== null && v !== undefined));
     this.none.hidden = any;
     if (!any) {
       this.u?.destroy();
@@ -94,34 +182,39 @@ export class Chart {
     if (!this.u) {
       const [width, height] = this.#size();
       if (width <= 0 || height <= 0) return;
-      this.u = new uPlot(this.#config(width, height), columns, this.plot);
+      this.shown = thin(columns, columns[0][0], columns[0].at(-1), width);
+      this.u = new uPlot(this.#config(width, height), this.shown, this.plot);
+      if (this.span) schedule(this);
     } else {
-      const { min, max } = this.u.scales.x;
-      const zoomed = this.zoomed && min !== null;
-      this.u.setData(columns, !zoomed);
-      if (zoomed) this.u.setScale("x", { min, max });
+      const [min, max] = this.span ?? [columns[0][0], columns[0].at(-1)];
+      this.shown = thin(columns, min, max, this.u.width);
+      // In one batch, drawn before it returns: else it is drawn twice, and unseen by the frame's budget.
+      this.u.batch(() => {
+        this.u.setData(this.shown, !this.span);
+        if (this.span) this.u.setScale("x", { min, max });
+      });
     }
     this.#readout(null);
-    const last = this.#last();
+    const last = this.#last(columns);
     this.plot.setAttribute("aria-label", `${this.options.title}: ${columns[0].length} points` + (last ? `, latest ${this.options.format(last.value)} ${this.options.unit ?? ""} at ${this.options.xFormat(last.x)}` : ""));
   }
 
-  #last(index) {
-    const main = this.options.series.length;
-    const columns = this.data;
-    const column = columns[this.options.mainSeries ?? main];
+  /** The main series' value at a place, or the last one before it. */
+  #last(columns, index) {
+    const column = columns[this.options.mainSeries ?? this.options.series.length];
     for (let i = index ?? column.length - 1; i >= 0; i--) {
       if (column[i] !== null && column[i] !== undefined) return { x: columns[0][i], value: column[i] };
-      if (index !== undefined && index !== null && index - i > 50) break;
+      if (index !== undefined && index - i > 50) break;
     }
     return null;
   }
 
   #readout(index) {
     if (this.options.readout === false) return;
-    const at = this.#last(index ?? undefined);
+    const pointed = index !== null && index !== undefined;
+    const at = pointed ? this.#last(this.shown, index) : this.#last(this.data);
     setText(this.now, at ? this.options.format(at.value) : "");
-    setText(this.at, at && index !== null && index !== undefined ? this.options.xFormat(at.x) : "");
+    setText(this.at, at && pointed ? this.options.xFormat(at.x) : "");
   }
 
   #range(u, low, high) {
@@ -138,12 +231,14 @@ export class Chart {
     const axis = { stroke: () => color("--axis"), font: FONT(), grid: { stroke: () => color("--grid"), width: 1 }, ticks: { show: false }, gap: 6 };
     return {
       width, height, padding: [10, 8, 0, 0], legend: { show: false },
-      cursor: { y: false, points: { size: 7, width: 2, stroke: (u, i) => color(o.series[i - 1].token), fill: () => color("--surface") }, drag: { x: true, y: false, setScale: true },
-        ...(o.sync ? { sync: { key: o.sync, scales: ["x", null] } } : {}) },
+      cursor: { y: false, points: { size: 7, width: 2, stroke: (u, i) => color(o.series[i - 1].token), fill: () => color("--surface") }, drag: { x: true, y: false, setScale: false },
+        // Pointers are linked by uPlot; zooms are ours, so that not all charts are drawn in one frame.
+        bind: { dblclick: () => () => this.zoom(null) },
+        ...(o.sync ? { sync: { key: o.sync, scales: ["x", null], filters: { pub: (type) => type === "mousemove" || type === "mouseleave", sub: () => true } } } : {}) },
       scales: { x: { time: false }, y: { range: (u, a, b) => this.#range(u, a, b) } },
       axes: [
         { ...axis, size: 26, values: (u, ticks) => ticks.map((v) => o.xFormat(v)) },
-        { ...axis, size: o.axisSize ?? 46, space: 34, values: (u, ticks) => ticks.map((v) => (o.axisFormat ?? compact)(v)) },
+        { ...axis, size: (u, labels) => Math.max(46, 16 + 6.3 * Math.max(0, ...(labels ?? []).map((t) => t.length))), space: 34, values: (u, ticks) => ticks.map((v) => (o.axisFormat ?? compact)(v)) },
       ],
       series: [{}, ...o.series.map((line) => ({
         label: line.label, spanGaps: true, width: line.width ?? (line.raw ? 1 : 1.75), dash: line.dash, points: { show: false },
@@ -152,7 +247,10 @@ export class Chart {
       bands: o.bands.map((band) => ({ series: band.series, fill: () => faded(band.token, 0.15) })),
       hooks: {
         setCursor: [(u) => this.#readout(u.cursor.idx)],
-        setScale: [(u, key) => { if (key === "x") this.zoomed = u.data[0].length > 1 && (u.scales.x.min > u.data[0][0] || u.scales.x.max < u.data[0].at(-1)); }],
+        setSelect: [(u) => {
+          const { left, width: wide } = u.select;
+          if (wide >= 4) this.zoom([u.posToVal(left, "x"), u.posToVal(left + wide, "x")]);
+        }],
         drawClear: [(u) => this.#drawRefs(u)],
       },
     };

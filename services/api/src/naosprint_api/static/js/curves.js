@@ -5,7 +5,7 @@ import { compact, duration, fixed, integer, percent, significant } from "./forma
 /** Speeds that others have reached with this robot, m/s. */
 export const SPEED_REFS = [{ y: 2.6, label: "2.60 earlier best" }, { y: 3.91, label: "3.91 paper" }];
 
-/** key, title, unit, value scale and format of each curve; `group` says where the job page shows it. */
+/** key, title (`single` where only the first of its lines is drawn), unit, value scale and format of each curve; `group` says where the job page shows it. */
 export const CURVES = [
   { key: "speed_mps", group: "running", title: "Speed", unit: "m/s", min: 0, max: 4.2, refs: SPEED_REFS, format: (v) => fixed(v, 2), token: "--s1" },
   { key: "distance_m", group: "running", title: "Distance", unit: "m", min: 0, max: 29, format: (v) => fixed(v, 2), token: "--s3" },
@@ -18,7 +18,7 @@ export const CURVES = [
   { key: "entropy", group: "learning", title: "Entropy", format: (v) => fixed(v, 2), token: "--s1" },
   { key: "explained_variance", group: "learning", title: "Explained variance", max: 1, format: (v) => fixed(v, 3), axisFormat: (v) => significant(v, 2), token: "--s1" },
   { key: "steps_per_s", group: "pace", title: "Steps per second", min: 0, format: integer, token: "--s7" },
-  { key: "collect_s", group: "pace", title: "Update time", unit: "s", min: 0, lines: [["collect_s", "collect", "--s7"], ["learn_s", "learn", "--s2"]], format: (v) => fixed(v, 2), token: "--s7" },
+  { key: "collect_s", group: "pace", title: "Update time", single: "Collect time per update", unit: "s", min: 0, lines: [["collect_s", "collect", "--s7"], ["learn_s", "learn", "--s2"]], format: (v) => fixed(v, 2), token: "--s7" },
   { key: "episode_length", group: "pace", title: "Episode length", unit: "steps", min: 0, format: (v) => fixed(v, 0), token: "--s7" },
 ];
 

@@ -36,10 +36,17 @@ export function s(tag, props, ...kids) {
   return append(node, kids);
 }
 
-/** Replace what is in `node`. */
+/** What tells one control from its neighbours when a part of the page is built anew. */
+const identity = (el) => [el.tagName, el.id, el.getAttribute("name"), el.getAttribute("href"), el.dataset.action, el.getAttribute("aria-label"), el.getAttribute("aria-label") ? null : el.textContent].join("|");
+
+/** Replace what is in `node`; the focus moves to the control that takes the place of the focused one. */
 export function fill(node, ...kids) {
+  const held = document.activeElement;
+  const key = held && held !== node && held !== document.body && node.contains(held) ? identity(held) : null;
   node.replaceChildren();
-  return append(node, kids);
+  append(node, kids);
+  if (key !== null) [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key)?.focus({ preventScroll: true });
+  return node;
 }
 
 /** Set text only when it differs, so that live updates cause no needless layout. */

@@ -9,6 +9,24 @@ export function figuresOf(summary) {
   return { speed: summary.speed_mps?.mean, top: summary.paper?.top_speed_mps, distance: summary.distance_m?.mean, falls: summary.falls?.rate };
 }
 
+/** Return mean speed and interval by start line, `key` being "paper" or "all"; lines without a figure are left out. */
+export function profile(summary, key) {
+  return summary.speed_by_line.filter((e) => e[key].mean !== null).map((e) => ({ line: e.line_m, mean: e[key].mean, low: e[key].ci?.[0] ?? e[key].mean, high: e[key].ci?.[1] ?? e[key].mean }));
+}
+
+/** Mean of several profiles, its band one standard deviation between them, at lines that at least half of them have; one alone stays as it is. */
+export function meanProfile(profiles) {
+  if (profiles.length === 1) return profiles[0];
+  const lines = [...new Set(profiles.flatMap((rows) => rows.map((r) => r.line)))].sort((a, b) => a - b);
+  return lines.flatMap((line) => {
+    const means = profiles.flatMap((rows) => rows.filter((r) => r.line === line).map((r) => r.mean));
+    if (means.length * 2 < profiles.length) return [];
+    const mean = means.reduce((a, b) => a + b, 0) / means.length;
+    const sd = means.length > 1 ? Math.sqrt(means.reduce((a, b) => a + (b - mean) ** 2, 0) / (means.length - 1)) : 0;
+    return [{ line, mean, low: mean - sd, high: mean + sd }];
+  });
+}
+
 /** Force in newtons from which a foot counts as on the ground; the league's run challenge uses the same. */
 export const CONTACT_N = 0.01;
 

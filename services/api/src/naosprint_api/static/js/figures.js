@@ -50,7 +50,7 @@ function axes({ width, height, x: [x0, x1], y: [y0, y1], xLabel, yLabel, xTicks,
 /**
  * Mean speed by start line, each series with its confidence band.
  *
- * @param {{token: string, label: string, rows: {line: number, mean: number, low: number, high: number}[], dashed?: boolean}[]} series
+ * @param {{token: string, label: string, rows: {line: number, mean: number, low: number, high: number}[], dash?: string}[]} series
  * @param {{y: number, label: string}[]} refs
  */
 export function speedByLine(width, series, refs) {
@@ -62,7 +62,7 @@ export function speedByLine(width, series, refs) {
     refs.map((r) => [s("line", { class: "ref", x1: a.left, x2: width - a.right, y1: a.sy(r.y), y2: a.sy(r.y) }), s("text", { class: "ref-text", x: a.left + 4, y: a.sy(r.y) - 4 }, r.label)]),
     series.map((x) => [
       s("path", { d: `${path(x.rows.map((r) => [a.sx(r.line), a.sy(r.high)]))}${path(x.rows.toReversed().map((r) => [a.sx(r.line), a.sy(r.low)])).replace("M", "L")}Z`, fill: `var(${x.token})`, opacity: 0.16 }),
-      s("path", { d: path(x.rows.map((r) => [a.sx(r.line), a.sy(r.mean)])), fill: "none", stroke: `var(${x.token})`, "stroke-width": 1.75, "stroke-dasharray": x.dashed ? "5 4" : null }),
+      s("path", { d: path(x.rows.map((r) => [a.sx(r.line), a.sy(r.mean)])), fill: "none", stroke: `var(${x.token})`, "stroke-width": 1.75, "stroke-dasharray": x.dash ?? null }),
       x.rows.map((r) => s("circle", { cx: a.sx(r.line), cy: a.sy(r.mean), r: 3.2, fill: "var(--surface)", stroke: `var(${x.token})`, "stroke-width": 1.75 }, s("title", null, `${x.label}, from ${r.line} m: ${fixed(r.mean, 3)} m/s, interval ${fixed(r.low, 3)} to ${fixed(r.high, 3)}`))),
     ]));
 }

@@ -3,8 +3,10 @@
 import * as T from "../vendor/three-0.187.0/three.min.js";
 import { color, onTheme } from "./theme.js";
 
-const FIELD = { length: 30, width: 20, circle: 2, boxLength: 1.8, boxWidth: 6, goalWidth: 2.1, goalHeight: 0.8 };
-const METRES_PER_NEWTON = 0.0025;
+const FIELD = { length: 30, width: 20, circle: 2, boxLength: 1.8, boxWidth: 6, goalWidth: 2.1, goalHeight: 0.8, goalDepth: 0.6 };
+const LINE = 0.05; // width of the chalk, metres
+const METRES_PER_NEWTON = 0.0018;
+const CONTACT_N = 0.01;
 
 /** One recorded episode: what `replay.json` holds, unpacked. */
 export class Recording {
@@ -20,6 +22,7 @@ export class Recording {
     this.positions = Float32Array.from(document.position_m.flat());
     this.rotations = Float32Array.from(document.rotation_wxyz.flat());
     this.forces = document.foot_force_n;
+    this.head = bodies.findIndex((b) => b.name === "head");
     this.feet = [bodies.findIndex((b) => /^l.*foot/i.test(b.name)), bodies.findIndex((b) => /^r.*foot/i.test(b.name))];
   }
 
@@ -31,6 +34,30 @@ export class Recording {
     return [this.positions[at], this.positions[at + 1], this.positions[at + 2]];
   }
 
+  /** Pose of a body at a frame: position and quaternion x, y, z, w. */
+  pose(frame, body) {
+    const p = (frame * this.bodies.length + body) * 3, q = (frame * this.bodies.length + body) * 4, r = this.rotations;
+    return { position: this.positions.subarray(p, p + 3), rotation: [r[q + 1], r[q + 2], r[q + 3], r[q]] };
+  }
+
+  /** Frames at which a foot touches down: 0 left, 1 right. */
+  touchdowns(foot) {
+    const out = [];
+    for (let t = 1; t < this.frames; t++) if (Math.abs(this.forces[t][foot]) >= CONTACT_N && Math.abs(this.forces[t - 1][foot]) < CONTACT_N) out.push(t);
+    return out;
+  }
+
+  /** Where the robot runs at a frame without the sway of its steps: the mean of the torso's x and y over 0.8 s. */
+  course() {
+    const half = Math.round(0.4 / this.dt), n = this.frames, out = new Float32Array(2 * n), sums = new Float64Array(2 * (n + 1));
+    for (let t = 0; t < n; t++) { const [x, y] = this.torso(t); sums[2 * t + 2] = sums[2 * t] + x; sums[2 * t + 3] = sums[2 * t + 1] + y; }
+    for (let t = 0; t < n; t++) {
+      const k = Math.min(half, t, n - 1 - t), a = t - k, b = t + k + 1;
+      for (const c of [0, 1]) out[2 * t + c] = (sums[2 * b + c] - sums[2 * a + c]) / (b - a);
+    }
+    return out;
+  }
+
   /** Forward speed in m/s over a quarter of a second around a frame. */
   speed(frame) {
     const half = Math.round(0.125 / this.dt), a = Math.max(0, frame - half), b = Math.min(this.frames - 1, frame + half);
@@ -38,142 +65,292 @@ export class Recording {
   }
 }
 
-/** Cameras relative to the torso, metres: where from and what is looked at. */
+/** Cameras relative to the robot's course, metres: where from and what is looked at. "field" stands still beside the field. */
 const CAMERAS = {
-  follow: [[-1.15, -1.3, 0.55], [0.12, 0, -0.1]],
-  side: [[0, -1.75, 0.12], [0, 0, -0.08]],
-  front: [[1.7, -0.45, 0.3], [0, 0, -0.06]],
+  follow: [[-0.9, -1.02, 0.4], [0.12, 0, -0.07]],
+  side: [[0.05, -1.4, 0.05], [0.05, 0, -0.08]],
+  front: [[1.3, -0.5, 0.18], [0, 0, -0.07]],
 };
+const FIELD_VIEW = [0, -0.76, 0.65]; // direction from the middle of the field to the camera that shows all of it
+const FOG = { near: [14, 46], field: [60, 130] };
+
+/** A canvas to draw a texture on. */
+function sketch(width, height, draw) {
+  const canvas = document.createElement("canvas");
+  canvas.width = width;
+  canvas.height = height;
+  draw(canvas.getContext("2d"), width, height);
+  const texture = new T.CanvasTexture(canvas);
+  texture.colorSpace = T.SRGBColorSpace;
+  texture.anisotropy = 8;
+  return texture;
+}
+
+/** Grass in shades of grey, to be tinted: two mown strips of a metre and the same grain at every visit. */
+const grass = () => sketch(512, 256, (c, w, h) => {
+  let state = 7;
+  const random = () => (state = (Math.imul(state, 1664525) + 1013904223) >>> 0) / 2 ** 32;
+  const picture = c.createImageData(w, h);
+  for (let i = 0; i < w * h; i++) {
+    const strip = i % w < w / 2 ? 0 : 13, value = 236 - strip + (random() - 0.5) * 8;
+    picture.data.set([value, value, value, 255], 4 * i);
+  }
+  c.putImageData(picture, 0, 0);
+});
+
+const checks = () => sketch(16, 128, (c, w, h) => {
+  for (let i = 0; i < 2; i++) for (let k = 0; k < 16; k++) { c.fillStyle = (i + k) % 2 ? "#16191d" : "#ffffff"; c.fillRect((i * w) / 2, (k * h) / 16, w / 2, h / 16); }
+});
+
+const lettering = (text) => sketch(256, 128, (c, w, h) => {
+  c.font = `600 92px ${getComputedStyle(document.body).fontFamily}`;
+  c.textAlign = "center";
+  c.textBaseline = "middle";
+  c.fillStyle = "#ffffff";
+  c.fillText(text, w / 2, h / 2 + 4);
+});
 
 export class Stage {
-  /** @param {HTMLElement} host @param {Recording} recording */
+  /** @param {HTMLElement} host @param {Recording} recording @param {number|null} finish the finish line's x in metres */
   constructor(host, recording, finish) {
     this.host = host;
     this.recording = recording;
     this.finish = finish;
+    this.course = recording.course();
     this.renderer = new T.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = T.PCFShadowMap;
+    this.renderer.toneMapping = T.NeutralToneMapping;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
     host.append(this.renderer.domElement);
     this.scene = new T.Scene();
-    this.scene.fog = new T.Fog(0, 9, 30);
-    this.camera = new T.PerspectiveCamera(38, 1, 0.05, 120);
+    this.scene.fog = new T.Fog(0, ...FOG.near);
+    this.camera = new T.PerspectiveCamera(36, 1, 0.1, 160);
     this.camera.up.set(0, 0, 1);
     this.controls = new T.OrbitControls(this.camera, this.renderer.domElement);
     this.controls.maxPolarAngle = Math.PI * 0.495;
     this.controls.minDistance = 0.5;
-    this.controls.maxDistance = 30;
+    this.controls.maxDistance = 70;
     this.controls.addEventListener("change", () => this.render());
     this.following = true;
     this.showForces = true;
-    this.#lights();
+    this.#sky();
     this.#ground();
+    this.#course();
     this.#robot();
     this.#paint();
     this.stopTheme = onTheme(() => { this.#paint(); this.render(); });
     this.observer = new ResizeObserver(() => this.#fit());
     this.observer.observe(host);
-    this.last = new T.Vector3(...recording.torso(0));
+    this.last = this.#anchor(0);
     this.aim("follow");
     this.#fit();
     this.show(0);
   }
 
-  #lights() {
-    this.sky = new T.HemisphereLight(0xffffff, 0x667066, 1.6);
-    this.sun = new T.DirectionalLight(0xffffff, 2.2);
+  #sky() {
+    this.light = new T.HemisphereLight(0xffffff, 0xffffff, 1);
+    this.sun = new T.DirectionalLight(0xffffff, 1);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(this.sun.shadow.camera, { left: -1.2, right: 1.2, top: 1.2, bottom: -1.2, near: 0.5, far: 8 });
-    this.sun.shadow.bias = -0.0006;
-    this.scene.add(this.sky, this.sun, this.sun.target);
+    Object.assign(this.sun.shadow.camera, { left: -0.9, right: 0.9, top: 0.9, bottom: -0.9, near: 0.5, far: 8 });
+    this.sun.shadow.bias = -0.0004;
+    this.sun.shadow.normalBias = 0.004;
+    this.sun.shadow.radius = 3;
+    const geometry = new T.SphereGeometry(90, 32, 32).rotateX(Math.PI / 2);
+    geometry.setAttribute("color", new T.Float32BufferAttribute(new Float32Array(geometry.attributes.position.count * 3), 3));
+    this.dome = new T.Mesh(geometry, new T.MeshBasicMaterial({ vertexColors: true, side: T.BackSide, fog: false, depthWrite: false }));
+    this.dome.renderOrder = -2;
+    this.scene.add(this.light, this.sun, this.sun.target, this.dome);
+  }
+
+  /** Put a flat rectangle on the ground; later layers lie over earlier ones. */
+  #strip(x, y, length, width, material, layer = 1) {
+    const mesh = new T.Mesh(new T.PlaneGeometry(length, width), material);
+    mesh.position.set(x, y, 0.0006 * layer);
+    mesh.renderOrder = layer;
+    this.scene.add(mesh);
+    return mesh;
+  }
+
+  /** A material of what is painted on the ground; without depth of its own, so that nothing flickers far away. */
+  #painted(options = {}) {
+    return new T.MeshBasicMaterial({ transparent: true, depthWrite: false, ...options });
   }
 
   #ground() {
-    this.turf = new T.Mesh(new T.PlaneGeometry(110, 90), new T.MeshStandardMaterial({ roughness: 1 }));
+    const { length, width } = FIELD, size = [140, 120], texture = grass();
+    texture.wrapS = texture.wrapT = T.RepeatWrapping;
+    texture.repeat.set(size[0] / 2, size[1] / 1);
+    // Drawn first and without depth: what is painted on a plane of this size would win and lose against it by rounding.
+    this.turf = new T.Mesh(new T.PlaneGeometry(...size), new T.MeshStandardMaterial({ roughness: 1, map: texture, depthWrite: false }));
+    this.turf.renderOrder = -1;
     this.turf.receiveShadow = true;
-    this.chalk = new T.MeshBasicMaterial();
-    this.gate = new T.MeshBasicMaterial({ transparent: true, opacity: 0.85 });
-    this.faint = new T.LineBasicMaterial({ transparent: true, opacity: 0.55 });
-    this.posts = [];
-    const strip = (x, y, length, width, material = this.chalk, z = 0.001) => {
-      const mesh = new T.Mesh(new T.PlaneGeometry(length, width), material);
-      mesh.position.set(x, y, z);
-      this.scene.add(mesh);
-    };
-    const w = 0.05, { length, width } = FIELD;
-    strip(0, width / 2, length, w); strip(0, -width / 2, length, w); strip(-length / 2, 0, w, width); strip(length / 2, 0, w, width); strip(0, 0, w, width);
+    this.scene.add(this.turf);
+    this.chalk = this.#painted();
+    const strip = (...place) => this.#strip(...place, this.chalk);
+    strip(0, width / 2, length + LINE, LINE);
+    strip(0, -width / 2, length + LINE, LINE);
+    strip(-length / 2, 0, LINE, width - LINE);
+    strip(length / 2, 0, LINE, width - LINE);
+    strip(0, 0, LINE, width - LINE);
+    const circle = new T.Mesh(new T.RingGeometry(FIELD.circle - LINE / 2, FIELD.circle + LINE / 2, 96), this.chalk);
+    circle.position.z = 0.0006;
+    this.scene.add(circle);
     for (const side of [-1, 1]) {
       const edge = (side * length) / 2, inner = edge - side * FIELD.boxLength;
-      strip(inner, 0, w, FIELD.boxWidth); strip((edge + inner) / 2, FIELD.boxWidth / 2, FIELD.boxLength, w); strip((edge + inner) / 2, -FIELD.boxWidth / 2, FIELD.boxLength, w);
-      for (const y of [-1, 1]) {
-        const post = new T.Mesh(new T.CapsuleGeometry(0.03, FIELD.goalHeight, 2, 8), this.chalk);
-        post.rotation.x = Math.PI / 2;
-        post.position.set(edge, (y * FIELD.goalWidth) / 2, FIELD.goalHeight / 2);
-        this.scene.add(post);
-        this.posts.push(post);
-      }
+      strip(inner, 0, LINE, FIELD.boxWidth + LINE);
+      for (const y of [-1, 1]) strip((edge + inner) / 2, (y * FIELD.boxWidth) / 2, FIELD.boxLength - LINE, LINE);
     }
-    const circle = [], metres = [];
-    for (let i = 0; i < 64; i++) circle.push(Math.cos((i / 32) * Math.PI) * FIELD.circle, Math.sin((i / 32) * Math.PI) * FIELD.circle, 0.002);
-    // A line across each metre makes the speed visible.
-    for (let x = -14; x <= 14; x++) metres.push(x, -1.5, 0.002, x, 1.5, 0.002);
-    const lines = (Kind, points, material) => this.scene.add(new Kind(new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)), material));
-    this.ring = new T.LineBasicMaterial();
-    lines(T.LineLoop, circle, this.ring);
-    lines(T.LineSegments, metres, this.faint);
-    const start = this.recording.torso(0)[0];
-    strip(start, 0, 0.06, 4, this.gate, 0.003);
-    if (this.finish !== null) strip(this.finish, 0, 0.06, 4, this.gate, 0.003);
-    const path = [];
-    for (let i = 0; i < this.recording.frames; i++) { const p = this.recording.torso(i); path.push(p[0], p[1], 0.006); }
-    this.trail = new T.LineBasicMaterial();
-    lines(T.Line, path, this.trail);
-    this.scene.add(this.turf);
+    this.frame = new T.MeshStandardMaterial({ roughness: 0.4 });
+    this.net = new T.LineBasicMaterial({ transparent: true, opacity: 0.4 });
+    this.goals = [-1, 1].map((side) => this.#goal(side));
   }
 
+  #goal(side) {
+    const { goalWidth: w, goalHeight: h, goalDepth: d } = FIELD, r = 0.03, goal = new T.Group();
+    const bar = (length, x, y, z, turn) => {
+      const mesh = new T.Mesh(new T.CylinderGeometry(r, r, length, 16), this.frame);
+      mesh.position.set(x, y, z);
+      if (turn) mesh.rotation.x = Math.PI / 2;
+      goal.add(mesh);
+    };
+    for (const y of [-1, 1]) bar(h, 0, (y * w) / 2, h / 2, true);
+    bar(w + 2 * r, 0, 0, h, false);
+    const points = [], mesh = 0.12, columns = Math.round(w / mesh), rows = Math.round(h / mesh), deep = Math.round(d / mesh);
+    const y = (i) => -w / 2 + (w * i) / columns, z = (i) => (h * i) / rows, x = (i) => (d * i) / deep;
+    for (let i = 0; i <= columns; i++) points.push(d, y(i), 0, d, y(i), h, 0, y(i), h, d, y(i), h);
+    for (let i = 0; i <= rows; i++) points.push(d, -w / 2, z(i), d, w / 2, z(i), 0, -w / 2, z(i), d, -w / 2, z(i), 0, w / 2, z(i), d, w / 2, z(i));
+    for (let i = 0; i <= deep; i++) points.push(x(i), -w / 2, 0, x(i), -w / 2, h, x(i), w / 2, 0, x(i), w / 2, h, x(i), -w / 2, h, x(i), w / 2, h);
+    goal.add(new T.LineSegments(new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)), this.net));
+    goal.position.x = (side * FIELD.length) / 2;
+    if (side < 0) goal.rotation.z = Math.PI;
+    this.scene.add(goal);
+    return goal;
+  }
+
+  /** What belongs to this run: start, metres, finish, the path and the footprints. */
+  #course() {
+    const r = this.recording, start = r.torso(0)[0], far = this.finish ?? Math.min(FIELD.length / 2, r.torso(r.frames - 1)[0] + 2);
+    this.tick = this.#painted({ opacity: 0.28 });
+    this.letters = [];
+    for (let m = 1; start + m < far - 0.3; m++) {
+      const x = start + m, five = m % 5 === 0;
+      this.#strip(x, 0, five ? 0.035 : 0.015, five ? 3 : 1.6, this.tick, 2);
+      if (!five) continue;
+      const material = this.#painted({ map: lettering(`${m} m`), opacity: 0.75 });
+      // On both sides of the lane, to be read from where the cameras stand.
+      for (const side of [-1, 1]) this.#strip(x, side * 1.9, 1, 0.5, material, 2);
+      this.letters.push(material);
+    }
+    this.gate = this.#painted({ opacity: 0.9 });
+    this.#strip(start, 0, 0.06, 4, this.gate, 3);
+    if (this.finish !== null) this.#strip(this.finish, 0, 0.5, 4, this.#painted({ map: checks(), opacity: 0.9 }), 3);
+    const points = [], index = [];
+    for (let t = 0; t < r.frames; t++) {
+      const [x, y] = r.torso(t), before = r.torso(Math.max(0, t - 1)), after = r.torso(Math.min(r.frames - 1, t + 1));
+      const dx = after[0] - before[0], dy = after[1] - before[1], length = Math.hypot(dx, dy) || 1, nx = (-dy / length) * 0.008, ny = (dx / length) * 0.008;
+      points.push(x + nx, y + ny, 0, x - nx, y - ny, 0);
+      if (t) index.push(2 * t - 2, 2 * t - 1, 2 * t, 2 * t, 2 * t - 1, 2 * t + 1);
+    }
+    this.trail = this.#painted({ opacity: 0.85, side: T.DoubleSide });
+    this.path = new T.Mesh(new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)).setIndex(index), this.trail);
+    this.path.position.z = 0.0018;
+    this.path.renderOrder = 3;
+    this.path.frustumCulled = false;
+    this.scene.add(this.path);
+    this.prints = [];
+    this.ink = [0, 1].map(() => this.#painted({ opacity: 0.5 }));
+    for (const foot of [0, 1]) {
+      const body = r.feet[foot];
+      if (body < 0) continue;
+      const [across, along] = r.bodies[body].size_m;
+      for (const frame of r.touchdowns(foot)) {
+        const { position, rotation } = r.pose(frame, body), ahead = new T.Vector3(0, 1, 0).applyQuaternion(new T.Quaternion(...rotation));
+        const print = this.#strip(position[0], position[1], across * 0.8, along, this.ink[foot], 2);
+        print.rotation.z = Math.atan2(ahead.y, ahead.x) - Math.PI / 2;
+        this.prints.push({ frame, print });
+      }
+    }
+  }
+
+  /** The robot from its table: frames are x right, y front, z up. What shows its face is added to the head and the torso. */
   #robot() {
-    this.shell = new T.MeshStandardMaterial({ roughness: 0.55 });
-    this.dark = new T.MeshStandardMaterial({ roughness: 0.7 });
-    this.left = new T.MeshStandardMaterial({ roughness: 0.5 });
-    this.right = new T.MeshStandardMaterial({ roughness: 0.5 });
-    this.parts = this.recording.bodies.map((body, i) => {
-      const [a, b, c] = body.size_m;
-      const geometry = body.shape === "box" ? new T.RoundedBoxGeometry(a, b, c, 2, Math.min(a, b, c) * 0.16)
-        : body.shape === "capsule" ? new T.CapsuleGeometry(a, b, 6, 16).rotateX(Math.PI / 2) : new T.SphereGeometry(a, 24, 16);
-      const material = this.recording.feet[0] === i ? this.left : this.recording.feet[1] === i ? this.right : body.shape === "box" || body.name === "head" ? this.shell : this.dark;
+    const plastic = (options) => new T.MeshStandardMaterial({ roughness: 0.42, metalness: 0, ...options });
+    this.shell = plastic();
+    this.panel = plastic({ roughness: 0.55 });
+    this.joint = plastic({ roughness: 0.7 });
+    this.glow = new T.MeshBasicMaterial();
+    this.sides = [plastic(), plastic()];
+    const ofSide = (body) => (/^l/i.test(body.name) ? 0 : 1);
+    this.parts = this.recording.bodies.map((body) => {
+      const [a, b, c] = body.size_m, limb = /^[lr]/i.test(body.name);
+      // The beads between two joints touch nothing; drawn larger they look like the joints that they are.
+      const geometry = body.shape === "box" ? new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3)
+        : body.shape === "capsule" ? new T.CapsuleGeometry(a, b, 8, 20).rotateX(Math.PI / 2) : new T.SphereGeometry(Math.max(a, 0.021), 32, 24);
+      const material = limb && /foot|toe/i.test(body.name) ? this.sides[ofSide(body)] : /upperarm|thigh/i.test(body.name) ? this.panel : body.shape === "box" || body.name === "head" ? this.shell : this.joint;
       const mesh = new T.Mesh(geometry, material);
-      mesh.castShadow = true;
-      mesh.receiveShadow = true;
+      mesh.castShadow = mesh.receiveShadow = true;
       this.scene.add(mesh);
       return mesh;
     });
-    this.arrows = [0, 1].map(() => {
-      const arrow = new T.ArrowHelper(new T.Vector3(0, 0, 1), new T.Vector3(), 0.1, 0xffffff, 0.05, 0.035);
+    if (this.recording.head >= 0) this.#face(this.parts[this.recording.head], this.recording.bodies[this.recording.head].size_m[0]);
+    const [, depth, height] = this.recording.bodies[0].size_m;
+    const button = new T.Mesh(new T.CylinderGeometry(0.013, 0.013, 0.008, 24), this.glow);
+    button.position.set(0, depth / 2, height * 0.18);
+    this.parts[0].add(button);
+    this.arrows = [0, 1].map((side) => {
+      const arrow = new T.Group(), material = this.sides[side];
+      const shaft = new T.Mesh(new T.CylinderGeometry(0.007, 0.007, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5), material);
+      const tip = new T.Mesh(new T.CylinderGeometry(0, 0.02, 0.05, 20).rotateX(Math.PI / 2).translate(0, 0, 0.025), material);
+      arrow.add(shaft, tip);
       this.scene.add(arrow);
-      return arrow;
+      return { arrow, shaft, tip };
     });
+  }
+
+  #face(head, radius) {
+    const disc = (r, depth, material, [x, y, z]) => {
+      const mesh = new T.Mesh(new T.CylinderGeometry(r, r, depth, 28), material), out = new T.Vector3(x, y, z).normalize();
+      mesh.quaternion.setFromUnitVectors(new T.Vector3(0, 1, 0), out);
+      mesh.position.copy(out).multiplyScalar(radius * 0.985);
+      head.add(mesh);
+    };
+    for (const side of [-1, 1]) {
+      disc(radius * 0.24, 0.006, this.joint, [side * 0.42, 0.88, 0.12]);
+      disc(radius * 0.16, 0.01, this.glow, [side * 0.42, 0.88, 0.12]);
+      disc(radius * 0.42, 0.014, this.panel, [side, 0, 0.05]);
+      disc(radius * 0.2, 0.02, this.joint, [side, 0, 0.05]);
+    }
+    disc(radius * 0.09, 0.008, this.joint, [0, 0.82, 0.57]);
+    disc(radius * 0.07, 0.008, this.joint, [0, 0.94, -0.34]);
   }
 
   /** Take over the theme's colours. */
   #paint() {
-    const set = (target, token) => target.set(color(token));
-    const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5;
-    this.scene.background = new T.Color(color("--sunken"));
-    this.scene.fog.color.set(color("--sunken"));
-    set(this.turf.material.color, "--pitch");
-    this.chalk.color.set(dark ? "#7f9a86" : "#ffffff");
-    this.ring.color.set(dark ? "#7f9a86" : "#ffffff");
-    set(this.faint.color, "--pitch-line");
-    set(this.gate.color, "--s5");
-    set(this.trail.color, "--ref");
-    this.shell.color.set(dark ? "#d5dbe4" : "#f4f6f9");
-    this.dark.color.set(dark ? "#5a6473" : "#8791a0");
-    set(this.left.color, "--s1");
-    set(this.right.color, "--s2");
-    this.arrows?.forEach((arrow, i) => arrow.setColor(new T.Color(color(i ? "--s2" : "--s1"))));
-    this.sky.intensity = dark ? 1.1 : 1.7;
+    const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5, horizon = new T.Color(dark ? "#1b242e" : "#e9f0f7"), zenith = new T.Color(dark ? "#0a0e14" : "#9dc3e8");
+    const { position, color: shade } = this.dome.geometry.attributes, mixed = new T.Color();
+    for (let i = 0; i < position.count; i++) {
+      mixed.lerpColors(horizon, zenith, Math.min(1, Math.max(0, position.getZ(i) / 90) ** 0.6));
+      shade.setXYZ(i, mixed.r, mixed.g, mixed.b);
+    }
+    shade.needsUpdate = true;
+    this.scene.fog.color.copy(horizon);
+    this.turf.material.color.set(dark ? "#2f5a3c" : "#6fae6c");
+    this.light.color.set(dark ? "#c9d8ee" : "#ffffff");
+    this.light.groundColor.set(dark ? "#223127" : "#93b58c");
+    this.light.intensity = dark ? 1.1 : 1.75;
+    this.sun.intensity = dark ? 2.1 : 2.3;
+    const chalk = dark ? "#a9bdae" : "#ffffff";
+    for (const material of [this.chalk, this.tick, this.net, ...this.letters]) material.color.set(chalk);
+    this.frame.color.set(dark ? "#c6ced6" : "#ffffff");
+    this.gate.color.set(color("--s5"));
+    this.trail.color.set(dark ? "#dfe7ef" : "#1d2a3a");
+    this.shell.color.set(dark ? "#dfe4ea" : "#f7f8fa");
+    this.panel.color.set(dark ? "#8e98a6" : "#b4bcc7");
+    this.joint.color.set("#3c444f");
+    this.glow.color.set("#39b8ff");
+    [this.sides, this.ink].forEach((pair) => pair.forEach((material, i) => material.color.set(color(i ? "--s2" : "--s1"))));
   }
 
   #fit() {
@@ -181,49 +358,77 @@ export class Stage {
     if (!w || !h) return;
     this.renderer.setSize(w, h);
     this.camera.aspect = w / h;
+    // On a narrow view the robot must not fill all of it, and the field should fit.
+    this.camera.fov = this.camera.aspect < 1.2 ? 44 : 36;
     this.camera.updateProjectionMatrix();
+    if (this.all) this.aim("field");
     this.render();
   }
 
-  /** Look from one of CAMERAS, or stay where the camera is for "free". */
+  /** Where the camera takes the robot to be at a moment: on its course, at the height of its start. */
+  #anchor(frame) {
+    const c = this.course, n = this.recording.frames, a = Math.max(0, Math.min(n - 1, Math.floor(frame))), b = Math.min(n - 1, a + 1), mix = frame - a;
+    return new T.Vector3(c[2 * a] + (c[2 * b] - c[2 * a]) * mix, c[2 * a + 1] + (c[2 * b + 1] - c[2 * a + 1]) * mix, this.recording.torso(0)[2]);
+  }
+
+  /** Look from one of CAMERAS or at the whole "field", or stay where the camera is for "free". */
   aim(name) {
-    this.following = name !== "free";
-    if (!CAMERAS[name]) return;
-    const [from, to] = CAMERAS[name];
-    this.controls.target.copy(this.last).add(new T.Vector3(...to));
-    this.camera.position.copy(this.last).add(new T.Vector3(...from));
+    this.following = name in CAMERAS;
+    this.all = name === "field";
+    if (name === "free") return;
+    [this.scene.fog.near, this.scene.fog.far] = this.all ? FOG.field : FOG.near;
+    if (this.all) {
+      const half = Math.tan((this.camera.fov * Math.PI) / 360);
+      this.controls.target.set(0, 0, 0);
+      this.camera.position.set(...FIELD_VIEW).multiplyScalar(Math.max((0.6 * FIELD.length) / (half * this.camera.aspect), (0.36 * FIELD.width) / half));
+    } else {
+      const [from, to] = CAMERAS[name];
+      this.controls.target.copy(this.last).add(new T.Vector3(...to));
+      this.camera.position.copy(this.last).add(new T.Vector3(...from));
+    }
     this.controls.update();
+    this.#clear();
     this.render();
+  }
+
+  /** A goal right before the camera would hide the start. */
+  #clear() {
+    for (const goal of this.goals) goal.visible = !this.following || Math.abs(goal.position.x - this.camera.position.x) > 1.6 || Math.abs(this.camera.position.y) > FIELD.goalWidth;
   }
 
   /** Show a moment; `frame` may lie between two recorded ones. */
   show(frame) {
-    const r = this.recording, n = r.bodies.length, a = Math.max(0, Math.min(r.frames - 1, Math.floor(frame))), b = Math.min(r.frames - 1, a + 1), mix = frame - a;
+    const r = this.recording, a = Math.max(0, Math.min(r.frames - 1, Math.floor(frame))), b = Math.min(r.frames - 1, a + 1), mix = frame - a;
     const qa = new T.Quaternion(), qb = new T.Quaternion();
     this.parts.forEach((mesh, i) => {
-      const p = (a * n + i) * 3, q = (b * n + i) * 3, u = (a * n + i) * 4, v = (b * n + i) * 4;
-      mesh.position.set(r.positions[p] + (r.positions[q] - r.positions[p]) * mix, r.positions[p + 1] + (r.positions[q + 1] - r.positions[p + 1]) * mix, r.positions[p + 2] + (r.positions[q + 2] - r.positions[p + 2]) * mix);
-      qa.set(r.rotations[u + 1], r.rotations[u + 2], r.rotations[u + 3], r.rotations[u]);
-      qb.set(r.rotations[v + 1], r.rotations[v + 2], r.rotations[v + 3], r.rotations[v]);
-      mesh.quaternion.slerpQuaternions(qa, qb, mix);
+      const from = r.pose(a, i), to = r.pose(b, i);
+      mesh.position.set(...[0, 1, 2].map((k) => from.position[k] + (to.position[k] - from.position[k]) * mix));
+      mesh.quaternion.slerpQuaternions(qa.set(...from.rotation), qb.set(...to.rotation), mix);
     });
-    this.arrows.forEach((arrow, i) => {
+    this.arrows.forEach(({ arrow, shaft, tip }, i) => {
       const force = Math.max(0, r.forces[a][i]), foot = this.parts[r.feet[i]];
       arrow.visible = this.showForces && force > 0.5 && Boolean(foot);
       if (!arrow.visible) return;
-      arrow.position.set(foot.position.x, foot.position.y, 0.004);
-      arrow.setLength(force * METRES_PER_NEWTON, 0.04, 0.03);
+      // Beside the foot: in its middle, the leg would hide it.
+      const aside = new T.Vector3(i ? 0.075 : -0.075, 0, 0).applyQuaternion(foot.quaternion), length = force * METRES_PER_NEWTON;
+      arrow.position.set(foot.position.x + aside.x, foot.position.y + aside.y, 0.002);
+      shaft.scale.z = Math.max(0.001, length - 0.05);
+      tip.position.z = Math.max(0, length - 0.05);
+      tip.scale.setScalar(Math.min(1, length / 0.05));
     });
-    const torso = this.parts[0].position;
+    for (const { frame: since, print } of this.prints) print.visible = since <= frame;
+    this.path.geometry.setDrawRange(0, 6 * a);
+    const now = this.#anchor(frame);
     if (this.following) {
-      const dx = torso.x - this.last.x, dy = torso.y - this.last.y;
-      for (const point of [this.camera.position, this.controls.target]) { point.x += dx; point.y += dy; }
+      const moved = now.clone().sub(this.last);
+      this.camera.position.add(moved);
+      this.controls.target.add(moved);
     }
-    this.last.set(torso.x, torso.y, this.recording.torso(0)[2]);
-    // A goal post right before the camera would hide the start.
-    for (const post of this.posts) post.visible = post.position.distanceTo(this.camera.position) > 2.5;
-    this.sun.target.position.set(torso.x, torso.y, 0);
-    this.sun.position.set(torso.x - 1.2, torso.y - 1.6, 3.4);
+    this.last = now;
+    this.#clear();
+    this.dome.position.set(now.x, now.y, 0);
+    this.sun.target.position.set(now.x, now.y, 0.2);
+    this.sun.position.set(now.x - 1.3, now.y - 1.7, 3.6);
     this.render();
   }
 
@@ -238,7 +443,7 @@ export class Stage {
     this.observer.disconnect();
     this.stopTheme();
     this.controls.dispose();
-    this.scene.traverse((o) => { o.geometry?.dispose(); o.material?.dispose?.(); });
+    this.scene.traverse((o) => { o.geometry?.dispose(); o.material?.map?.dispose(); o.material?.dispose?.(); });
     this.renderer.dispose();
     this.renderer.forceContextLoss();
     this.renderer.domElement.remove();

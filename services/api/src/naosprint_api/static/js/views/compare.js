@@ -3,19 +3,25 @@
 import { call, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
-import { CURVES, refsOf, X_AXES } from "../curves.js";
+import { CURVES, refsOf, SPEED_REFS, X_AXES } from "../curves.js";
 import { fill, h, icon, scroller } from "../dom.js";
 import { compact, fixed, integer, percent } from "../format.js";
 import { latest, progress, recipe } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
-import { figuresOf } from "../evaluation.js";
+import { figuresOf, meanProfile, profile } from "../evaluation.js";
+import { Figure, speedByLine } from "../figures.js";
 import { loading, notice } from "./messages.js";
 
 const MAX_JOBS = 32;
 const GRID = 400;
+/** Lines of more points than these in all are drawn on a grid that they share: joined, each would get as many gaps as the others have points. */
+const MAX_JOINED = 6000, FINE_GRID = 1200;
 const DASHES = [undefined, [6, 4], [2, 3], [10, 4, 2, 4]];
+
+/** Which episodes a profile counts. */
+const PROFILES = { paper: "As the paper", all: "All episodes" };
 
 /** What "group by" can do: the label that jobs of one group share. */
 const GROUPINGS = {
@@ -70,10 +76,11 @@ class CompareView {
     this.signal = signal;
     this.go = go;
     this.group = params.get("group");
-    this.ids = (params.get("jobs") ?? "").split(",").filter(Boolean);
+    this.ids = [...new Set((params.get("jobs") ?? "").split(",").filter(Boolean))];
     this.by = GROUPINGS[params.get("by")] ? params.get("by") : this.group ? "recipe" : "none";
     this.x = "step";
     this.weight = 0.6;
+    this.profile = "paper";
     this.items = [];
     this.charts = [];
   }
@@ -97,15 +104,21 @@ class CompareView {
   async item(id) {
     const path = `jobs/${encodeURIComponent(id)}`;
     const get = (p, params = {}) => call(`${p}${query(params)}`, { signal: this.signal });
-    const [job, metrics, evaluations] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), get(`${path}/evaluations`)]);
+    const [job, metrics, evaluation] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), this.newest(id)]);
     const columns = new Columns();
     columns.load(metrics.columns);
-    const best = evaluations.filter((e) => e.state === "succeeded").toSorted((a, b) => new Date(b.created_at) - new Date(a.created_at))[0] ?? null;
-    return { job, metrics: columns, evaluation: best };
+    return { job, metrics: columns, evaluation };
+  }
+
+  /** The newest evaluation of a job that is done; null without one. */
+  async newest(id) {
+    const evaluations = await call(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal });
+    return evaluations.find((e) => e.state === "succeeded") ?? null;
   }
 
   destroy() {
     for (const { chart } of this.charts) chart.destroy();
+    this.figure?.destroy();
     clearTimeout(this.refresh);
     this.stopTheme?.();
   }
@@ -122,16 +135,20 @@ class CompareView {
     }
     const grouping = h("select", { "aria-label": "Group by", style: { width: "auto" }, onchange: () => { this.by = grouping.value; this.rebuildCharts(); } }, Object.entries(GROUPINGS).map(([key, [label]]) => h("option", { value: key }, label)));
     grouping.value = this.by;
-    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => { this.x = key; Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key))); this.draw(); } }, axis.label));
+    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => { this.x = key; Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key))); this.charts[0]?.chart.zoom(null); this.draw(); } }, axis.label));
     const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
     this.legend = h("div", { class: "legend" });
     this.grid = h("div", { class: "charts" });
     this.table = scroller("Jobs compared");
+    this.judged = h("div", { class: "stack" });
+    this.pick = h("div", { class: "segments", role: "group", "aria-label": "Episodes counted" }, Object.entries(PROFILES).map(([key, label]) => h("button", { "data-value": key, "aria-pressed": String(key === this.profile), onclick: () => { this.profile = key; for (const b of this.pick.children) b.setAttribute("aria-pressed", String(b.dataset.value === key)); this.paintEvaluations(); } }, label)));
+    this.figure = new Figure((width) => speedByLine(width, this.series, SPEED_REFS));
+    this.numbers = scroller("Speed by start line");
     fill(this.root, head, this.missing.map((m) => notice("warn", "", m)),
       h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.table),
       h("div", { class: "chart-tools" }, h("label", null, "Group by", grouping), h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range),
         h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => this.csv() }, icon("download"), "CSV")),
-      this.legend, h("div", { style: { height: "0.86rem" } }), this.grid);
+      this.legend, h("div", { style: { height: "0.86rem" } }), this.judged, this.grid);
     this.rebuildCharts();
   }
 
@@ -152,12 +169,13 @@ class CompareView {
     const groups = this.groups(), banded = this.by !== "none";
     const tasks = new Set(this.items.map(({ job }) => job.spec.task));
     this.charts = CURVES.filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "running").map((curve) => ({ curve, chart: new Chart({
-      ...curve, refs: tasks.size === 1 ? refsOf(curve, [...tasks][0]) : curve.refs ?? [], sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
+      ...curve, ...(curve.lines ? { lines: undefined, title: curve.single } : {}), refs: tasks.size === 1 ? refsOf(curve, [...tasks][0]) : curve.refs ?? [], sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
       series: groups.flatMap((g) => (banded ? [{ label: `${g.label} high`, token: g.token, hidden: true }, { label: `${g.label} low`, token: g.token, hidden: true }, { label: g.label, token: g.token, dash: g.dash, width: 2 }] : [{ label: g.label, token: g.token, dash: g.dash }])),
       bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
     }) }));
     fill(this.grid, this.charts.map((c) => c.chart.element));
     this.paintTable();
+    this.paintEvaluations();
     this.draw();
   }
 
@@ -180,33 +198,63 @@ class CompareView {
       h("tbody", null, groups.flatMap((g) => g.items.map((item) => row(g, item))))));
   }
 
-  draw() {
-    const groups = this.groups(), axis = X_AXES[this.x];
-    for (const { curve, chart } of this.charts) {
-      const curves = new Map(this.items.map((item) => {
-        const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
-        return [item, [x, smooth(y, this.weight)]];
-      }));
-      if (this.by === "none") {
-        const tables = groups.map((g) => curves.get(g.items[0]));
-        const filled = tables.filter(([x]) => x.length);
-        if (!filled.length) { chart.setData([[], ...tables.map(() => [])]); continue; }
-        const joined = uPlot.join(filled);
-        let at = 1;
-        chart.setData([joined[0], ...tables.map(([x]) => (x.length ? joined[at++] : new Array(joined[0].length).fill(null)))]);
-      } else {
-        let low = Infinity, high = -Infinity;
-        for (const [x] of curves.values()) if (x.length) { low = Math.min(low, x[0]); high = Math.max(high, x.at(-1)); }
-        const grid = high >= low ? Array.from({ length: GRID }, (_, i) => low + ((high - low) * i) / (GRID - 1)) : [];
-        chart.setData([grid, ...groups.flatMap((g) => { const b = band(g.items.map((item) => curves.get(item)), grid); return [b.high, b.low, b.mean]; })]);
-      }
+  /** Speed by start line of the groups that have evaluations, over each other. */
+  paintEvaluations() {
+    const of = (g) => g.items.filter((i) => i.evaluation).map((i) => profile(i.evaluation.summary, this.profile)).filter((rows) => rows.length);
+    const groups = this.groups().map((g) => ({ ...g, profiles: of(g) })).filter((g) => g.profiles.length);
+    this.series = groups.map((g) => ({ label: g.label, token: g.token, dash: g.dash?.join(" "), rows: meanProfile(g.profiles), count: g.profiles.length }));
+    const some = this.items.some((i) => i.evaluation);
+    if (!some) { this.judged.replaceChildren(); return; }
+    const lines = [...new Set(this.series.flatMap((x) => x.rows.map((r) => r.line)))].sort((a, b) => a - b);
+    const banded = groups.some((g) => g.profiles.length > 1);
+    if (!this.judged.firstChild) fill(this.judged, h("section", { class: "card", "data-part": "evaluations" }, h("div", { class: "card-head wrap" }, h("h2", null, "Speed by start line, evaluated"), this.pick), this.profiles = h("div", { class: "profiles" })));
+    if (!lines.length) {
+      fill(this.profiles, h("p", { class: "pad muted" }, "No episode was long enough to be counted as the paper does: 200 samples beyond the start line. Look at all episodes."));
+      return;
     }
+    const cell = (r) => h("td", { class: "num", title: r ? `${fixed(r.low, 3)} to ${fixed(r.high, 3)} m/s` : null }, r ? [fixed(r.mean, 3), h("div", { class: "muted" }, `± ${fixed((r.high - r.low) / 2, 3)}`)] : "–");
+    fill(this.numbers, h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { scope: "col" }, "m/s from"), lines.map((l) => h("th", { scope: "col", class: "num" }, `${fixed(l, 1)} m`)))),
+      h("tbody", null, this.series.map((x) => h("tr", null, h("th", { scope: "row", class: "compare-name" }, h("div", { class: "row" }, h("span", { class: "swatch", style: { background: `var(${x.token})` } }), h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null))), lines.map((l) => cell(x.rows.find((r) => r.line === l))))))));
+    fill(this.profiles, h("div", { class: "pad" }, this.figure.element), h("div", null, this.numbers, h("p", { class: "pad muted" }, banded ? "Band: one standard deviation between the jobs of a group; of a single job, the interval of its evaluation." : "Band: the interval of the evaluation.")));
+    this.figure.redraw();
+  }
+
+  draw() {
+    const groups = this.groups();
+    for (const { curve, chart } of this.charts) chart.setData(() => this.columns(curve, groups));
+  }
+
+  /** What a chart shows of a curve: x, then a line for each job, or high, low and mean for each group. */
+  columns(curve, groups) {
+    const axis = X_AXES[this.x], banded = this.by !== "none";
+    const curves = new Map(this.items.map((item) => {
+      const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
+      return [item, [x, smooth(y, this.weight)]];
+    }));
+    const all = [...curves.values()].filter(([x]) => x.length), points = all.reduce((sum, [x]) => sum + x.length, 0);
+    if (!points) return [[], ...groups.flatMap(() => (banded ? [[], [], []] : [[]]))];
+    const low = Math.min(...all.map(([x]) => x[0])), high = Math.max(...all.map(([x]) => x.at(-1)));
+    const grid = (count) => Array.from({ length: count }, (_, i) => low + ((high - low) * i) / (count - 1));
+    if (banded) {
+      const xs = grid(GRID);
+      return [xs, ...groups.flatMap((g) => { const b = band(g.items.map((item) => curves.get(item)), xs); return [b.high, b.low, b.mean]; })];
+    }
+    const tables = groups.map((g) => curves.get(g.items[0]));
+    if (points > MAX_JOINED) {
+      const xs = grid(FINE_GRID);
+      return [xs, ...tables.map(([x, y]) => xs.map((at) => interpolate(x, y, at)))];
+    }
+    const joined = uPlot.join(all);
+    let at = 1;
+    return [joined[0], ...tables.map(([x]) => (x.length ? joined[at++] : new Array(joined[0].length).fill(null)))];
   }
 
   onJob(job) {
     const item = this.items.find((i) => i.job.id === job.id);
     if (!item) return;
+    const ended = item.job.state !== job.state && isEnded(job.state);
     item.job = job;
+    if (ended) this.newest(job.id).then((e) => { item.evaluation = e; this.paintTable(); this.paintEvaluations(); }, () => { /* the next visit shows it */ });
     const row = latest(job);
     if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
     clearTimeout(this.refresh);

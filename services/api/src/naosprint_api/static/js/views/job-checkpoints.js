@@ -1,7 +1,7 @@
 /** The checkpoints of a job: download, judge, start another job from one. */
 
 import { call, download } from "../api.js";
-import { fill, h, icon, scroller, toast } from "../dom.js";
+import { fill, h, icon, scroller, setText, toast } from "../dom.js";
 import { ago, bytes, integer, stamp } from "../format.js";
 import { notice } from "./messages.js";
 
@@ -21,6 +21,7 @@ export class CheckpointsTab {
   constructor(root, store) {
     this.root = root;
     this.store = store;
+    this.rows = new Map();
     store.on("checkpoints", () => this.draw());
     this.draw();
   }
@@ -32,9 +33,19 @@ export class CheckpointsTab {
       fill(this.root, h("div", { class: "card empty" }, h("h2", null, "No checkpoint yet"), h("p", null, `One is saved every ${integer(job.spec.checkpoint_interval_steps)} steps and at the end. A job that is paused or interrupted continues from its newest.`)));
       return;
     }
+    // Rows that are there stay, with what is open in them: checkpoints come in while somebody reads.
+    for (const c of checkpoints) if (!this.rows.has(c.id)) this.rows.set(c.id, this.row(c));
+    const rows = checkpoints.map((c) => this.rows.get(c.id));
+    checkpoints.forEach((c, i) => setText(rows[i].querySelector("[data-age]"), ago(c.created_at)));
+    if (this.body?.isConnected) {
+      for (const old of [...this.body.children]) if (!rows.includes(old)) old.remove();
+      rows.forEach((row, i) => { if (this.body.children[i] !== row) this.body.insertBefore(row, this.body.children[i] ?? null); });
+      return;
+    }
+    this.body = h("tbody", null, rows);
     fill(this.root, h("section", { class: "card" }, scroller("Checkpoints", h("table", null,
       h("thead", null, h("tr", null, h("th", { class: "num", scope: "col" }, "Step"), h("th", { class: "num", scope: "col" }, "Attempt"), h("th", { scope: "col" }, "Saved"), h("th", { class: "num", scope: "col" }, "Size"), h("th", { scope: "col" }, "Files"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))),
-      h("tbody", null, checkpoints.map((c) => this.row(c)))))),
+      this.body))),
       h("div", { style: { "margin-top": "1rem" } }, notice("info", "From a terminal:", h("code", null, `naoctl download ${job.id}`), " ")));
   }
 
@@ -53,7 +64,7 @@ export class CheckpointsTab {
       const get = h("button", { class: "ghost square", "aria-label": `Download ${f.name}`, onclick: () => fetchInto(get, f.url, f.name) }, icon("download"));
       return h("li", null, h("span", { class: "grow mono", title: `sha256 ${f.sha256}` }, f.name), h("span", { class: "muted nowrap" }, bytes(f.size)), get);
     })));
-    return h("tr", { "data-checkpoint": c.id }, h("td", { class: "num" }, integer(c.step)), h("td", { class: "num" }, c.attempt), h("td", { class: "nowrap muted", title: stamp(c.created_at) }, ago(c.created_at)), h("td", { class: "num" }, bytes(c.size)), h("td", null, files),
+    return h("tr", { "data-checkpoint": c.id }, h("td", { class: "num" }, integer(c.step)), h("td", { class: "num" }, c.attempt), h("td", { class: "nowrap muted", "data-age": true, title: stamp(c.created_at) }, ago(c.created_at)), h("td", { class: "num" }, bytes(c.size)), h("td", null, files),
       h("td", null, h("div", { class: "row end" }, all, judge, h("a", { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` }, icon("branch"), "Continue in a new job"))));
   }
 

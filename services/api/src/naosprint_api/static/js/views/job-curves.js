@@ -41,17 +41,19 @@ export class CurvesTab {
   setX(key) {
     this.x = key;
     Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key)));
-    for (const { chart } of this.charts) { chart.zoomed = false; }
+    this.charts[0].chart.zoom(null);
     this.draw();
   }
 
   draw() {
     if (this.gone) return;
-    const m = this.store.metrics, x = X_AXES[this.x].column(m);
+    const m = this.store.metrics, axis = X_AXES[this.x];
     for (const { curve, chart } of this.charts) {
-      if (curve.lines) { chart.setData([x, ...curve.lines.map(([key]) => smooth(m.get(key), this.weight))]); continue; }
-      const y = m.get(curve.key);
-      chart.setData([x, y, smooth(y, this.weight)]);
+      chart.setData(() => {
+        const lines = curve.lines ? curve.lines.map(([key]) => m.get(key)) : [m.get(curve.key)];
+        const smoothed = lines.map((y) => smooth(y, this.weight));
+        return curve.lines ? [axis.column(m), ...smoothed] : [axis.column(m), ...lines, ...smoothed];
+      });
     }
   }
 

@@ -4,7 +4,7 @@ import { call } from "../api.js";
 import { Chart } from "../charts.js";
 import { SPEED_REFS } from "../curves.js";
 import { fill, h, icon, scroller, toast } from "../dom.js";
-import { gait, Paths } from "../evaluation.js";
+import { gait, Paths, profile } from "../evaluation.js";
 import { Figure, field, gaitDiagram, histogram, speedByLine } from "../figures.js";
 import { ago, bytes, fixed, integer, percent, stamp } from "../format.js";
 import { isEnded } from "../states.js";
@@ -26,7 +26,7 @@ export class EvaluationTab {
     this.parts = [];
     this.tasks = call("tasks", { signal: store.signal });
     this.tasks.catch(() => {});
-    store.on("evaluations", () => this.draw());
+    for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
     store.on("job", () => { if (!store.evaluations?.length) this.draw(); });
     this.draw();
   }
@@ -42,6 +42,9 @@ export class EvaluationTab {
     if (this.gone) return;
     const { evaluations, job, checkpoints } = this.store;
     if (!evaluations?.length) {
+      const key = JSON.stringify([isEnded(job.state), Boolean(checkpoints?.length)]);
+      if (key === this.key) return;
+      this.key = key;
       this.clear();
       const ask = h("button", { class: "primary", disabled: !checkpoints?.length, onclick: () => this.ask(ask) }, "Evaluate the newest checkpoint");
       fill(this.root, h("div", { class: "card empty" }, h("h2", null, "Not evaluated yet"),
@@ -49,18 +52,27 @@ export class EvaluationTab {
       return;
     }
     const chosen = evaluations.find((e) => e.id === this.wanted) ?? evaluations.find((e) => e.state === "succeeded") ?? evaluations[0];
-    const key = JSON.stringify([evaluations.map((e) => [e.id, e.state]), chosen.id]);
+    const key = JSON.stringify([evaluations.map((e) => [e.id, e.state]), chosen.id, Boolean(checkpoints?.length)]);
     if (key === this.key) return;
     this.key = key;
-    this.clear();
     const steps = new Map((checkpoints ?? []).map((c) => [c.id, c.step]));
     const again = h("button", { onclick: () => this.ask(again), disabled: !checkpoints?.length }, "Evaluate newest checkpoint");
-    const list = h("div", { class: "row wrap", style: { "margin-bottom": "1rem" } },
+    if (!this.list?.isConnected) {
+      this.list = h("div", { class: "row wrap", style: { "margin-bottom": "1rem" } });
+      fill(this.root, this.list);
+      this.shown = null;
+    }
+    fill(this.list,
       evaluations.map((e) => h("a", { class: "button small", href: `#/jobs/${this.store.id}/evaluation/${e.id}`, "aria-current": e === chosen ? "true" : null, title: stamp(e.created_at), "data-evaluation": e.id },
         h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", h("span", { class: "muted" }, ago(e.created_at)))),
       h("span", { style: { flex: 1 } }), again);
+    // What is looked at stays as it is while other evaluations come and go.
+    const shown = `${chosen.id} ${chosen.state}`;
+    if (shown === this.shown) return;
+    this.shown = shown;
+    this.clear();
     this.body = h("div", { class: "stack" });
-    fill(this.root, list, this.body);
+    fill(this.root, this.list, this.body);
     if (chosen.state === "failed") fill(this.body, notice("error", "This evaluation failed.", chosen.error ?? ""));
     else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes of ${chosen.spec.task}. The figures appear here when they are done.`)));
     else this.show(chosen);
@@ -86,7 +98,7 @@ export class EvaluationTab {
     const stat = (label, value, unit, note, title) => h("div", { title: title ?? null }, h("div", { class: "k" }, label), h("div", { class: "v" }, value, value !== "–" && unit ? h("span", { class: "unit" }, unit) : null), h("div", { class: "d" }, note ?? "\u00a0"));
     const line = this.lines(f);
     const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
-    this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
+    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
     fill(this.body,
       h("div", { class: "stats" },
         stat("Speed, all episodes", fixed(f.speed_mps.mean), "m/s", interval(f.speed_mps.ci), `Mean of distance over time from the start, with its ${level} interval`),
@@ -111,16 +123,15 @@ export class EvaluationTab {
       const tasks = await this.tasks;
       const finish = tasks.find((t) => t.name === evaluation.spec.task)?.finish_x_m ?? null;
       const paths = await Paths.load(recorded, finish, this.store.signal);
-      if (!this.gone && this.body.contains(this.pathBox)) this.showPaths(paths);
+      if (!this.gone && this.pathBox === box) this.showPaths(paths);
     } catch (error) {
-      if (error.name !== "AbortError") fill(this.pathBox, notice("error", "The paths could not be read.", error.message));
+      if (error.name !== "AbortError") fill(box, notice("error", "The paths could not be read.", error.message));
     }
   }
 
   /** Series and table of the speed by start line. */
   lines(f) {
-    const rows = (key) => f.speed_by_line.filter((e) => e[key].mean !== null).map((e) => ({ line: e.line_m, mean: e[key].mean, low: e[key].ci[0], high: e[key].ci[1] }));
-    const series = [{ token: "--s1", label: "as the paper: 200 samples or more", rows: rows("paper") }, { token: "--s2", label: "all episodes", rows: rows("all"), dashed: true }].filter((x) => x.rows.length);
+    const series = [{ token: "--s1", label: "as the paper: 200 samples or more", rows: profile(f, "paper") }, { token: "--s2", label: "all episodes", rows: profile(f, "all"), dash: "5 4" }].filter((x) => x.rows.length);
     const cell = (x) => [h("td", { class: "num" }, fixed(x.mean, 3)), h("td", { class: "num muted" }, x.ci ? interval(x.ci, 3) : "–"), h("td", { class: "num muted" }, integer(x.episodes))];
     const th = (t) => h("th", { scope: "col", class: "num" }, t);
     const table = h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Line"), h("th", { colspan: 3, scope: "colgroup", class: "group" }, "As the paper, m/s"), h("th", { colspan: 3, scope: "colgroup", class: "group" }, "All episodes, m/s")), h("tr", null, th("mean"), th("interval"), th("n"), th("mean"), th("interval"), th("n"))),

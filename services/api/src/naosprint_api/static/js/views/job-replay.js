@@ -6,7 +6,7 @@ import { fixed, integer, stamp } from "../format.js";
 import { loading, notice } from "./messages.js";
 
 const PACES = [[1, "1×"], [0.5, "0.5×"], [0.25, "0.25×"], [0.1, "0.1×"]];
-const VIEWS = [["follow", "Follow"], ["side", "Side"], ["front", "Front"], ["free", "Free"]];
+const VIEWS = [["follow", "Follow"], ["side", "Side"], ["front", "Front"], ["field", "Field"], ["free", "Free"]];
 
 export class ReplayTab {
   constructor(root, store, { sub, go }) {
@@ -14,7 +14,7 @@ export class ReplayTab {
     this.store = store;
     this.go = go;
     this.wanted = sub ?? null;
-    store.on("evaluations", () => this.draw());
+    for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
     this.draw();
   }
 

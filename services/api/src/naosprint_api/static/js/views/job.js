@@ -197,11 +197,19 @@ class JobView {
       fill(this.actions, h("a", { class: "button", href: `#/submit?from=${job.id}` }, icon("copy"), h("span", { class: "fold-tiny" }, "Submit again")), h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"), buttons);
       fill(this.trouble, job.error ? h("div", { style: { "margin-top": "1rem" } }, notice(job.state === "failed" ? "error" : "warn", job.state === "failed" ? "The job failed." : "An attempt was lost.", job.error)) : null);
     }
+    const about = JSON.stringify([job.worker, job.owner, job.tags, job.parent_job_id]);
+    if (about !== this.about) {
+      this.about = about;
+      this.paintAbout(job);
+    }
+    this.paintStats();
+    this.paintTabs();
+  }
+
+  paintAbout(job) {
     const worker = job.worker ? [" · on ", h("span", { class: "mono" }, job.worker)] : null;
     fill(this.sub, h("span", null, recipe(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
       job.parent_job_id ? h("a", { class: "row", href: `#/jobs/${job.parent_job_id}` }, icon("branch"), "from another job") : null);
-    this.paintStats();
-    this.paintTabs();
   }
 
   paintStats() {

@@ -1,7 +1,7 @@
 /** Submit a job: a form made from the service's JSON schema and presets. */
 
 import { call } from "../api.js";
-import { fill, h, icon, toast } from "../dom.js";
+import { fill, h, icon, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
 import { field, fromText, resolve, seeds, toText } from "../schema.js";
 import { loading, notice } from "./messages.js";
@@ -105,10 +105,11 @@ class SubmitView {
     document.title = "New job · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading the form")));
     const from = this.params.get("from") ?? this.params.get("parent");
-    const [schema, presets, model] = await Promise.all([
-      call("spec/schema", { signal: this.signal }), call("presets", { signal: this.signal }), from ? call(`jobs/${encodeURIComponent(from)}`, { signal: this.signal }) : null]);
+    const [schema, presets, tasks, model] = await Promise.all([
+      call("spec/schema", { signal: this.signal }), call("presets", { signal: this.signal }), call("tasks", { signal: this.signal }), from ? call(`jobs/${encodeURIComponent(from)}`, { signal: this.signal }) : null]);
     this.schema = schema;
     this.presets = new Map(presets.map((p) => [p.name, p]));
+    this.tasks = new Map(tasks.map((t) => [t.name, t]));
     this.model = model;
     this.build();
   }
@@ -221,6 +222,8 @@ class SubmitView {
   changed() {
     if (!this.preview) return;
     const value = (name) => this.fields.get(`spec.${name}`)?.peek();
+    const task = this.tasks.get(value("task"));
+    if (task) setText(this.fields.get("spec.task").element.querySelector(".hint"), `${task.summary} A torso below ${task.min_height_m} m counts as a fall.`);
     const rollout = value("n_envs") * value("n_steps"), total = value("total_steps"), seed = value("seed");
     const updates = Math.ceil(total / rollout);
     const jobs = Array.isArray(seed) ? seed.length : 1;
