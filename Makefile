@@ -2,21 +2,21 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PACKAGES := packages/naospec services/simserver packages/naosprint packages/naojobs packages/naoctl services/api services/worker
+PACKAGES := packages/naospec packages/naopolicies services/simserver packages/naosprint packages/naojobs packages/naoctl services/api services/worker
 SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) services/simserver/CMakeLists.txt $(wildcard services/simserver/cpp/*)
 INSTALLED := $(VENV)/.installed
 
-.PHONY: help install demo up test check lint types e2e bench sanitize clean
+.PHONY: help install demo up test check lint types e2e readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 install: $(INSTALLED)  ## set up .venv with pinned dependencies and all packages (about 2 minutes)
 
 # pip's cache makes the second set-up quick; CPU-only PyTorch is pinned, so no CUDA comes along.
-$(INSTALLED): requirements.txt $(SOURCES)
+$(INSTALLED): requirements.txt docs/requirements.txt $(SOURCES)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -r requirements.txt
+	$(BIN)/python -m pip install -q --disable-pip-version-check -r requirements.txt -r docs/requirements.txt
 	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES))
 	@touch $@
 
@@ -38,8 +38,15 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src)
 
+# E2E=tests/e2e/compose runs those of one folder, K="healthy" those whose names match.
 e2e: $(INSTALLED)  ## browser and container tests, where chromium or a container engine is at hand
-	$(BIN)/python -m pytest -m e2e
+	$(BIN)/python -m pytest -m e2e $(E2E) $(if $(K),-k "$(K)")
+
+readme:  ## type what the README says into a fresh clone (about 10 minutes)
+	$(PYTHON) docs/check_readme.py
+
+docs: $(INSTALLED)  ## the documentation's site, in build/site
+	$(BIN)/mkdocs build --strict --quiet
 
 bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/naosim bench

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -133,24 +134,26 @@ def engine() -> str:
     return "docker"
 
 
-@pytest.fixture(scope="session")
-def settings_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Settings with fresh secrets, made as the documentation says; the API takes any free port."""
-    path = tmp_path_factory.mktemp("compose") / "settings.env"
+def write_settings(path: Path) -> Path:
+    """Write settings with fresh secrets, made as the documentation says; the API takes any free port."""
     run([str(ROOT / "deploy" / "new-env"), str(path)])
     with path.open("a", encoding="utf-8") as file:
         file.write("API_PORT=0\nWORKER_CPUS=1\n")
     return path
 
 
-@pytest.fixture(scope="session")
-def project(settings_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
-    """The deployment, built from this working copy and healthy; nothing of it is left in the end."""
+@contextlib.contextmanager
+def open_project(settings_file: Path, empty: Path) -> Iterator[Project]:
+    """Build the deployment from this working copy, give it when it is healthy, leave nothing of it in the end.
+
+    Args:
+        settings_file: what :func:`write_settings` wrote.
+        empty: a folder without wheels, for machines that can reach all of them.
+    """
     kept = ("PATH", "HOME", "DOCKER_HOST", "DOCKER_CONFIG", "XDG_RUNTIME_DIR")
     environment = {name: os.environ[name] for name in kept if name in os.environ}
     # Where PyTorch's wheel is, on a machine that cannot reach its index; pip names such a folder PIP_FIND_LINKS.
-    wheels = os.environ.get("WHEELS_DIR") or os.environ.get("PIP_FIND_LINKS") or str(tmp_path_factory.mktemp("wheels"))
-    environment["WHEELS_DIR"] = wheels
+    environment["WHEELS_DIR"] = os.environ.get("WHEELS_DIR") or os.environ.get("PIP_FIND_LINKS") or str(empty)
     compose_file = ROOT / "docker-compose.yml"
     name = f"naosprint-e2e-{secrets.token_hex(4)}"
     project = Project(name, (compose_file,), settings_file, True, environment)
@@ -169,6 +172,19 @@ def project(settings_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         project.compose("--profile", "*", "down", "--volumes", "--timeout", "20", check=False)
     for kind in ("container", "volume", "network"):
         assert project.owned(kind) == [], f"a {kind} is left of the project"
+
+
+@pytest.fixture(scope="session")
+def settings_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Settings with fresh secrets."""
+    return write_settings(tmp_path_factory.mktemp("compose") / "settings.env")
+
+
+@pytest.fixture(scope="session")
+def project(settings_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
+    """The deployment, built from this working copy and healthy; nothing of it is left in the end."""
+    with open_project(settings_file, tmp_path_factory.mktemp("wheels")) as project:
+        yield project
 
 
 @pytest.fixture(scope="session")

@@ -49,7 +49,7 @@ def test_a_damaged_archive_is_refused(project: Any, naoctl: Callable[..., Any], 
         file.write(data)
     with (tmp_path / "damaged.tar").open("rb") as file:
         answer = subprocess.run(
-            [*project.command, "exec", "-T", "api", "python", "/app/artifacts.py", "import"],
+            [*project.command, "exec", "-T", "api", "python", "-m", "naojobs", "artifacts", "import"],
             env=project.environment,
             stdin=file,
             capture_output=True,

@@ -1,4 +1,4 @@
-"""docker-compose.yml and .env.example agree, and no secret has a default."""
+"""The compose files and .env.example agree, and no secret has a default."""
 
 from __future__ import annotations
 
@@ -10,15 +10,20 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[3]
+#: A variable of a container that has its value, if any, from the settings.
+PASSED_ON = re.compile(r"^ +(NAOSPRINT_[A-Z_]+):$", re.MULTILINE)
 VARIABLE = re.compile(r"(?<!\$)\$\{([A-Z0-9_]+)(?::([?-])([^}]*))?\}")
 EXAMPLE = re.compile(r"^(# )?([A-Z0-9_]+)=(.*)$", re.MULTILINE)
 
 
 def used() -> dict[str, set[tuple[str, str]]]:
-    """Return the variables of docker-compose.yml with what stands behind each."""
+    """Return the variables of the service's compose files with what stands behind each."""
     found: dict[str, set[tuple[str, str]]] = {}
-    for name, operator, text in VARIABLE.findall((ROOT / "docker-compose.yml").read_text(encoding="utf-8")):
+    texts = [(ROOT / name).read_text(encoding="utf-8") for name in ("docker-compose.yml", "deploy/sidecars.yml")]
+    for name, operator, text in VARIABLE.findall("".join(texts)):
         found.setdefault(name, set()).add((operator, text))
+    for name in PASSED_ON.findall("".join(texts)):
+        found.setdefault(name, set()).add(("-", ""))
     return found
 
 

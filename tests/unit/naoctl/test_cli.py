@@ -275,6 +275,56 @@ def test_evaluate_waits_for_the_figures(
     assert naoctl("eval", job()["id"], "--episodes", "0").code == ExitCode.USAGE
 
 
+def test_the_report_is_the_one_that_the_service_has_drawn(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path
+) -> None:
+    import hashlib
+
+    page = b"<html>drawn by a worker</html>"
+    file = {
+        "name": "report.html",
+        "size": len(page),
+        "sha256": hashlib.sha256(page).hexdigest(),
+        "url": "/evaluations/eval_1/files/report.html",
+    }
+    judged = {"id": "eval_1", "state": "succeeded", "files": [file], "finished_at": "2026-01-02T03:04:05Z"}
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    server.on("GET", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json([judged]))
+    server.on("GET", file["url"])(lambda request: request.raw(page))
+    ran = naoctl("report", job()["id"], "-o", str(tmp_path / "out"), "--json")
+    assert ran.code == 0, ran.err
+    shown = Path(json.loads(ran.out)["page"])
+    assert (shown, shown.read_bytes()) == (tmp_path / "out" / "report" / "report.html", page)
+    assert {received.path for received in server.received} == {
+        f"/jobs/{job()['id']}",
+        f"/jobs/{job()['id']}/evaluations",
+        file["url"],
+    }
+
+
+def test_tokens_are_made_listed_and_revoked_over_http(server: Any, naoctl: Callable[..., Ran]) -> None:
+    made = {
+        "id": "token_1",
+        "name": "laptop",
+        "owner": "bob",
+        "scopes": ["read"],
+        "created_at": "2026-01-02T03:04:05Z",
+        "expires_at": "2026-01-03T03:04:05Z",
+        "revoked_at": None,
+    }
+    server.on("POST", "/tokens")(lambda request: request.json({**made, "token": "nao_secret"}, 201))
+    server.on("GET", "/tokens")(lambda request: request.json([made]))
+    server.on("DELETE", "/tokens/token_1")(lambda request: request.raw(b"", 204))
+    words = ("token", "create", "--owner", "bob", "--name", "laptop", "--scope", "read", "--days", "1")
+    assert naoctl(*words).out == "nao_secret\n"
+    assert server.received[0].body == {"owner": "bob", "name": "laptop", "scopes": ["read"], "expires_in_days": 1.0}
+    listed = naoctl("token", "list").out
+    assert "bob" in listed and "expired" in listed
+    assert naoctl("token", "revoke", "token_1").out == "token_1: revoked\n"
+    unknown = naoctl("token", "revoke", "../jobs")
+    assert (unknown.code, server.received[-1].path) == (ExitCode.NOT_FOUND, "/tokens/..%2Fjobs")
+
+
 def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
     other = job(id="job_" + "2" * 26, name="other", spec={**job()["spec"], "learning_rate": 1e-3})
     for one in (job(), other):
@@ -323,7 +373,8 @@ def test_every_command_has_help_and_json(naoctl: Callable[..., Ran]) -> None:
 
     group = get_command(build_app())
     commands = dict(group.commands)  # type: ignore[attr-defined]
-    commands |= {f"token {name}": sub for name, sub in commands.pop("token").commands.items()}
+    for parent in ("token", "policies"):
+        commands |= {f"{parent} {name}": sub for name, sub in commands.pop(parent).commands.items()}
     for name, command in commands.items():
         assert command.help, name
         flags = {flag for parameter in command.params for flag in parameter.opts}
@@ -346,3 +397,25 @@ def test_the_client_needs_neither_torch_nor_the_service() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_policies_are_listed_judged_and_exported_without_the_service(
+    naoctl: Callable[..., Ran], server: Any, tmp_path: Path
+) -> None:
+    listed = naoctl("policies", "list", "--json")
+    cards = {card["name"]: card for card in json.loads(listed.out)}
+    assert "sprint" in cards
+    for name in cards:
+        assert name in naoctl("policies", "list").out
+    judged = naoctl("policies", "evaluate", "sprint", "--episodes", "4", "--json")
+    assert judged.code == 0, judged.err
+    summary = json.loads(judged.out)
+    assert summary["episodes"] == 4
+    assert summary["checkpoint"]["step"] == cards["sprint"]["lineage"][-1]["steps"]
+    exported = naoctl("policies", "export", "sprint", "-o", str(tmp_path / "export"))
+    assert [Path(line).name for line in exported.out.splitlines()] == ["policy.npz", "policy.onnx", "policy.json"]
+    unknown = naoctl("policies", "replay", "sprnt")
+    assert unknown.code == ExitCode.NOT_FOUND
+    assert "choose one of" in unknown.err
+    assert "sprint" in unknown.err
+    assert server.received == []

@@ -1,0 +1,457 @@
+"""Write the reference pages from the code they describe, while mkdocs builds the site.
+
+mkdocs.yml names this file as a hook. What a page says comes from the command lines' own parsers, the pydantic models,
+the OpenAPI document and the tables of events and figures, so no page can lag behind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+import typer.main
+from naoctl.cli import EPILOG, build_app
+from naojobs.events import EVENT_KINDS
+from naojobs.settings import ServiceSettings
+from naojobs.states import ENDED, LEASED, TRANSITIONS, JobState
+from naospec import EvaluationSpec, TrainingSpec
+from naospec.presets import PRESET_SUMMARIES, PRESETS
+from naospec.tasks import TASKS
+from naosprint.columns import COLUMNS
+from naosprint_api.settings import ApiSettings
+from naosprint_api.telemetry import Telemetry
+from naosprint_worker.settings import WorkerSettings
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
+ROOT = Path(__file__).parents[1]
+OPENAPI = ROOT / "tests" / "unit" / "naosprint_api" / "openapi.json"
+METHODS = ("get", "post", "put", "patch", "delete")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages to the site (a hook of mkdocs)."""
+    from mkdocs.structure.files import File  # the pages themselves need no mkdocs
+
+    for name, text in pages().items():
+        files.append(File.generated(config, f"reference/{name}", content=text))
+    return files
+
+
+def pages() -> dict[str, str]:
+    """Return every reference page by file name."""
+    writers: dict[str, Callable[[], Iterable[str]]] = {
+        "naoctl.md": _naoctl,
+        "naosprint.md": _naosprint,
+        "naosim.md": _naosim,
+        "administration.md": _administration,
+        "specification.md": _specification,
+        "api.md": _api,
+        "metrics.md": _metrics,
+        "events.md": _events,
+        "settings.md": _settings,
+    }
+    return {name: "\n".join(writer()) + "\n" for name, writer in writers.items()}
+
+
+# Command lines
+
+
+def _naoctl() -> Iterator[str]:
+    program = typer.main.get_command(build_app())
+    yield "# naoctl"
+    yield f"\n{_text(program.help)}\n"
+    yield from _click_options(program, "naoctl")
+    yield f"\n{_text(EPILOG)}"
+    yield from _click_commands(program, "naoctl", level=2)
+
+
+def _click_commands(group: click.Command, path: str, level: int) -> Iterator[str]:
+    for name, command in sorted(getattr(group, "commands", {}).items()):
+        if command.hidden:
+            continue
+        yield f"\n{'#' * level} {path} {name}\n"
+        yield f"{_text(command.help)}\n"
+        yield from _click_options(command, f"{path} {name}")
+        yield from _click_commands(command, f"{path} {name}", level + 1)
+
+
+def _click_options(command: click.Command, path: str) -> Iterator[str]:
+    context = click.Context(command, info_name=path)
+    usage = " ".join(command.collect_usage_pieces(context))
+    yield f"```\n{path} {usage}\n```\n"
+    rows = []
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None and "--help" not in parameter.opts:
+            names, text = record
+            rows.append((_code(names), _cell(text)))
+    if rows:
+        yield from _table(("Option", "Meaning"), rows)
+
+
+def _naosprint() -> Iterator[str]:
+    from naosprint.__main__ import _parser
+
+    yield from _argparse("python -m naosprint", _parser(), skip_group="specification")
+    yield "\n`train` takes every field of the [training](specification.md#training), `evaluate` every field of the"
+    yield "[evaluation](specification.md#evaluation) as an option: `total_steps` is `--total-steps`."
+
+
+def _naosim() -> Iterator[str]:
+    from naosim.cli import _parser
+
+    yield from _argparse("naosim", _parser())
+
+
+def _administration() -> Iterator[str]:
+    from naojobs.__main__ import _parser
+
+    yield from _argparse("python -m naojobs", _parser())
+
+
+def _argparse(
+    path: str,
+    parser: argparse.ArgumentParser,
+    *,
+    skip_group: str | None = None,
+    level: int = 1,
+    about: str | None = None,
+) -> Iterator[str]:
+    parser.prog = path
+    yield f"\n{'#' * level} {path}\n".lstrip("\n" if level == 1 else "")
+    if text := parser.description or about:
+        yield f"{_sentence(text)}\n"
+    skipped = {
+        action for group in parser._action_groups if group.title == skip_group for action in group._group_actions
+    }
+    shown = [a for a in parser._actions if a not in skipped and a.help != argparse.SUPPRESS and a.dest != "help"]
+    plain = [action for action in shown if not isinstance(action, argparse._SubParsersAction)]
+    if plain:
+        formatter = argparse.HelpFormatter(prog=path, width=100)
+        formatter.add_usage(None, plain, [], prefix="")
+        yield f"```\n{formatter.format_help().strip()}\n```\n"
+        yield from _table(("Option", "Meaning"), [_argument(action) for action in plain])
+    for action in shown:
+        if isinstance(action, argparse._SubParsersAction):
+            helps = {choice.dest: choice.help for choice in action._choices_actions}
+            for name, child in action.choices.items():
+                yield from _argparse(
+                    f"{path} {name}", child, skip_group=skip_group, level=level + 1, about=helps.get(name)
+                )
+
+
+def _argument(action: argparse.Action) -> tuple[str, str]:
+    name = ", ".join(action.option_strings) or str(action.metavar or action.dest).upper()
+    if action.option_strings and action.nargs != 0:
+        name += f" {action.metavar or action.dest.upper()}"
+    parts = [_cell((action.help or "") % {"default": action.default, "prog": ""})]
+    if action.choices is not None:
+        parts.append("one of " + ", ".join(_code(str(choice)) for choice in action.choices))
+    if action.required and action.option_strings:
+        parts.append("required")
+    if action.option_strings and action.nargs != 0 and action.default is not None and "default" not in parts[0]:
+        parts.append(f"default: {_code(str(action.default))}")
+    return _code(name), "; ".join(part for part in parts if part)
+
+
+# Specification
+
+
+def _specification() -> Iterator[str]:
+    yield "# Specification"
+    yield "\nA job's `spec` and `evaluation`, the flags of `naoctl submit`, the options of `python -m naosprint` and"
+    yield "the dashboard's form are all these fields. An unknown field is refused."
+    yield "\n## Training\n"
+    yield "A field that is left out takes the value of the [preset](#presets).\n"
+    yield from _fields(TrainingSpec)
+    yield "\n## Evaluation\n"
+    yield from _fields(EvaluationSpec)
+    yield "\n## Presets\n"
+    for name, summary in PRESET_SUMMARIES.items():
+        yield f"- `{name}`: {summary}"
+    yield ""
+    names = [name for name in PRESETS if name != "custom"]
+    settings = list(next(iter(PRESETS.values())))
+    yield from _table(
+        ("Field", *(_code(name) for name in names)),
+        [(_code(field), *(_value(PRESETS[name][field]) for name in names)) for field in settings],
+    )
+    yield "\n## Tasks\n"
+    yield from _table(
+        ("Task", "What it is", "Finish line", "Longest episode", "Falls below"),
+        [
+            (
+                _code(task.name),
+                task.summary,
+                "none" if task.finish_x_m is None else f"x = {task.finish_x_m:g} m",
+                f"{task.max_steps} steps{'' if task.horizon_is_terminal else ' (a time limit)'}",
+                f"{task.min_height_m:g} m",
+            )
+            for task in TASKS.values()
+        ],
+    )
+
+
+def _fields(model: type[BaseModel]) -> Iterator[str]:
+    schema = model.model_json_schema()
+    rows = []
+    for name, field in model.model_fields.items():
+        part = schema["properties"][name]
+        unit = f" Unit: {part['unit']}." if "unit" in part else ""
+        rows.append((_code(name), _type(part), _value(field.default), _cell(f"{field.description}{unit}")))
+    yield from _table(("Field", "Values", "Default", "Meaning"), rows)
+
+
+def _type(part: dict[str, Any]) -> str:
+    """Say in words which values a JSON schema allows."""
+    if "anyOf" in part:
+        return " or ".join(_type(choice) for choice in part["anyOf"])
+    if "$ref" in part:
+        name = part["$ref"].rsplit("/", 1)[1]
+        return f"[{name}](#{name.lower()})"
+    if "const" in part:
+        return _value(part["const"])
+    if "enum" in part:
+        return ", ".join(_value(value) for value in part["enum"])
+    if part.get("type") == "array":
+        return f"list of {_type(part.get('items', {}))}"
+    kind = {"integer": "whole number", "string": "text", "boolean": "true, false", "null": "null"}.get(
+        part.get("type", ""), part.get("type", "anything")
+    )
+    bounds = [
+        f"{sign} {part[key]:,}" if abs(part[key]) >= 10_000 else f"{sign} {part[key]:g}"
+        for key, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
+        if key in part
+    ]
+    if "maxLength" in part:
+        bounds.append(f"at most {part['maxLength']} characters")
+    return " ".join([kind, ", ".join(bounds)]).strip()
+
+
+# API
+
+
+def _api() -> Iterator[str]:
+    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    yield "# HTTP API"
+    yield f"\n{_text(document['info']['description'])}"
+    yield "\nA running service has this description at `/openapi.json`. Requests carry `Authorization: Bearer TOKEN`."
+    operations: dict[str, list[tuple[str, str, dict[str, Any]]]] = {}
+    for path, item in document["paths"].items():
+        for method in METHODS:
+            if method in item:
+                operations.setdefault(item[method]["tags"][0], []).append((method, path, item[method]))
+    for tag, members in operations.items():
+        yield f"\n## {tag.capitalize()}"
+        for method, path, operation in members:
+            yield f"\n### {method.upper()} {path}\n"
+            yield f"{_text(operation['description'])}\n"
+            yield from _operation(operation)
+    yield "\n## Schemas"
+    for name, schema in document["components"]["schemas"].items():
+        yield f"\n### {name}\n"
+        yield f"{_text(schema.get('description', ''))}\n"
+        if "enum" in schema:
+            yield "One of " + ", ".join(_value(value) for value in schema["enum"]) + "."
+            continue
+        required = set(schema.get("required", ()))
+        yield from _table(
+            ("Field", "Values", "Meaning"),
+            [
+                (
+                    _code(field) + (" (required)" if field in required else ""),
+                    _type(part),
+                    _cell(part.get("description", part.get("title", ""))),
+                )
+                for field, part in schema.get("properties", {}).items()
+            ],
+        )
+
+
+def _operation(operation: dict[str, Any]) -> Iterator[str]:
+    parameters = [
+        (
+            _code(parameter["name"]) + (" (required)" if parameter.get("required") else ""),
+            parameter["in"],
+            _type(parameter["schema"]),
+            _cell(parameter.get("description", "")),
+        )
+        for parameter in operation.get("parameters", ())
+    ]
+    if parameters:
+        yield from _table(("Parameter", "In", "Values", "Meaning"), parameters)
+        yield ""
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        yield f"Body: {_type(content['schema'])}\n"
+    rows = []
+    for status, response in operation["responses"].items():
+        kinds = [_type(content.get("schema", {})) for content in response.get("content", {}).values()]
+        rows.append((_code(status), _cell(response["description"]), ", ".join(kinds)))
+    yield from _table(("Status", "Meaning", "Body"), rows)
+
+
+# Figures and events
+
+
+def _metrics() -> Iterator[str]:
+    yield "# Metrics"
+    yield "\n## Of a training\n"
+    yield "One row is written after every update of the policy. `GET /jobs/{job_id}/metrics`, the live stream, and the"
+    yield "`metrics.jsonl` that `naoctl download` fetches and that a training without the service writes have these"
+    yield "columns; a figure that has no value yet is missing.\n"
+    yield from _table(
+        ("Column", "Unit", "Meaning"),
+        [(_code(name), column.unit, _cell(column.meaning)) for name, column in COLUMNS.items()],
+    )
+    yield "\n## Of the service\n"
+    yield "`GET /metrics` answers in Prometheus's text format, to tokens with the scope `admin`.\n"
+    rows = [
+        (_code(name), kind, ", ".join(_code(label) for label in labels), _cell(text))
+        for name, kind, labels, text in Telemetry.catalogue()
+    ]
+    yield from _table(("Metric", "Kind", "Labels", "Meaning"), rows)
+
+
+def _events() -> Iterator[str]:
+    yield "# Events and states"
+    yield "\n## States of a job\n"
+    documents = _attribute_comments(JobState)
+    yield from _table(
+        ("State", "Meaning", "May become", ""),
+        [
+            (
+                _code(state),
+                documents[state.name],
+                ", ".join(_code(target) for target in JobState if target in TRANSITIONS[state]) or "nothing",
+                "held by a worker" if state in LEASED else "ended" if state in ENDED else "",
+            )
+            for state in JobState
+        ],
+    )
+    yield "\n## Events\n"
+    yield "What happened to a job, oldest first: `naoctl logs JOB`, `GET /jobs/{job_id}/events`, and `event` messages"
+    yield "of the live stream. `data` holds what programs need.\n"
+    yield from _table(
+        ("Kind", "When", "Data"),
+        [
+            (_code(kind), _cell(event.meaning), ", ".join(_code(name) for name in event.data))
+            for kind, event in EVENT_KINDS.items()
+        ],
+    )
+    yield "\n## Messages of the live streams\n"
+    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    for path in ("/jobs/{job_id}/stream", "/jobs/stream"):
+        yield f"### GET {path}\n\n{_text(document['paths'][path]['get']['description'])}\n"
+
+
+def _attribute_comments(owner: type) -> dict[str, str]:
+    """Return what the `#:` comments in front of a class's members say."""
+    import inspect
+
+    found, words = {}, list[str]()
+    for line in inspect.getsource(owner).splitlines():
+        stripped = line.strip()
+        if stripped.startswith("#:"):
+            words.append(stripped.removeprefix("#:").strip())
+        elif words:
+            found[stripped.split(" ", 1)[0]] = " ".join(words)
+            words = []
+    return found
+
+
+# Settings
+
+
+def _settings() -> Iterator[str]:
+    yield "# Settings"
+    yield "\nEvery process reads its settings from environment variables. `docker-compose.yml` sets them from `.env`,"
+    yield "whose variables stand in `.env.example`; `naoctl up` sets them itself."
+    sections: Sequence[tuple[str, type[BaseModel], type[BaseModel] | None]] = (
+        ("Every process", ServiceSettings, None),
+        ("API", ApiSettings, ServiceSettings),
+        ("Worker", WorkerSettings, ServiceSettings),
+    )
+    for title, model, base in sections:
+        yield f"\n## {title}\n"
+        inherited = set(base.model_fields) if base else set()
+        schema = model.model_json_schema()
+        prefix = str(cast("dict[str, Any]", model.model_config)["env_prefix"])
+        rows = []
+        for name, field in model.model_fields.items():
+            if name in inherited:
+                continue
+            default = (
+                "required"
+                if field.is_required()
+                else "depends on the machine"
+                if field.default is PydanticUndefined
+                else _value(field.default)
+            )
+            values = _type(schema["properties"][name])
+            rows.append((_code(f"{prefix}{name.upper()}"), values, default, _cell(field.description or "")))
+        yield from _table(("Variable", "Values", "Default", "Meaning"), rows)
+    yield "\n## Command line\n"
+    yield from _table(("Variable", "Meaning"), [(_code(name), text) for name, text in _naoctl_variables()])
+
+
+def _naoctl_variables() -> Iterator[tuple[str, str]]:
+    seen = {}
+    commands = [typer.main.get_command(build_app())]
+    while commands:
+        command = commands.pop()
+        commands.extend(getattr(command, "commands", {}).values())
+        for parameter in command.params:
+            variable = getattr(parameter, "envvar", None)
+            if isinstance(variable, str):
+                seen[variable] = _cell(getattr(parameter, "help", "") or "")
+    yield from sorted(seen.items())
+    yield "NAOCTL_TOKEN", "Token for the service, in place of the one that `naoctl login` keeps."
+    yield "NAOCTL_CONFIG", "File in which `naoctl` keeps addresses and tokens."
+
+
+# Markdown
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield "| " + " | ".join(head) + " |"
+    yield "|" + "---|" * len(head)
+    for row in rows:
+        yield "| " + " | ".join(row) + " |"
+
+
+def _code(text: str) -> str:
+    return f"`{text}`".replace("|", "\\|")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, tuple):
+        value = list(value)
+    return _code(value if isinstance(value, str) and value else json.dumps(value))
+
+
+def _cell(text: str) -> str:
+    """Return text that stays within a table's cell."""
+    return _text(" ".join(text.split())).replace("|", "\\|")
+
+
+def _text(text: str | None) -> str:
+    """Return text without the marks of rich and with angle brackets and the like as they are, outside of code."""
+    plain = re.sub(r"\[/?(?:bold|dim|italic|cyan|green|red|yellow|b|i)\]", "", text or "").replace("\\[", "[").strip()
+    parts = re.split(r"(`[^`]*`)", plain.replace("``", "`"))
+    return "".join(part if part.startswith("`") else html.escape(part, quote=False) for part in parts)
+
+
+def _sentence(text: str) -> str:
+    text = _text(text)
+    return text if text.endswith((".", ":")) else f"{text[:1].upper()}{text[1:]}."

@@ -1,0 +1,71 @@
+"""Read the documents: their code blocks, and the commands in these."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+_BLOCK = re.compile(r"^(?P<indent> *)```(?P<language>\w+)\n(?P<text>.*?)^(?P=indent)```", re.MULTILINE | re.DOTALL)
+_HERE = re.compile(r"<<'?(?P<end>\w+)'?\n.*?^(?P=end)$", re.MULTILINE | re.DOTALL)
+_SUBSTITUTION = re.compile(r"\$\((.*?)\)")
+_ASSIGNMENT = re.compile(r"[A-Z][A-Z0-9_]*=.*")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of a document, without the variables set in front of it."""
+
+    document: str
+    words: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.document}: {shlex.join(self.words)}"
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    """Return the code blocks of a language."""
+    found = []
+    for match in _BLOCK.finditer(path.read_text(encoding="utf-8")):
+        if match["language"] == language:
+            lines = match["text"].splitlines()
+            found.append("\n".join(line.removeprefix(match["indent"]) for line in lines) + "\n")
+    return found
+
+
+def commands() -> list[Command]:
+    """Return every command of every shell block, `&&` taken apart; output redirections are left out."""
+    found = []
+    for path in DOCUMENTS:
+        for block in blocks(path, "sh"):
+            text = _HERE.sub("\n", block).replace("\\\n", " ")
+            lines = [*_SUBSTITUTION.findall(text), *_SUBSTITUTION.sub("VALUE", text).splitlines()]
+            for line in lines:
+                for words in _simple(line):
+                    while words and _ASSIGNMENT.fullmatch(words[0]):
+                        words.pop(0)
+                    if words:
+                        found.append(Command(path.relative_to(ROOT).as_posix(), tuple(words)))
+    return found
+
+
+def _simple(line: str) -> list[list[str]]:
+    lexer = shlex.shlex(line, posix=True, punctuation_chars="&|;<>")
+    lexer.whitespace_split = True
+    lexer.commenters = "#"
+    parts: list[list[str]] = [[]]
+    skip = False
+    for word in lexer:
+        if set(word) <= set("&|;"):
+            parts.append([])
+        elif set(word) <= set("<>"):
+            skip = True  # what follows is a file
+        elif skip:
+            skip = False
+        else:
+            parts[-1].append(word)
+    return [part for part in parts if part]

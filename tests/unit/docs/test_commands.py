@@ -1,0 +1,156 @@
+"""What the documents tell people to type exists and is right."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from naoctl.cli import build_app
+from naojobs.__main__ import _parser as naojobs_parser
+from naosim.cli import _parser as naosim_parser
+from naosprint.__main__ import _parser as naosprint_parser
+from typer.main import get_command
+
+ROOT = Path(__file__).parents[3]
+
+
+def load_documents() -> Any:
+    spec = importlib.util.spec_from_file_location("documents", Path(__file__).with_name("documents.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["documents"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+documents = load_documents()
+COMMANDS = documents.commands()
+
+#: Programs of the system, whose own arguments are not looked at.
+SYSTEM = {"pg_dump", "pg_restore", "cat", "cp", "chmod", "echo", "git", "source", "curl", "apt-get", "ssh"}
+
+#: Commands of `docker compose` that the documents use.
+COMPOSE = {"up", "down", "exec", "ps", "build", "logs", "stop", "run", "pull"}
+
+
+def check_naoctl(words: list[str]) -> None:
+    name, command = "naoctl", get_command(build_app())
+    while hasattr(command, "commands"):
+        name = words.pop(0)
+        if name == "--url":  # in front of the command
+            words.pop(0)
+            continue
+        assert name in command.commands, f"naoctl has no command {name}"
+        command = command.commands[name]
+    command.make_context(name, words)
+
+
+def check_make(words: list[str]) -> None:
+    targets = set(re.findall(r"^([a-z0-9]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    wanted = {word for word in words if "=" not in word}
+    assert wanted and wanted <= targets, f"make has no target {wanted - targets}"
+
+
+def check_python(words: list[str]) -> None:
+    modules = {"naosprint": naosprint_parser, "naosim": naosim_parser, "naojobs": naojobs_parser}
+    if words[0] == "-m":
+        modules[words[1]]().parse_args(words[2:])
+    else:
+        assert (ROOT / words[0]).is_file(), f"there is no {words[0]}"
+        compile((ROOT / words[0]).read_bytes(), words[0], "exec")
+
+
+def check_docker(words: list[str]) -> None:
+    if words[0] == "build":
+        file = words[words.index("-f") + 1] if "-f" in words else f"{words[-1]}/Dockerfile"
+        assert (ROOT / file).is_file(), f"there is no {file}"
+        assert (ROOT / words[-1]).is_dir(), f"there is no folder {words[-1]}"
+        return
+    assert words.pop(0) == "compose"
+    files, profiles = [], []
+    while words[0].startswith("-"):
+        flag, value = words.pop(0), words.pop(0)
+        {"-f": files, "--file": files, "--profile": profiles, "--env-file": []}[flag].append(value)
+    if words[0] == "...":
+        words.pop(0)
+    verb = words.pop(0)
+    assert verb in COMPOSE, f"docker compose {verb}"
+    read = [yaml.safe_load((ROOT / file).read_text(encoding="utf-8")) for file in files or ["docker-compose.yml"]]
+    services = {name for document in read for name in document["services"]}
+    known = {
+        profile for document in read for one in document["services"].values() for profile in one.get("profiles", ())
+    }
+    assert set(profiles) <= known, f"no profile {set(profiles) - known}"
+    if verb in {"exec", "run"}:
+        service = next(word for word in words if not word.startswith("-"))
+        assert service in services, f"no service {service}"
+        inner = words[words.index(service) + 1 :]
+        if inner[0] == "python":
+            check_python(inner[1:])
+    elif verb in {"build", "logs", "stop", "pull"}:
+        named = {word for word in words if not word.startswith("-")}
+        assert named <= services, f"no service {named - services}"
+
+
+CHECKS: dict[str, Callable[[list[str]], None]] = {
+    "naoctl": check_naoctl,
+    "make": check_make,
+    "python": check_python,
+    "docker": check_docker,
+    "naosim": lambda words: check_python(["-m", "naosim", *words]),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=str)
+def test_every_command_in_the_documents_is_right(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    program, words = Path(command.words[0]), list(command.words[1:])
+    if program.parts[:1] in {("deploy",), ("services",), ("tests",)} or program.suffix == ".sh":
+        assert os.access(ROOT / program, os.X_OK), f"{program} cannot be run"
+        return
+    if program.name in SYSTEM:
+        return
+    assert program.name in CHECKS, f"{program.name}: add a check for it, or name it a program of the system"
+    try:
+        CHECKS[program.name](words)
+    except SystemExit:  # argparse has said why
+        pytest.fail(capsys.readouterr().err)
+
+
+def test_the_documents_speak_of_most_things() -> None:
+    used = {(Path(command.words[0]).name, command.words[1] if len(command.words) > 1 else "") for command in COMMANDS}
+    assert {("naoctl", name) for name in ("submit", "pause", "resume", "retry", "export", "compare", "token")} <= used
+    assert {("make", name) for name in ("demo", "test", "check", "install", "docs")} <= used
+    assert {("deploy/backup", "/backups/2026-01-31")} <= {tuple(command.words[:2]) for command in COMMANDS}
+
+
+def test_commands_in_the_text_exist() -> None:
+    known = get_command(build_app()).commands
+    for path in documents.DOCUMENTS:
+        for name in re.findall(r"`naoctl ([a-z]+)", path.read_text(encoding="utf-8")):
+            assert name in known, f"{path.name}: naoctl {name}"
+    targets = re.findall(r"`make ([a-z]+)", "".join(path.read_text(encoding="utf-8") for path in documents.DOCUMENTS))
+    check_make(targets)
+
+
+def test_scripts_that_documents_name_are_shell_without_mistakes() -> None:
+    for name in ("backup", "restore", "new-env"):
+        subprocess.run(["sh", "-n", ROOT / "deploy" / name], check=True, timeout=20)
+
+
+@pytest.mark.parametrize("name", ["own-task.md"])
+def test_python_in_the_documents_runs(name: str, tmp_path: Path) -> None:
+    texts = [text for text in documents.blocks(ROOT / "docs" / "how-to" / name, "python") if "import" in text]
+    assert len(texts) == 2
+    for number, text in enumerate(texts):
+        path = tmp_path / f"example_{number}.py"
+        path.write_text(text)
+        runpy.run_path(str(path))
