@@ -39,7 +39,7 @@ class Engine(EmbeddedSimulator):
         while self._engine.perceptors.time[0] < time_s - 0.01:
             self._engine.step(still)
 
-    def start(self, rows: IntArray, starts: IntArray) -> None:
+    def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Leave the robot where it stands."""
 
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
@@ -58,7 +58,7 @@ class Server(RemoteSimulator):
         """Advance by one cycle."""
         super().step(speeds if self.leader is None else self.leader.sent, active)
 
-    def start(self, rows: IntArray, starts: IntArray) -> None:
+    def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Leave the robot where it stands."""
 
 
@@ -173,6 +173,43 @@ def test_a_server_starts_robots_as_the_engine_does() -> None:
         server.close()
 
 
+def test_a_standby_server_prepares_the_next_start_while_the_robot_runs() -> None:
+    """The two change places at the start, which then takes no cycle of the robot that goes on running."""
+    simulator = RemoteSimulator(embedded(), 2, robot_type=0, task=SPRINT, max_failures=1, standby_servers=True)
+    batch = batch_of(simulator)
+    try:
+        poses = np.repeat(batch.actuation.start_pose()[None], 3, axis=0)
+        bent = batch.actuation.index[0]
+        poses[1, bent] += 0.2
+        poses[2, bent] -= 0.2
+        everyone, actions = np.arange(2), np.zeros((2, batch.actuation.n_actions))
+        batch.load_starts(poses)
+
+        def bend(row: int) -> float:
+            return float(np.deg2rad(simulator.perceptors.joint_angles[row, bent]))
+
+        batch.restart(everyone, np.array([0, 0]), np.array([1, 2]))
+        assert bend(1) == pytest.approx(poses[0, bent], abs=0.01)
+        for _ in range(120):
+            batch.step(actions)
+        alone = np.array([1])
+        before = simulator.perceptors.time[0]
+        batch.restart(alone, np.array([2]), np.array([1]))
+        assert bend(1) == pytest.approx(poses[2, bent], abs=0.01)
+        assert simulator.truth.torso_position[1, 0] == pytest.approx(SPRINT.start_x_m, abs=0.02)
+        assert simulator.perceptors.time[0] == before, "the other robot was held up"
+        # told wrongly, and with a standby that has died meanwhile: both cost time, no more
+        kill(simulator._remote._handles[simulator._standbys[1].server])  # type: ignore[arg-type]
+        for _ in range(5):
+            batch.step(actions)
+        assert not batch.lost.any()
+        batch.restart(alone, np.array([0]))
+        assert bend(1) == pytest.approx(poses[0, bent], abs=0.01)
+        assert simulator.failures == 1
+    finally:
+        batch.close()
+
+
 class Killer(NullReporter):
     """Kill a server after each of the first updates."""
 
@@ -214,9 +251,10 @@ def handles(monkeypatch: pytest.MonkeyPatch) -> list[ServerHandle]:
 
 
 def small_spec(**fields: Any) -> TrainingSpec:
-    """Return a specification that trains within seconds."""
+    """Return a specification that trains within seconds, with one server an environment."""
     defaults: dict[str, Any] = {
         "simulator": "rcssserver3d",
+        "standby_servers": False,
         "n_envs": 2,
         "n_steps": 64,
         "batch_size": 64,
@@ -259,6 +297,11 @@ def test_training_survives_a_server_that_is_killed_and_is_judged_on_servers(
     assert len(evaluation.trajectories.x) == 4
     assert np.abs(evaluation.trajectories.x[:, 0] + 14.0).max() < 0.1
     assert np.isfinite(evaluation.replay.positions).all()
+
+    started = len(handles)
+    twice = small_spec(standby_servers=True)
+    assert train(twice, workdir=tmp_path / "standby", reporter=NullReporter()).steps == 384
+    assert len(handles) == started + 4
 
     words = f"evaluate {result.checkpoint} --simulator rcssserver3d --task sprint2 --episodes 1 --n-envs 1"
     capsys.readouterr()

@@ -281,6 +281,14 @@ class TrainingSpec(_Specification):
         default=2, ge=1, le=256, title="Simulator threads", description="Threads that step the embedded engine."
     )
     torch_threads: int = Field(default=2, ge=1, le=256, title="Learner threads", description="Threads of the learner.")
+    standby_servers: bool = Field(
+        default=True,
+        title="Standby servers",
+        description=(
+            "rcssserver3d only: give every environment a second server, which prepares its next start while the robot "
+            "runs on the first. Without it all robots wait whenever one starts."
+        ),
+    )
     max_server_failures: int = Field(
         default=20,
         ge=0,

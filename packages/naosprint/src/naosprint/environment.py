@@ -108,11 +108,17 @@ class SprintBatch:
                 f"{lowest:.3f} m; choose a smaller min_height"
             )
 
-    def restart(self, rows: IntArray, starts: IntArray) -> None:
-        """Begin a new episode with the robots ``rows`` from the start poses ``starts``; leave the others alone."""
+    def restart(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
+        """Begin a new episode with the robots ``rows`` from the start poses ``starts``; leave the others alone.
+
+        Args:
+            rows: (k,) robots.
+            starts: (k,) start poses.
+            following: (k,) the start poses of the episodes after these, where they are known already.
+        """
         if not len(rows):
             return
-        self.simulator.start(rows, starts)
+        self.simulator.start(rows, starts, following)
         truth = self.simulator.truth
         self.observer.begin(rows, self.simulator.perceptors, truth)
         x = truth.torso_position[rows, 0]
@@ -201,7 +207,13 @@ def open_training_batch(spec: TrainingSpec) -> tuple[SprintBatch, int]:
     Returns:
         The environments and the number of start poses.
     """
-    batch = open_batch(spec, spec.n_envs, task=spec.task_definition, threads=spec.simulator_threads)
+    batch = open_batch(
+        spec,
+        spec.n_envs,
+        task=spec.task_definition,
+        threads=spec.simulator_threads,
+        standby_servers=spec.standby_servers,
+    )
     batch.practises[: round(spec.start_practice * spec.n_envs)] = True
     poses = draw_start_poses(batch.actuation, TRAINING_STARTS, spec.start_noise_deg, spec.seed)
     try:
@@ -212,7 +224,7 @@ def open_training_batch(spec: TrainingSpec) -> tuple[SprintBatch, int]:
     return batch, len(poses)
 
 
-def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int) -> SprintBatch:
+def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int, standby_servers: bool = False) -> SprintBatch:
     """Open n environments with the robot, the sensors and the limits of ``spec``, and no start poses yet."""
     simulator = open_simulator(
         spec.simulator,
@@ -222,6 +234,7 @@ def open_batch(spec: TrainingSpec, n: int, *, task: Task, threads: int) -> Sprin
         threads=threads,
         digits=spec.sensor_digits,
         max_server_failures=spec.max_server_failures,
+        standby_servers=standby_servers,
     )
     return SprintBatch(
         simulator,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass, fields, replace
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +18,7 @@ from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
+    from naosim.client import Act
     from naosim.launcher import Launcher
     from naosim.robots import RobotModel
     from naospec import Task
@@ -36,12 +39,17 @@ LABELS_VARIABLE = "NAOSPRINT_SIMSERVER_LABELS"
 DEFAULT_PROGRAM = "rcssserver3d"
 
 SERVERS_PER_CORE = 4
-"""More servers than this a core only wait for each other."""
+"""More running robots than this a core only wait for each other."""
 
 DOCKER_PREFIX = "docker:"
 _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 30.0
 _DIGITS = (2, 3)
+
+_IDLE_S = 20.0
+"""A standby server that waits for its robot is stepped so often: servers drop agents silent for 61 s."""
+
+_NO_START = -1
 
 
 def server_launcher(digits: int | None = 2) -> Launcher:
@@ -118,38 +126,51 @@ def require_servers(n: int) -> None:
 
 
 class RemoteTruth:
-    """Where n robots are, as the servers' monitor ports show it.
+    """Where n robots are, as the servers' monitor ports show it; valid until the next step.
 
     A torso's pose is as exact as the server sends it: coordinates change in steps of 0.005 (metres, matrix elements),
     unless every cycle asks for the full scene.
     """
 
-    def __init__(self, remote: RemoteBatch) -> None:
+    def __init__(self, remote: RemoteBatch, servers: IntArray) -> None:
         self._remote = remote
+        self._servers = servers
 
     @property
     def torso_position(self) -> FloatArray:
         """Return (n, 3) positions in metres, world frame."""
-        return self._remote.truth.torso_position
+        return self._remote.truth.torso_position[self._servers]
 
     @property
     def torso_rotation(self) -> FloatArray:
         """Return (n, 3, 3) rotations from the torso's frame into the world's."""
-        return self._remote.truth.torso_rotation
+        return self._remote.truth.torso_rotation[self._servers]
 
     @property
     def bodies(self) -> FloatArray:
         """Return (n, B, 13) body states by forward kinematics from the perceived angles; velocities are NaN."""
-        remote = self._remote
-        truth = remote.truth
-        return body_states(remote.model, truth.torso_position, truth.torso_rotation, remote.perceptors.joint_angles)
+        angles = self._remote.perceptors.joint_angles[self._servers]
+        return body_states(self._remote.model, self.torso_position, self.torso_rotation, angles)
+
+
+@dataclass(slots=True)
+class _Standby:
+    """A server that gets a robot's next start ready while the robot is still running on another."""
+
+    server: int
+    start: int = _NO_START
+    """Which start pose it prepares, or has prepared; ``_NO_START`` if neither."""
+    waiting_since: float = 0.0
+    """When it was last stepped, s."""
 
 
 class RemoteSimulator:
-    """Run n robots on as many rcssserver3d servers, all driven from this process.
+    """Run n robots on rcssserver3d servers, all driven from this process.
 
     Every start is simulated: the robot is untangled in the air, put on the start line and held in its start pose for 60
-    cycles. A robot whose server fails is marked in :attr:`lost`; its next start begins with a new server.
+    cycles. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
+    cycles in which the robot runs; at the start the two change places. A robot whose server fails is
+    marked in :attr:`lost`; its next start begins with a new server.
 
     Args:
         launcher: starts the servers.
@@ -157,6 +178,7 @@ class RemoteSimulator:
         robot_type: 0 to 4.
         task: says where the start line is.
         max_failures: so many servers may be replaced.
+        standby_servers: whether there are two servers a robot, where starts are told in advance.
         exact: ask for the full scene in every cycle; much slower.
 
     Raises:
@@ -164,11 +186,19 @@ class RemoteSimulator:
     """
 
     def __init__(
-        self, launcher: Launcher, n: int, *, robot_type: int, task: Task, max_failures: int, exact: bool = False
+        self,
+        launcher: Launcher,
+        n: int,
+        *,
+        robot_type: int,
+        task: Task,
+        max_failures: int,
+        standby_servers: bool = False,
+        exact: bool = False,
     ) -> None:
         self._remote = RemoteBatch(
             launcher,
-            n,
+            2 * n if standby_servers else n,
             robot_type,
             team="naosprint",
             timeout_s=_REPLY_TIMEOUT_S,
@@ -179,14 +209,19 @@ class RemoteSimulator:
         self.n = n
         self.model: RobotModel = self._remote.model
         self._actuation = Actuation(self.model)
-        self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)
-        self._truth = RemoteTruth(self._remote)
+        self._start_position = np.array((task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M))
+        self._servers: IntArray = np.arange(n)
+        self._standbys = [_Standby(n + row) for row in range(n)] if standby_servers else []
+        self._acts: dict[int, Act] = {}  # by server, of those that prepare a start
+        self._speeds = np.zeros((self._remote.n, len(self.model.joints)))
+        self._truth = RemoteTruth(self._remote, self._servers)
         self._starts: FloatArray | None = None
 
     @property
     def perceptors(self) -> Perceptors:
         """What the robots perceive; valid until the next call."""
-        return self._remote.perceptors
+        theirs = self._remote.perceptors
+        return replace(theirs, **{field.name: getattr(theirs, field.name)[self._servers] for field in fields(theirs)})
 
     @property
     def truth(self) -> RemoteTruth:
@@ -196,7 +231,7 @@ class RemoteSimulator:
     @property
     def lost(self) -> BoolArray:
         """Which robots have lost their server; they stand still until they are started again."""
-        return self._remote.failed
+        return self._remote.failed[self._servers]
 
     @property
     def failures(self) -> int:
@@ -205,7 +240,7 @@ class RemoteSimulator:
 
     def loss_reason(self, row: int) -> str:
         """Say why the robot ``row`` has lost its server; empty if it has not."""
-        return self._remote.reason(row)
+        return self._remote.reason(int(self._servers[row]))
 
     def keep_alive(self) -> AbstractContextManager[None]:
         """Return a context in which servers do not drop their robots, however long nothing is stepped."""
@@ -214,32 +249,82 @@ class RemoteSimulator:
     def load_starts(self, poses_rad: FloatArray) -> None:
         """Make (k, J) start poses known, in radians."""
         self._starts = np.array(poses_rad, dtype=np.float64)
+        self._acts.clear()
+        for standby in self._standbys:
+            standby.start = _NO_START
 
-    def start(self, rows: IntArray, starts: IntArray) -> None:
+    def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Put the robots ``rows`` on the start line, settled in the start poses ``starts``.
+
+        Args:
+            rows: (k,) robots.
+            starts: (k,) start poses.
+            following: (k,) the start poses after these, for standby servers to prepare.
 
         Raises:
             naosim.ServerLostError: if more servers fail than are allowed, or a new one does not start.
         """
-        if self._starts is None:
-            raise RuntimeError("no start poses: call load_starts first")
-        remote = self._remote
-        poses = np.zeros((self.n, self._starts.shape[1]))
-        poses[rows] = self._starts[starts]
-        waiting = np.zeros(self.n, dtype=np.bool_)
-        waiting[rows] = True
-        while waiting.any():
+        for row, start in zip(rows.tolist(), starts.tolist(), strict=True):
+            if self._standbys:
+                standby = self._standbys[row]
+                if standby.start != start:
+                    self._prepare(standby, start)
+                self._servers[row], standby.server = standby.server, int(self._servers[row])
+                standby.start = _NO_START
+            else:
+                self._acts[int(self._servers[row])] = self._starting(int(self._servers[row]), start)
+        for row, start in zip(rows.tolist(), [] if following is None else following.tolist(), strict=False):
+            if self._standbys:
+                self._prepare(self._standbys[row], start)
+        entering = dict(zip(self._servers[rows].tolist(), starts.tolist(), strict=True))
+        standbys = [self._standbys[row] for row in rows.tolist()] if self._standbys else []
+        preparing = entering | {standby.server: standby.start for standby in standbys}
+        while entering:
             # only these: whoever else has lost its server has an episode to cut off first
-            remote.replace(np.flatnonzero(waiting & remote.failed).tolist())
-            remote.reset(waiting)
-            remote.beam(np.array(self._start_position), RUNNING_YAW_DEG, waiting)
-            for _ in range(SETTLING_CYCLES):
-                remote.step(self._actuation.speeds(poses, remote.perceptors.joint_angles), waiting)
-            waiting &= remote.failed
+            for server in self._remote.replace([server for server in preparing if self._remote.failed[server]]):
+                if preparing[server] != _NO_START:
+                    self._acts[server] = self._starting(server, preparing[server])
+            self._advance(np.zeros(self._remote.n, dtype=np.bool_))
+            entering = {
+                server: start
+                for server, start in entering.items()
+                if server in self._acts or self._remote.failed[server]
+            }
 
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
         """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
-        self._remote.step(speeds, active)
+        mask = np.zeros(self._remote.n, dtype=np.bool_)
+        mask[self._servers] = True if active is None else active
+        self._speeds[self._servers] = speeds
+        self._advance(mask)
+
+    def _advance(self, mask: BoolArray) -> None:
+        """Run one cycle on the servers of the mask and on those that prepare a start."""
+        mask = mask | self._remote.cue(self._acts, self._speeds)
+        now = monotonic()
+        for standby in self._standbys:
+            server = standby.server
+            if not mask[server] and now > standby.waiting_since + _IDLE_S:
+                self._speeds[server], mask[server] = 0.0, True
+            if mask[server]:
+                standby.waiting_since = now
+        if mask.any():
+            self._remote.step(self._speeds, mask)
+
+    def _prepare(self, standby: _Standby, start: int) -> None:
+        standby.start = start
+        self._acts[standby.server] = self._starting(standby.server, start)
+
+    def _starting(self, server: int, start: int) -> Act:
+        """Bring a server's robot to the start: yield the joint speeds of the cycle that is to come."""
+        if self._starts is None:
+            raise RuntimeError("no start poses: call load_starts first")
+        remote = self._remote
+        yield from remote.untangling(server)
+        yield from remote.beaming(server, self._start_position, RUNNING_YAW_DEG)
+        pose = self._starts[start]
+        for _ in range(SETTLING_CYCLES):
+            yield self._actuation.speeds(pose, remote.perceptors.joint_angles[server])
 
     def snapshot(self) -> None:
         """Return None: a server cannot tell its whole state."""

@@ -93,8 +93,14 @@ class Simulator(Protocol):
     def load_starts(self, poses_rad: FloatArray) -> None:
         """Make (k, J) start poses known, in radians."""
 
-    def start(self, rows: IntArray, starts: IntArray) -> None:
-        """Put the robots ``rows`` on the start line, settled in the start poses ``starts``."""
+    def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
+        """Put the robots ``rows`` on the start line, settled in the start poses ``starts``.
+
+        Args:
+            rows: (k,) robots.
+            starts: (k,) start poses.
+            following: (k,) the start poses after these, where they are known, for a simulator that prepares them.
+        """
 
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
         """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
@@ -163,8 +169,9 @@ class EmbeddedSimulator:
         settle(engine, self._actuation, poses_rad, self._start_position)
         self._starts = np.array(engine.snapshot())
 
-    def start(self, rows: IntArray, starts: IntArray) -> None:
+    def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Put the robots ``rows`` on the start line, settled in the start poses ``starts``."""
+        del following  # a start is a snapshot, there is nothing to prepare
         if self._starts is None:
             raise RuntimeError("no start poses: call load_starts first")
         mask = np.zeros(self.n, dtype=np.bool_)
@@ -211,6 +218,7 @@ def open_simulator(
     threads: int,
     digits: int | None,
     max_server_failures: int,
+    standby_servers: bool = False,
 ) -> Simulator:
     """Open the simulator called ``name`` for n robots.
 
@@ -222,6 +230,7 @@ def open_simulator(
         threads: threads of the embedded engine.
         digits: decimals of the perceptors; a server that is not ours has its own.
         max_server_failures: so many servers may be replaced.
+        standby_servers: whether each robot on a server has a second server that prepares its next start.
 
     Raises:
         ValueError: if there is no such simulator, or this machine cannot carry so many servers.
@@ -233,5 +242,12 @@ def open_simulator(
     if name == "rcssserver3d":
         require_servers(n)
         launcher = server_launcher(digits)
-        return RemoteSimulator(launcher, n, robot_type=robot_type, task=task, max_failures=max_server_failures)
+        return RemoteSimulator(
+            launcher,
+            n,
+            robot_type=robot_type,
+            task=task,
+            max_failures=max_server_failures,
+            standby_servers=standby_servers,
+        )
     raise ValueError(f"simulator: {name!r} is unknown; use 'embedded' or 'rcssserver3d'")

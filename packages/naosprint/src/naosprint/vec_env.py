@@ -149,7 +149,10 @@ class SprintVecEnv(VecEnv):
         return self.normaliser.observations(self.batch.observations)
 
     def _restart(self, rows: IntArray) -> None:
-        self.batch.restart(rows, choose_starts(self._seed, self._n_starts, rows, self._episode[rows]))
+        starts, following = (
+            choose_starts(self._seed, self._n_starts, rows, self._episode[rows] + ahead) for ahead in (0, 1)
+        )
+        self.batch.restart(rows, starts, following)
         self._episode[rows] += 1
         self._rewards[rows] = 0.0
 

@@ -14,7 +14,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
@@ -53,6 +53,9 @@ _CLOCK_S = 200.0
 """The game's clock is set back once it is later than this: a half ends after 300 s."""
 
 _PARKED_BALL = (0.0, 9.5, 0.042)
+
+Act = Iterator[Floats]
+"""What one environment does in the cycles to come: (joints,) speeds of the next one, rad/s, each time it is asked."""
 
 
 class ServerLostError(RuntimeError):
@@ -206,49 +209,75 @@ class RemoteBatch:
         yaw = np.broadcast_to(np.asarray(yaw_deg, dtype=np.float64), (self.n,))
         if not (np.isfinite(where).all() and np.isfinite(yaw).all()):
             raise ValueError("position, yaw_deg: must be finite")
-        rows = self._rows(mask)
-        moved = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
-        todo = moved.copy()
-        with self._lock:
-            for row in np.flatnonzero(todo):
-                self._move(int(row), where[row], float(yaw[row]), show=True)
-            for _ in range(_LANDING_CYCLES):
-                self.step(self._nudge, todo)
-                todo &= ~self.failed
-                todo[todo] = ~self._arrived(where[todo], yaw[todo], np.flatnonzero(todo))
-                if not todo.any():
-                    break
-            # one that was about to fall asleep has done so in the first cycle; the second wakes it
-            self.step(self._nudge, moved & ~self.failed)
-            for row in np.flatnonzero(todo & ~self.failed):
-                self._exchange.fail(int(row), f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
-            self._note_failures()
+        self.act_out({row: self.beaming(row, where[row], float(yaw[row])) for row in self._able(mask)})
 
     def reset(self, mask: ArrayLike | None = None) -> None:
         """Untangle robots: hold them in the air until all joints are at 0; the caller beams them down then.
 
         On the way every joint has to obey, so that no limb is left that the self-collision rule has frozen.
         """
-        rows = self._rows(mask)
-        todo = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
-        late = todo & (self._game_time > _CLOCK_S)
-        obeyed = np.zeros(self.n, dtype=np.bool_)
-        lifted = np.array([0.0, 0.0, self.model.standing_height + _LIFT_M])
+        self.act_out({row: self.untangling(row) for row in self._able(mask)})
+
+    def act_out(self, acts: Mapping[int, Act]) -> None:
+        """Step the environments of `acts` side by side until each has ended its act or has failed."""
+        acts = dict(acts)
+        speeds = self._still.copy()
         with self._lock:
-            for cycle in range(_UNTANGLE_CYCLES):
-                for row in np.flatnonzero(todo):
-                    self._move(int(row), lifted, -90.0)
-                target = np.where(obeyed[:, None], 0.0, self._bent_deg)
-                error = np.deg2rad(target - self.perceptors.joint_angles)
-                self.step(np.clip(_GAIN * error, -self.model.max_speed, self.model.max_speed), todo)
-                todo &= ~self.failed
-                there = np.abs(target - self.perceptors.joint_angles).max(axis=1) < _UNTANGLED_DEG
-                todo &= ~(there & obeyed) | (late & (cycle < _FREEZE_CYCLES - 1))
-                obeyed |= there
-                if not todo.any():
-                    break
-            for row in np.flatnonzero(late & ~self.failed):
-                self._trainer(int(row), "(time 0)(playMode PlayOn)")
+            while acts:
+                mask = self.cue(acts, speeds)
+                if mask.any():
+                    self.step(speeds, mask)
+
+    def cue(self, acts: dict[int, Act], speeds: Floats) -> Flags:
+        """Ask every act for its next joint speeds; drop those that have ended, or whose server is lost.
+
+        Args:
+            acts: by environment.
+            speeds: (n, joints), rad/s, whose rows are filled in.
+
+        Returns:
+            (n,) whose rows have been filled in: these are to be stepped.
+        """
+        mask = np.zeros(self.n, dtype=np.bool_)
+        for row, act in list(acts.items()):
+            command = None if self.failed[row] else next(act, None)
+            if command is None:
+                del acts[row]
+            else:
+                speeds[row], mask[row] = command, True
+        return mask
+
+    def beaming(self, row: int, where: Floats, yaw_deg: float) -> Act:
+        """Do what `beam` does with one environment: yield the joint speeds of the cycle that is to come."""
+        self._move(row, where, yaw_deg, show=True)
+        for _ in range(_LANDING_CYCLES):
+            yield self._nudge[row]
+            if self._arrived(row, where, yaw_deg):
+                break
+        else:
+            self._exchange.fail(row, f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
+            self._note_failures()
+            return
+        # one that was about to fall asleep has done so in the first cycle; the second wakes it
+        yield self._nudge[row]
+
+    def untangling(self, row: int) -> Act:
+        """Do what `reset` does with one environment: yield the joint speeds of the cycle that is to come."""
+        late = self._game_time[row] > _CLOCK_S
+        lifted = np.array([0.0, 0.0, self.model.standing_height + _LIFT_M])
+        angles_deg = self.perceptors.joint_angles[row]
+        target = self._bent_deg
+        for cycle in range(_UNTANGLE_CYCLES):
+            self._move(row, lifted, -90.0)
+            error = np.deg2rad(target - angles_deg)
+            yield np.clip(_GAIN * error, -self.model.max_speed, self.model.max_speed)
+            there = np.abs(target - angles_deg).max() < _UNTANGLED_DEG
+            if there and target is not self._bent_deg and not (late and cycle < _FREEZE_CYCLES - 1):
+                break
+            if there:
+                target = np.zeros_like(target)
+        if late:
+            self._trainer(row, "(time 0)(playMode PlayOn)")
 
     def trainer(self, row: int, command: str) -> None:
         """Send trainer commands, such as `(ball (pos 0 0 0.042))`, to one server."""
@@ -275,11 +304,11 @@ class RemoteBatch:
                 raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
             for row in lost:
                 self.restarts += 1
-                logger.warning("environment %d: %s; starting server %d anew", row, self.reason(row), row)
+                logger.warning("server %d: %s; another is started in its place", row, self.reason(row))
                 if self.restarts > self._max_failures:
                     raise ServerLostError(
                         f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
-                        f"the last: environment {row}: {self.reason(row)}"
+                        f"the last: server {row}: {self.reason(row)}"
                     )
             self._open(lost)
             for row in lost:
@@ -318,6 +347,12 @@ class RemoteBatch:
                 with ThreadPoolExecutor(max_workers=min(8, len(handles))) as pool:
                     list(pool.map(lambda handle: handle.stop(), handles))
 
+    def _able(self, mask: ArrayLike | None) -> list[int]:
+        """Return the environments of a mask that have not failed."""
+        rows = self._rows(mask)
+        able = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
+        return [int(row) for row in np.flatnonzero(able)]
+
     def _rows(self, mask: ArrayLike | None) -> NDArray[np.uint8] | None:
         if mask is None:
             return None
@@ -330,7 +365,7 @@ class RemoteBatch:
         for row in range(self.n):
             if not self.failed[row] and self._exchange.failure(row):
                 self.failed[row] = True
-                logger.warning("environment %d has lost its server: %s", row, self.reason(row))
+                logger.warning("server %d is lost: %s", row, self.reason(row))
 
     def _trainer(self, row: int, command: str) -> None:
         self._exchange.post(row, True, command.encode())
@@ -341,13 +376,13 @@ class RemoteBatch:
         full = "(reqfullstate)" if show and not self._exact else ""
         self._trainer(row, f"(agent (unum {self._number})(team Left)(move {place})){full}")
 
-    def _arrived(self, where: Floats, yaw_deg: Floats, rows: NDArray[np.intp]) -> Flags:
-        offset = np.abs(self.truth.torso_position[rows] - where)
-        rotation = self.truth.torso_rotation[rows]
+    def _arrived(self, row: int, where: Floats, yaw_deg: float) -> bool:
+        offset = np.abs(self.truth.torso_position[row] - where)
+        rotation = self.truth.torso_rotation[row]
         yaw = np.deg2rad(yaw_deg)
-        ahead = -np.sin(yaw) * rotation[:, 0, 1] + np.cos(yaw) * rotation[:, 1, 1]
-        near: Flags = (offset[:, :2].max(axis=1) < 0.05) & (offset[:, 2] < 0.08)
-        return near & (rotation[:, 2, 2] > 0.99) & (ahead > 0.99)
+        ahead = -np.sin(yaw) * rotation[0, 1] + np.cos(yaw) * rotation[1, 1]
+        near = max(offset[:2]) < 0.05 and offset[2] < 0.08
+        return bool(near and rotation[2, 2] > 0.99 and ahead > 0.99)
 
     def _open(self, rows: Sequence[int]) -> None:
         with ThreadPoolExecutor(max_workers=min(8, len(rows))) as pool:
