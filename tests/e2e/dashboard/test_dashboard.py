@@ -8,7 +8,10 @@ import re
 import time
 from typing import TYPE_CHECKING, Any
 
+import naopolicies
 import pytest
+import typer
+from naoctl.cli import build_app as naoctl_app
 from naojobs.database import notify
 from naojobs.models import Log
 from PIL import Image, ImageChops
@@ -74,6 +77,18 @@ def painted(browser: Browser, selector: str) -> int:
         selector,
     )
     return count
+
+
+def moment(browser: Browser, frame: int) -> Image.Image:
+    """Bring a replay to one of its frames and return what its canvas shows then."""
+    browser.set(".replay-bar input[type=range]", str(frame))
+    return shot(browser)
+
+
+def shot(browser: Browser) -> Image.Image:
+    """Return what the canvas of a replay shows once it has drawn."""
+    browser.module("return new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))")
+    return Image.open(io.BytesIO(browser.find(".stage canvas").screenshot_as_png)).convert("RGB")
 
 
 def choose(browser: Browser, selector: str, value: str) -> None:
@@ -449,7 +464,7 @@ def test_everything_works_with_the_keyboard_alone(browser: Browser, token: str, 
             "const a = document.activeElement;"
             "return a === document.body || getComputedStyle(a).outlineStyle !== 'none' || a.type === 'checkbox'"
         )
-    assert {"Jobs", "Compare", "Workers", "New job", "All", "Failed", "job-0"} <= reached
+    assert {"Jobs", "Compare", "Workers", "Policies", "New job", "All", "Failed", "job-0"} <= reached
 
 
 def test_checkpoints_download_as_they_were_stored(
@@ -510,28 +525,18 @@ def test_the_replay_plays_a_recorded_episode(
     browser.allowed += ["GPU stall", "software WebGL"]
     browser.sign_in(token)
     browser.open(f"/jobs/{job['id']}/replay")
-    canvas = browser.find(".stage canvas")
-
-    def picture() -> Image.Image:
-        frames = "return new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))"
-        browser.module(frames)
-        return Image.open(io.BytesIO(canvas.screenshot_as_png)).convert("RGB")
-
-    def moment(frame: int) -> Image.Image:
-        browser.set(".replay-bar input[type=range]", str(frame))
-        return picture()
-
+    browser.find(".stage canvas")
     last = replay["frames"] - 1
-    first, end = moment(0), moment(last)
+    first, end = moment(browser, 0), moment(browser, last)
     assert len(first.getcolors(1 << 24) or []) > 200, "the canvas is blank"
     # The start line's amber lies on the turf, whatever the renderer's depth is good for.
     amber = sum(n for n, (r, g, b) in first.getcolors(1 << 24) or [] if r > 130 and 60 < g < r - 25 and b < 70)
     assert amber > 500, f"the start line is not seen: {amber} pixels of its colour"
     assert ImageChops.difference(first, end).getbbox(), "the first frame looks like the last"
-    assert not ImageChops.difference(first, moment(0)).getbbox(), "the same frame looks different"
+    assert not ImageChops.difference(first, moment(browser, 0)).getbbox(), "the same frame looks different"
     assert browser.text(".replay-time") == f"0.00 / {last * replay['dt_s']:.2f} s"
     browser.find(".segments button[data-value=side]").click()
-    assert ImageChops.difference(first, picture()).getbbox(), "the camera did not move"
+    assert ImageChops.difference(first, shot(browser)).getbbox(), "the camera did not move"
     browser.find("[data-action=play]").click()
     browser.until(lambda: not browser.text(".replay-time").startswith("0.00"), message="the replay does not run")
     browser.find(".stage").send_keys(Keys.SPACE)
@@ -539,6 +544,95 @@ def test_the_replay_plays_a_recorded_episode(
     assert browser.text(".replay-time").startswith("0.04")
     shown = browser.text(".stats.flat")
     assert f"{replay['position_m'][2][2]:.3f} m" in shown
+
+
+def test_the_shipped_policies_are_listed_with_their_figures(browser: Browser, token: str, client: httpx.Client) -> None:
+    cards = client.get("/policies").json()
+    assert [card["name"] for card in cards] == list(naopolicies.names())
+    browser.sign_in(token)
+    browser.find("#top nav a[href='#/policies']").send_keys(Keys.ENTER)
+    browser.until(lambda: browser.all("[data-policy]"), message="no policy is shown")
+    assert [e.get_attribute("data-policy") for e in browser.all("[data-policy]")] == [card["name"] for card in cards]
+    assert browser.text("#top nav a[aria-current=page]") == "Policies"
+    for card in cards:
+        figures, paper = card["figures"], card["figures"]["paper"]
+        shown = browser.text(f"[data-policy={card['name']}]")
+        for words in (
+            card["task"],
+            f"robot type {card['robot_type']}",
+            f"{paper['top_speed_mps']:.2f}m/s",
+            f"{figures['speed_mps']['mean']:.2f}m/s",
+            f"{figures['falls']['rate']:.1%}".replace("%", " %"),
+            f"{paper['deviation_deg']['mean']:.2f}°",
+            *(f"preset {one['preset']}" for one in card["lineage"]),
+        ):
+            assert words in shown, (card["name"], words)
+    # By keyboard alone to the page of the first, and back.
+    browser.js("document.querySelector('[data-policy] h2 a').focus()")
+    browser.driver.switch_to.active_element.send_keys(Keys.ENTER)
+    browser.shows(cards[0]["name"], "h1")
+    browser.driver.switch_to.active_element.send_keys("g")
+    browser.driver.switch_to.active_element.send_keys("p")
+    browser.shows("Policies", "h1")
+
+
+def test_a_shipped_policy_runs_and_says_all_about_itself(browser: Browser, token: str, client: httpx.Client) -> None:
+    policy = client.get("/policies/sprint").json()
+    replay = client.get("/policies/sprint/replay").json()
+    browser.allowed += ["GPU stall", "software WebGL"]
+    browser.sign_in(token)
+    browser.open("/policies/sprint")
+    browser.find(".stage canvas")
+    browser.find("[data-action=play]").click()
+    last = replay["frames"] - 1
+    first, end = moment(browser, 0), moment(browser, last)
+    assert len(first.getcolors(1 << 24) or []) > 200, "the canvas is blank"
+    assert ImageChops.difference(first, end).getbbox(), "the first frame looks like the last"
+    assert not ImageChops.difference(first, moment(browser, 0)).getbbox(), "the same frame looks different"
+    assert browser.text(".replay-time") == f"0.00 / {last * replay['dt_s']:.2f} s"
+
+    def cells(part: str) -> dict[str, list[str]]:
+        rows = browser.all(f"[data-part={part}] tbody tr")
+        texts = [[cell.text for cell in row.find_elements("css selector", "th, td")] for row in rows]
+        return {text[0]: text[1:] for text in texts}
+
+    figures, paper = policy["figures"], policy["figures"]["paper"]
+    said = cells("figures")
+    assert said["Top speed"][0] == f"{paper['top_speed_mps']:.3f} m/s"
+    speed = figures["speed_mps"]
+    assert said["Mean speed from the start"] == [
+        f"{speed['mean']:.3f} m/s",
+        f"{speed['ci'][0]:.3f} to {speed['ci'][1]:.3f}",
+        *(f"{speed[key]:.3f}" for key in ("sd", "min", "max")),
+        f"{speed['episodes']:,}",
+    ]
+    falls = [figures["falls"]["rate"], *figures["falls"]["ci"]]
+    assert said["Falls"][:2] == [f"{falls[0] * 100:.1f} %", f"{falls[1] * 100:.1f} % to {falls[2] * 100:.1f} %"]
+    for one in policy["lineage"]:
+        assert f"{one['steps']:,}" in cells("lineage")[one["job"]]
+    # Every field of the specification, named as the form names it once the service has told the names.
+    browser.until(lambda: browser.all(".spec-columns .unit"), message="the form's names and units are not shown")
+    assert len(browser.all(".spec-columns .pair")) == len(policy["spec"]) + len(policy["evaluation"])
+    # What it says one can type is what naoctl has.
+    commands = dict(typer.main.get_command(naoctl_app()).commands["policies"].commands)  # type: ignore[attr-defined]
+    typed = [e.text.split() for e in browser.all("main li code") if e.text.startswith("naoctl policies")]
+    assert {words[2] for words in typed} == {"evaluate", "replay", "export"} <= set(commands)
+    browser.until(lambda: painted(browser, "[data-chart=speed_mps] canvas") > 200, message="no curve was drawn")
+
+
+def test_policies_say_what_is_wrong(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    browser.allowed += ["404", "ERR_BLOCKED_BY_CLIENT"]
+    browser.open("/policies/sprnt")
+    browser.shows("those in the box: sprint")
+    browser.driver.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*/policies"]})
+    try:
+        browser.open("/policies")
+        browser.shows("The service does not answer")
+    finally:
+        browser.driver.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
+    browser.find("main button.primary").click()
+    browser.until(lambda: browser.all("[data-policy=sprint]"))
 
 
 def test_lineage_leads_from_a_checkpoint_to_the_job_that_continues_it(
@@ -622,6 +716,8 @@ PAGES = (
     "/",
     "/submit",
     "/workers",
+    "/policies",
+    "/policies/sprint",
     "job",
     "job/log",
     "job/history",

@@ -8,6 +8,8 @@ from typing import Any
 import httpx
 import naopolicies
 import pytest
+from naospec import TrainingSpec
+from naosprint.policy import load_policy
 from naosprint.replay import load_replay
 
 
@@ -15,7 +17,10 @@ def test_cards_of_all_shipped_policies(client: httpx.Client) -> None:
     cards = client.get("/policies").json()
     assert [card["name"] for card in cards] == list(naopolicies.names())
     for card in cards:
-        assert card == naopolicies.card(card["name"]) == client.get(f"/policies/{card['name']}").json()
+        assert card == naopolicies.card(card["name"])
+        policy = client.get(f"/policies/{card['name']}").json()
+        assert TrainingSpec.model_validate(policy.pop("spec")) == load_policy(naopolicies.folder(card["name"]))[1].spec
+        assert policy == card
 
 
 @pytest.mark.parametrize("name", naopolicies.names())

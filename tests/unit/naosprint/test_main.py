@@ -60,6 +60,16 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
     assert names == ["policy.npz", "policy.onnx", "policy.json"]
 
 
+def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The film may be shorter than the run; the replay is whole."""
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    assert main(["replay", "sprint", str(tmp_path), "--film-seconds", "0.1"]) == 0
+    names = [Path(line).name for line in capsys.readouterr().out.splitlines()]
+    assert names == ["replay.json", "replay.npz", "replay.mp4"]
+    assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "replay.mp4"))[0] == 5
+    assert json.loads((tmp_path / "replay.json").read_text())["frames"] > 50
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

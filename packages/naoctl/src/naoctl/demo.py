@@ -1,4 +1,4 @@
-"""Everything once, in front of the user: service, training, evaluation, download, and the proof that figures repeat."""
+"""Everything once, in front of the user: service, training, evaluation, download, proof, and a policy from the box."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import time
 from pathlib import Path
 from typing import Any
+
+import naopolicies
 
 from naoctl.client import Client
 from naoctl.commands.artifacts import (
@@ -17,6 +19,7 @@ from naoctl.commands.artifacts import (
     write_metrics,
     write_report,
 )
+from naoctl.commands.policies import judge
 from naoctl.commands.submit import make_body
 from naoctl.commands.watch import watch_job
 from naoctl.config import Target
@@ -27,6 +30,9 @@ from naoctl.render import duration
 from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
+
+#: The policy from the box that runs at the end, over how many episodes, and how much of one is filmed, seconds.
+SHIPPED, SHIPPED_EPISODES, SHIPPED_FILM_S = "sprint", 20, 5
 
 
 class Demo:
@@ -62,9 +68,10 @@ class Demo:
                 checkpoint_folder = self._download(client, job, evaluation)
             self._verify(checkpoint_folder, evaluation)
             self._report(checkpoint_folder.parent)
+            self.let_shipped_run(evaluation, self.output / SHIPPED)
         finally:
             if not keep:
-                self._head("7. Stop")
+                self._head("8. Stop")
                 stop(self.layout, self.context.say)
                 self.context.say("Stopped", "nothing is left running")
         self._say_goodbye(stack, duration(time.monotonic() - began), keep=keep)
@@ -116,6 +123,26 @@ class Demo:
         self.context.say("Report", page.resolve().as_uri())
         for film in sorted(page.parent.glob("*.mp4")):
             self.context.say("Film", film.resolve().as_uri())
+
+    def let_shipped_run(self, evaluation: dict[str, Any], folder: Path) -> None:
+        """Let a policy from the box run; show its speed beside the one just learnt, and film it."""
+        self._head(f"7. Beside it, the policy {SHIPPED} from the box")
+        learnt, shipped = evaluation["summary"], judge(SHIPPED, episodes=SHIPPED_EPISODES)
+        for title, summary, steps in (
+            ("Just learnt", learnt, learnt["checkpoint"]["step"]),
+            (SHIPPED.capitalize(), shipped, naopolicies.card(SHIPPED)["steps"]),
+        ):
+            speed, falls = summary["speed_mps"]["mean"], summary["falls"]["rate"]
+            self.context.say(
+                title,
+                f"{speed:.2f} m/s, {falls:.0%} falls: {summary['episodes']:,} episodes, trained for {steps:,} steps",
+            )
+        try:
+            run_naosprint("replay", SHIPPED, str(folder), "--film-seconds", str(SHIPPED_FILM_S))
+        except CliError as error:
+            self.context.say("Film", str(error))
+            return
+        self.context.say("Film", (folder / "replay.mp4").resolve().as_uri())
 
     def _verify(self, checkpoint: Path, evaluation: dict[str, Any]) -> None:
         """Judge the downloaded policy anew in a process of its own, without the service, and compare every figure."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 CARD = "card.json"
+CHECKPOINT = "checkpoint.json"
 REPLAY = "replay.json"
 
 _SHIPPED = Path(__file__).parent / "shipped"
@@ -42,6 +43,16 @@ def card(name: str) -> dict[str, Any]:
         ValueError: if there is none; the message lists those that exist.
     """
     found: dict[str, Any] = json.loads((folder(name) / CARD).read_bytes())
+    return found
+
+
+def spec(name: str) -> dict[str, Any]:
+    """Return the specification of the last training of the policy called ``name``: the fields of a ``TrainingSpec``.
+
+    Raises:
+        ValueError: if there is no such policy; the message lists those that exist.
+    """
+    found: dict[str, Any] = json.loads((folder(name) / CHECKPOINT).read_bytes())["spec"]
     return found
 
 

@@ -93,6 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     replay.add_argument("output", type=Path, help="directory for the files")
     replay.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
+    replay.add_argument("--film-seconds", type=float, metavar="S", help="film the first S seconds (default: all)")
     _add_fields(replay, EvaluationSpec, only=("task", "seed", "simulator", "start_noise_deg"))
     replay.set_defaults(run=_replay)
 
@@ -228,6 +229,7 @@ def _replay(options: argparse.Namespace) -> int:
     spec = EvaluationSpec.model_validate({**_fields(options), "episodes": 1})
     checkpoint = naopolicies.resolve(options.checkpoint)
 
+    from naosprint.actuation import CYCLE_S
     from naosprint.evaluation import evaluate
     from naosprint.film import write_mp4
 
@@ -236,7 +238,10 @@ def _replay(options: argparse.Namespace) -> int:
     written = [*replay.save(options.output)]
     if not options.no_film:
         written.append(options.output / "replay.mp4")
-        write_mp4(replay, written[-1])
+        count = len(replay.positions)
+        if options.film_seconds is not None:
+            count = min(count, max(1, round(options.film_seconds / CYCLE_S)))
+        write_mp4(replay, written[-1], frames=range(count))
     for path in written:
         sys.stdout.write(f"{path}\n")
     end = "arrived" if replay.arrived else "fell" if replay.fallen else "stopped"

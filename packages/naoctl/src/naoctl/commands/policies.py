@@ -67,9 +67,7 @@ def evaluate_policy(
     """Judge a policy anew, on this machine."""
     context = context_of(ctx)
     _known(name)
-    task = naopolicies.card(name)["task"].replace("sprint2", "sprint1")
-    words = ("--task", task, "--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
-    summary: dict[str, Any] = json.loads(run_naosprint("evaluate", name, *words))
+    summary = judge(name, episodes=episodes, seed=seed, simulator=simulator)
     if as_json:
         context.json(summary)
     else:
@@ -86,6 +84,18 @@ def replay_policy(ctx: typer.Context, name: Name, output: Output = None, as_json
 def export_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
     """Write a policy for use elsewhere: ONNX, NumPy, JSON."""
     _write("export", ctx, name, output or Path(f"{name}-export"), as_json=as_json)
+
+
+def judge(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
+    """Run a shipped policy over the whole field, whichever task it was trained on; return its figures.
+
+    Raises:
+        CliError: when naosprint is not installed here or fails.
+    """
+    task = naopolicies.card(name)["task"].replace("sprint2", "sprint1")
+    words = ("--task", task, "--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
+    summary: dict[str, Any] = json.loads(run_naosprint("evaluate", name, *words))
+    return summary
 
 
 def _write(word: str, ctx: typer.Context, name: str, folder: Path, *, as_json: bool) -> None:

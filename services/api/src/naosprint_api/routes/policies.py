@@ -8,6 +8,7 @@ import naopolicies
 from fastapi import APIRouter, Path
 from fastapi.responses import FileResponse
 from naojobs.errors import NotFoundError
+from naospec import TrainingSpec
 from pydantic import BaseModel, Field
 
 from naosprint_api.dependencies import Reader
@@ -35,6 +36,12 @@ class PolicyCard(BaseModel):
     lineage: list[dict[str, Any]] = Field(description="The jobs behind it, first to last, with their curves.")
 
 
+class Policy(PolicyCard):
+    """A shipped policy with the specification that it was trained by."""
+
+    spec: TrainingSpec = Field(description="What the last job of the lineage was told.")
+
+
 @router.get("/policies", responses=responses(401, 403, 422, 429, 503))
 def list_policies(principal: Reader) -> list[PolicyCard]:
     """List the shipped policies."""
@@ -43,10 +50,10 @@ def list_policies(principal: Reader) -> list[PolicyCard]:
 
 
 @router.get("/policies/{name}", responses=_READ)
-def get_policy(name: Name, principal: Reader) -> PolicyCard:
+def get_policy(name: Name, principal: Reader) -> Policy:
     """Look up one shipped policy."""
     del principal
-    return PolicyCard.model_validate(naopolicies.card(_known(name)))
+    return Policy.model_validate({**naopolicies.card(_known(name)), "spec": naopolicies.spec(name)})
 
 
 @router.get("/policies/{name}/replay", response_class=FileResponse, responses=_READ)

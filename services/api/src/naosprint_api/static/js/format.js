@@ -34,6 +34,12 @@ export function significant(v, digits = 3) {
 /** 0.0731 -> "7.3 %". */
 export const percent = (v, digits = 1) => (missing(v) ? NONE : `${(v * 100).toFixed(digits)} %`);
 
+/** [0.5, 0.75] -> "0.50 to 0.75"; null without an interval. */
+export const interval = (ci, digits = 2) => (ci ? `${fixed(ci[0], digits)} to ${fixed(ci[1], digits)}` : null);
+
+/** [0.07, 0.1] -> "7.0 % to 10.0 %"; null without an interval. */
+export const shares = (ci) => (ci ? `${percent(ci[0])} to ${percent(ci[1])}` : null);
+
 /** Seconds -> "42 s", "3 m 05 s", "1 h 04 m", "2 d 3 h". */
 export function duration(v) {
   if (missing(v) || v < 0) return NONE;

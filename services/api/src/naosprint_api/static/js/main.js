@@ -12,6 +12,8 @@ const ROUTES = [
   [/^\/submit$/, () => import("./views/submit.js"), "submit"],
   [/^\/compare$/, () => import("./views/compare.js"), "compare"],
   [/^\/workers$/, () => import("./views/workers.js"), "workers"],
+  [/^\/policies$/, () => import("./views/policies.js"), "policies"],
+  [/^\/policies\/(?<id>[^/]+)$/, () => import("./views/policy.js"), "policies"],
   [/^\/jobs\/(?<id>[^/]+)(?:\/(?<tab>[a-z]+))?(?:\/(?<sub>[^/]+))?$/, () => import("./views/job.js"), "jobs"],
 ];
 
@@ -115,7 +117,7 @@ function frame(name) {
   const link = (href, text, key) => h("a", { href, "aria-current": key === name ? "page" : null }, text);
   fill(top,
     h("a", { class: "brand", href: "#/", "aria-label": "naosprint: all jobs" }, h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }), h("span", null, "naosprint")),
-    h("nav", { "aria-label": "Main" }, link("#/", "Jobs", "jobs"), link("#/compare", "Compare", "compare"), link("#/workers", "Workers", "workers")),
+    h("nav", { "aria-label": "Main" }, link("#/", "Jobs", "jobs"), link("#/compare", "Compare", "compare"), link("#/workers", "Workers", "workers"), link("#/policies", "Policies", "policies")),
     h("span", { class: "space" }), linkState, themeButton(),
     h("button", { class: "ghost square wide-only", "aria-label": "Keyboard shortcuts", title: "Keyboard shortcuts (?)", onclick: showKeys }, "?"),
     h("button", { class: "ghost square", "aria-label": "Sign out", title: "Sign out", onclick: () => { clearToken(); leave(); signIn(); } }, icon("out")),
@@ -164,7 +166,7 @@ function signIn(message) {
 
 function showKeys() {
   const key = (k) => h("span", { class: "kbd" }, k);
-  const rows = [[["n"], "New job"], [["g", "j"], "All jobs"], [["g", "c"], "Compare"], [["g", "w"], "Workers"], [["/"], "Search jobs"], [["j", "k"], "Next, previous job"], [["Enter"], "Open job"], [["x"], "Select job for comparison"], [["t"], "Change theme"], [["?"], "This list"]];
+  const rows = [[["n"], "New job"], [["g", "j"], "All jobs"], [["g", "c"], "Compare"], [["g", "w"], "Workers"], [["g", "p"], "Policies"], [["/"], "Search jobs"], [["j", "k"], "Next, previous job"], [["Enter"], "Open job"], [["x"], "Select job for comparison"], [["t"], "Change theme"], [["?"], "This list"]];
   const dialog = h("dialog", { class: "modal", "aria-labelledby": "keys-title" }, h("form", { method: "dialog" }, h("h2", { id: "keys-title" }, "Keyboard"),
     h("dl", { class: "keys" }, rows.map(([keys, text]) => [h("dt", null, keys.map((k) => [key(k), " "])), h("dd", null, text)])), h("div", { class: "row end" }, h("button", { value: "ok" }, "Close"))));
   dialog.addEventListener("close", () => dialog.remove());
@@ -177,7 +179,8 @@ addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || isTyping(event) || document.querySelector("dialog[open]") || !token()) return;
   const after = Date.now() - prefix < 1200;
   prefix = 0;
-  if (after && { j: 1, c: 1, w: 1 }[event.key]) { event.preventDefault(); go({ j: "/", c: "/compare", w: "/workers" }[event.key]); event.stopImmediatePropagation(); return; }
+  const aim = after && { j: "/", c: "/compare", w: "/workers", p: "/policies" }[event.key];
+  if (aim) { event.preventDefault(); go(aim); event.stopImmediatePropagation(); return; }
   if (event.key === "g") prefix = Date.now();
   else if (event.key === "n") { event.preventDefault(); go("/submit"); }
   else if (event.key === "?") showKeys();

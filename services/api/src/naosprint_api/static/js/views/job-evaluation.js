@@ -3,19 +3,17 @@
 import { call } from "../api.js";
 import { Chart } from "../charts.js";
 import { SPEED_REFS } from "../curves.js";
-import { fill, h, icon, scroller, toast } from "../dom.js";
-import { gait, Paths, profile } from "../evaluation.js";
-import { Figure, field, gaitDiagram, histogram, speedByLine } from "../figures.js";
-import { ago, bytes, fixed, integer, percent, stamp } from "../format.js";
+import { fill, h, icon, toast } from "../dom.js";
+import { gait, Paths } from "../evaluation.js";
+import { Figure, field, gaitDiagram, histogram } from "../figures.js";
+import { ago, bytes, fixed, integer, interval, percent, shares, stamp } from "../format.js";
 import { isEnded } from "../states.js";
 import { fetchInto } from "./job-checkpoints.js";
 import { loading, notice } from "./messages.js";
+import { speedByStartLine } from "./speed-by-line.js";
 
 const TONES = { queued: "grey", running: "violet", succeeded: "green", failed: "red" };
 const WINDOW_S = 2;
-
-const interval = (ci, digits = 2) => (ci ? `${fixed(ci[0], digits)} to ${fixed(ci[1], digits)}` : null);
-const shares = (ci) => (ci ? `${percent(ci[0])} to ${percent(ci[1])}` : null);
 
 export class EvaluationTab {
   constructor(root, store, { sub, go }) {
@@ -96,7 +94,6 @@ export class EvaluationTab {
     const f = evaluation.summary;
     const level = `${Math.round(evaluation.spec.confidence * 100)} %`;
     const stat = (label, value, unit, note, title) => h("div", { title: title ?? null }, h("div", { class: "k" }, label), h("div", { class: "v" }, value, value !== "–" && unit ? h("span", { class: "unit" }, unit) : null), h("div", { class: "d" }, note ?? "\u00a0"));
-    const line = this.lines(f);
     const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
     const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
     fill(this.body,
@@ -109,10 +106,7 @@ export class EvaluationTab {
         stat("Deviation", fixed(f.paper.deviation_deg.mean), "°", `sd ${fixed(f.paper.deviation_deg.sd)}°`),
         stat("Both feet off ground", f.both_feet_off_ground.mean === null ? "–" : percent(f.both_feet_off_ground.mean), null, "share of time"),
         stat("Run challenge", fixed(f.run_challenge.score.mean), null, interval(f.run_challenge.score.ci))),
-      h("div", { class: "charts four" },
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Speed by start line"), h("div", { class: "legend" }, line.series.map((x) => h("span", null, h("i", { style: { background: `var(${x.token})` } }), x.label)))), h("div", { class: "pad" }, this.figure((w) => speedByLine(w, line.series, SPEED_REFS))),
-        ),
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "The numbers"), h("span", { class: "muted" }, `mean, ${level} interval`)), scroller("Speed by start line", line.table))),
+      speedByStartLine(f, level, (draw) => this.figure(draw)),
       this.pathBox,
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Files")), h("ul", { class: "list" }, evaluation.files.map((x) => {
         const get = h("button", { class: "small", onclick: () => fetchInto(get, x.url, x.name) }, icon("download"), "Download");
@@ -127,16 +121,6 @@ export class EvaluationTab {
     } catch (error) {
       if (error.name !== "AbortError") fill(box, notice("error", "The paths could not be read.", error.message));
     }
-  }
-
-  /** Series and table of the speed by start line. */
-  lines(f) {
-    const series = [{ token: "--s1", label: "as the paper: 200 samples or more", rows: profile(f, "paper") }, { token: "--s2", label: "all episodes", rows: profile(f, "all"), dash: "5 4" }].filter((x) => x.rows.length);
-    const cell = (x) => [h("td", { class: "num" }, fixed(x.mean, 3)), h("td", { class: "num muted" }, x.ci ? interval(x.ci, 3) : "–"), h("td", { class: "num muted" }, integer(x.episodes))];
-    const th = (t) => h("th", { scope: "col", class: "num" }, t);
-    const table = h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Line"), h("th", { colspan: 3, scope: "colgroup", class: "group" }, "As the paper, m/s"), h("th", { colspan: 3, scope: "colgroup", class: "group" }, "All episodes, m/s")), h("tr", null, th("mean"), th("interval"), th("n"), th("mean"), th("interval"), th("n"))),
-      h("tbody", null, f.speed_by_line.map((e) => h("tr", null, h("td", { class: "nowrap" }, `${fixed(e.line_m, 1)} m`), cell(e.paper), cell(e.all)))));
-    return { series, table };
   }
 
   showPaths(paths) {
