@@ -151,9 +151,18 @@ def test_target_kl_moves_linearly_to_its_final_value(final: float | None, remain
     assert _target_kl(TrainingSpec(target_kl=None, learning_rate_schedule="constant"), remaining) is None
 
 
-def test_scheduled_spread_follows_the_steps_and_nothing_else(open_learner: Open) -> None:
+@pytest.mark.parametrize(("total_steps", "log_std_steps"), [(1024, None), (2048, 1024)])
+def test_scheduled_spread_follows_the_steps_and_nothing_else(
+    open_learner: Open, total_steps: int, log_std_steps: int | None
+) -> None:
     """It goes straight from the first value to the last, whatever updates say, and actions explore with it."""
-    learner = open_learner(initial_log_std=-1.0, final_log_std=-2.0, total_steps=1024, learning_rate=0.01)
+    learner = open_learner(
+        initial_log_std=-1.0,
+        final_log_std=-2.0,
+        log_std_steps=log_std_steps,
+        total_steps=total_steps,
+        learning_rate=0.01,
+    )
     assert learner.spec.rollout_steps == 256
     for wanted in (-1.0, -1.25, -1.5, -1.75, -2.0, -2.0):
         collect(learner)

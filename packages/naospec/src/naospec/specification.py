@@ -197,7 +197,13 @@ class TrainingSpec(_Specification):
         ge=-10.0,
         le=2.0,
         title="Final log-std",
-        description="If set, log-std is not learnt but goes straight from initial_log_std to this over the training.",
+        description="If set, log-std is not learnt but goes straight from initial_log_std to this, and stays there.",
+    )
+    log_std_steps: int | None = Field(
+        default=_fast("log_std_steps"),
+        ge=1,
+        title="Log-std steps",
+        description="Steps after which log-std is final_log_std; null: at the end of the training.",
     )
     policy_averaging: float = Field(
         default=_fast("policy_averaging"),

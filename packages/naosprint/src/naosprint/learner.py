@@ -137,7 +137,7 @@ class SprintPPO(PPO):
         action_dim = buffer.action_dim
         with torch.no_grad():
             if self.spec.final_log_std is not None:
-                policy.log_std.fill_(_scheduled_log_std(self.spec, self.num_timesteps / self._total_timesteps))
+                policy.log_std.fill_(_scheduled_log_std(self.spec, self.num_timesteps))
             log_std = policy.log_std.detach()
             noise = torch.randn((n_rollout_steps, n, action_dim), generator=self.generator)
             actions = torch.from_numpy(buffer.actions)
@@ -329,10 +329,11 @@ def _schedule(spec: TrainingSpec) -> float | Callable[[float], float]:
     return lambda remaining: rate * max(remaining, 0.0)
 
 
-def _scheduled_log_std(spec: TrainingSpec, progress: float) -> float:
-    """Return the log-std of the actions where it is not learnt, with ``progress`` of the training behind, 0 to 1."""
+def _scheduled_log_std(spec: TrainingSpec, steps: int) -> float:
+    """Return the log-std of the actions after so many steps, where it is not learnt."""
     final = spec.initial_log_std if spec.final_log_std is None else spec.final_log_std
-    return spec.initial_log_std + (final - spec.initial_log_std) * min(1.0, progress)
+    share = steps / (spec.log_std_steps or spec.planned_steps)
+    return spec.initial_log_std + (final - spec.initial_log_std) * min(1.0, share)
 
 
 def _target_kl(spec: TrainingSpec, remaining: float) -> float | None:
