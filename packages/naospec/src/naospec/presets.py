@@ -48,9 +48,9 @@ _PAPER: dict[str, Any] = {
 }
 
 # Found by experiment, see benchmarks/learning: a symmetric network, small and frequent updates whose size the learning
-# rate is adapted to and whose jitter is averaged out, little exploration noise that must not die out, a finish line that
-# does not count as an end, a price for drift, and a quarter of the robots that do nothing but start, because starts are
-# where robots fall.
+# rate is adapted to and whose jitter is averaged out, little exploration noise that does not die out, a finish line
+# that is no end, a price for drift, and a quarter of the robots that do nothing but start, because starts are where
+# robots fall.
 _FAST: dict[str, Any] = {
     "n_envs": 128,
     "n_steps": 64,
