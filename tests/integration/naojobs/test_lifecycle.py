@@ -85,38 +85,6 @@ def test_of_many_claims_exactly_one_wins(sessions: Sessions, submit: Callable[..
     assert (kept.state, kept.lease_owner, kept.attempt) == (JobState.STARTING, claims[0].lease.owner, 1)
 
 
-def test_workers_that_take_the_next_job_never_share_one(sessions: Sessions, submit: Callable[..., Job]) -> None:
-    with sessions.begin() as session:
-        session.execute(text("UPDATE jobs SET state = 'cancelled' WHERE state = 'queued'"))
-    jobs = {submit().id for _ in range(12)}
-    gate = threading.Barrier(6)
-
-    def race(number: int) -> list[str]:
-        gate.wait()
-        taken = []
-        while (claim := lifecycle.claim_next(sessions, ["embedded"], f"w{number}")) is not None:
-            taken.append(claim.lease.job_id)
-        return taken
-
-    with ThreadPoolExecutor(6) as pool:
-        taken = [job_id for part in pool.map(race, range(6)) for job_id in part]
-    assert sorted(taken) == sorted(jobs)
-
-
-def test_next_job_is_the_most_urgent_that_waits_longest(sessions: Sessions, submit: Callable[..., Job]) -> None:
-    with sessions.begin() as session:
-        session.execute(text("UPDATE jobs SET state = 'cancelled' WHERE state = 'queued'"))
-    first, urgent, second = submit().id, submit(priority=9).id, submit().id
-    server = submit(spec=TrainingSpec(simulator="rcssserver3d")).id
-    order = []
-    while (claim := lifecycle.claim_next(sessions, ["embedded"], "w")) is not None:
-        order.append(claim.lease.job_id)
-    assert order == [urgent, first, second]
-    other = lifecycle.claim_next(sessions, ["rcssserver3d"], "w")
-    assert other is not None
-    assert other.lease.job_id == server
-
-
 def test_a_lost_lease_fences_every_write(sessions: Sessions, running: Claim) -> None:
     expire_lease(sessions, running.lease.job_id)
     assert [item.state for item in lifecycle.requeue_stale(sessions)] == [JobState.QUEUED]
@@ -380,23 +348,6 @@ def test_a_group_with_one_bad_point_makes_no_job(sessions: Sessions) -> None:
     assert caught.value.field == "grid.clip_range"
     with sessions.begin() as session:
         assert session.query(Job).count() == before
-
-
-def test_doorbells_ring_again_for_the_most_urgent_until_a_worker_comes(
-    sessions: Sessions, submit: Callable[..., Job]
-) -> None:
-    with sessions.begin() as session:
-        session.execute(text("UPDATE jobs SET state = 'cancelled' WHERE state = 'queued'"))
-    jobs = [submit(priority=priority).id for priority in (1, 9, 5)]
-    assert [item.job_id for item in lifecycle.due_doorbells(sessions, limit=2)] in (
-        [jobs[1], jobs[2]],
-        [jobs[2], jobs[1]],
-    )
-    assert [item.job_id for item in lifecycle.due_doorbells(sessions)] == [jobs[0]]
-    assert lifecycle.due_doorbells(sessions) == []
-    assert len(lifecycle.due_doorbells(sessions, after_s=0)) == 3
-    lifecycle.claim(sessions, jobs[0], "w")
-    assert len(lifecycle.due_doorbells(sessions, after_s=0)) == 2
 
 
 def test_a_silent_broker_is_noted_and_the_doorbell_stays_due(sessions: Sessions, submit: Callable[..., Job]) -> None:

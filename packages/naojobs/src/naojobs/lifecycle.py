@@ -19,7 +19,7 @@ from naospec import PRESETS, EvaluationSpec, TrainingSpec
 from pydantic import ValidationError
 from sqlalchemy import ColumnElement, and_, func, select, update
 from sqlalchemy.dialects.postgresql import insert
-from sqlalchemy.orm import Session, aliased, sessionmaker
+from sqlalchemy.orm import Session, sessionmaker
 
 from naojobs.database import notify
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
@@ -444,34 +444,10 @@ def claim(sessions: Sessions, job_id: str, worker: str, *, lease_s: float = DEFA
 
     The attempt is counted up, which fences off every earlier worker of the job.
     """
-    return _claim(sessions, Job.id == job_id, worker, lease_s)
-
-
-def claim_next(
-    sessions: Sessions,
-    queues: Sequence[str],
-    worker: str,
-    *,
-    lease_s: float = DEFAULT_LEASE_S,
-) -> Claim | None:
-    """Take the queued job of `queues` that is most urgent: highest priority, then longest wait; none if none waits."""
-    waiting = aliased(Job)
-    best = (
-        select(waiting.id)
-        .where(waiting.state == JobState.QUEUED, waiting.queue.in_(queues))
-        .order_by(waiting.priority.desc(), waiting.queued_at, waiting.id)
-        .limit(1)
-        .with_for_update(skip_locked=True)
-        .scalar_subquery()
-    )
-    return _claim(sessions, Job.id == best, worker, lease_s)
-
-
-def _claim(sessions: Sessions, which: ColumnElement[bool], worker: str, lease_s: float) -> Claim | None:
     with sessions.begin() as session:
         job = session.scalar(
             update(Job)
-            .where(which, Job.state == JobState.QUEUED)
+            .where(Job.id == job_id, Job.state == JobState.QUEUED)
             .values(
                 state=JobState.STARTING,
                 attempt=Job.attempt + 1,
@@ -650,32 +626,6 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
             state = _lose(session, job, f"worker {job.lease_owner} was not heard of in time")
             done.append(Requeued(job.id, job.queue, state))
     return done
-
-
-def due_doorbells(sessions: Sessions, *, after_s: float = 30.0, limit: int = 10) -> list[Requeued]:
-    """Return the most urgent queued jobs whose doorbell was never rung or rung `after_s` ago, and mark them rung.
-
-    Messages may be lost with the broker; whoever sweeps rings again for these.
-    """
-    due = (
-        select(Job.id)
-        .where(
-            Job.state == JobState.QUEUED,
-            (Job.rung_at.is_(None)) | (Job.rung_at < func.now() - timedelta(seconds=after_s)),
-        )
-        .order_by(Job.priority.desc(), Job.queued_at)
-        .limit(limit)
-        .with_for_update(skip_locked=True)
-    )
-    with sessions.begin() as session:
-        rows = session.execute(
-            update(Job)
-            .where(Job.id.in_(due.scalar_subquery()))
-            .values(rung_at=func.now())
-            .returning(Job.id, Job.queue, Job.state)
-            .execution_options(synchronize_session=False),
-        ).all()
-    return [Requeued(row.id, row.queue, JobState(row.state)) for row in rows]
 
 
 def mark_rung(sessions: Sessions, job_id: str, error: str | None = None) -> None:

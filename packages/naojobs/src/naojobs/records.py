@@ -449,26 +449,3 @@ def waiting_evaluation(sessions: Sessions, queues: Sequence[str]) -> str | None:
             .order_by(Evaluation.created_at)
             .limit(1),
         )
-
-
-def due_evaluation_doorbells(sessions: Sessions, *, after_s: float = 30.0, limit: int = 10) -> list[tuple[str, str]]:
-    """Return (id, queue) of queued evaluations whose doorbell is due, and mark them rung."""
-    due = (
-        select(Evaluation.id)
-        .where(
-            Evaluation.state == EvaluationState.QUEUED,
-            (Evaluation.rung_at.is_(None)) | (Evaluation.rung_at < func.now() - timedelta(seconds=after_s)),
-        )
-        .order_by(Evaluation.created_at)
-        .limit(limit)
-        .with_for_update(skip_locked=True)
-    )
-    with sessions.begin() as session:
-        rows = session.execute(
-            update(Evaluation)
-            .where(Evaluation.id.in_(due.scalar_subquery()))
-            .values(rung_at=func.now())
-            .returning(Evaluation.id, Evaluation.queue)
-            .execution_options(synchronize_session=False),
-        ).all()
-    return [(row.id, row.queue) for row in rows]
