@@ -249,9 +249,11 @@ void Exchange::collect(const std::uint8_t* rows, int messages, int frames, doubl
     whose.clear();
     for (const Goal& goal : waiting) {
       Channel& c = channels_[goal.row];
-      polled.push_back({c.agent.fd, POLLIN, 0});
+      // Every wake-up costs more than what is read: while a frame is due, what the agent port says may lie, but not its end.
+      const bool frame = c.monitor.fd >= 0 && c.frames < goal.frames;
+      polled.push_back({c.agent.fd, static_cast<short>(frame ? POLLRDHUP : POLLIN), 0});
       whose.emplace_back(goal.row, false);
-      if (c.monitor.fd >= 0) {
+      if (frame) {
         polled.push_back({c.monitor.fd, POLLIN, 0});
         whose.emplace_back(goal.row, true);
       }
@@ -269,7 +271,7 @@ void Exchange::collect(const std::uint8_t* rows, int messages, int frames, doubl
       return;
     }
     for (std::size_t k = 0; k < polled.size() && ready > 0; ++k)
-      if (polled[k].revents != 0) receive(whose[k].first, whose[k].second);
+      if (polled[k].revents != 0 && receive(whose[k].first, whose[k].second) && whose[k].second) receive(whose[k].first, false);
     std::size_t kept = 0;
     for (const Goal& goal : waiting) {
       const Channel& c = channels_[goal.row];
