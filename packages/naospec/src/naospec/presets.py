@@ -61,7 +61,7 @@ _FAST: dict[str, Any] = {
     "clip_range": 0.2,
     "target_kl": 0.03,
     "target_kl_final": None,
-    "gamma": 0.99,
+    "gamma": 0.995,
     "gae_lambda": 0.95,
     "entropy_coefficient": 0.0,
     "value_coefficient": 0.5,
