@@ -1,6 +1,6 @@
 """Put the policy of a finished job into the box: weights, card, a run to look at, and its page in the docs.
 
-    naoctl submit benchmarks/learning/recipes/sprint.yaml        # train it, hours of a core
+    naoctl submit benchmarks/learning/recipes/sprint-1.yaml      # train it, hours of a core; then sprint-2 --from it
     python benchmarks/learning/ship.py sprint --job JOB          # judge it anew, and write what is shipped
 
 The service is the one that naoctl talks to. The policy is the best of the job's latest checkpoints by the figure that
@@ -212,8 +212,10 @@ def page(card: dict[str, Any]) -> str:
         "and train it again:",
         "",
     ]
-    recipe = ROOT / "benchmarks" / "learning" / "recipes" / f"{name}.yaml"
-    lines += [f"    naoctl submit {recipe.relative_to(ROOT)}", ""]
+    recipes = sorted((ROOT / "benchmarks" / "learning" / "recipes").glob(f"{name}-[0-9].yaml"))
+    for number, recipe in enumerate(recipes):
+        lines.append(f"    naoctl submit {recipe.relative_to(ROOT)}" + (" --from JOB" if number else ""))
+    lines += ["", "where `JOB` is the job before it, once that has come as far as the table says.", ""]
     return "\n".join(lines)
 
 

@@ -12,9 +12,10 @@ import pytest
 
 Naoctl = Callable[..., Any]
 
-SERVERS = 2
+ROBOTS = 2
+SERVERS = 2 * ROBOTS  # each with a standby
 SMALL = (
-    *("--simulator", "rcssserver3d", "--n-envs", str(SERVERS), "--n-steps", "64", "--batch-size", "64"),
+    *("--simulator", "rcssserver3d", "--n-envs", str(ROBOTS), "--n-steps", "64", "--batch-size", "64"),
     *("--torch-threads", "1", "--fall-penalty-m", "0"),
 )
 JUDGED = ("--eval-episodes", "2", "--eval-n-envs", "2", "--eval-trajectories", "1", "--eval-bootstrap-resamples", "100")
