@@ -1,9 +1,9 @@
-"""Run an exported policy on a rcssserver3d over TCP, with NumPy alone: python run_policy.py policy.npz [host [ports]].
+"""Run an exported policy on a rcssserver3d in sync mode, alone on its field, with NumPy alone.
 
-The server has to run in sync mode (agentSyncMode). Nobody else may be on the field.
+python run_policy.py policy.npz [host [agent port [monitor port]]]
 """
 
-# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D101, D102, D103, T201
+# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D102, D103, T201
 from __future__ import annotations
 
 import re
@@ -15,40 +15,23 @@ import sys
 import numpy as np
 
 
-class Port:
-    def __init__(self, host, port):
-        self.socket = socket.create_connection((host, int(port)))
-
-    def send(self, text):
-        self.socket.sendall(struct.pack(">I", len(text)) + text.encode())
-
-    def receive(self):
-        size = struct.unpack(">I", self.socket.recv(4, socket.MSG_WAITALL))[0]
-        return self.socket.recv(size, socket.MSG_WAITALL).decode()
-
-    def drain(self):
-        while select.select([self.socket], [], [], 0.2)[0]:
-            self.receive()
-
-
 class Runner:
-    """Turn the server's messages into observations, and those into joint speeds."""
+    """Turn a server's messages into observations, and those into joint speeds."""
 
     def __init__(self, path):
         self.p = dict(np.load(path))
-        self.angles = np.zeros(len(self.p["joint_names"]))  # degrees, the server's signs
         self.loaded, self.counters, self.steps, self.features = np.zeros(2, bool), np.zeros(2), 0, None
 
     def perceive(self, message):
-        joints = dict(re.findall(r"\(HJ \(n (\w+)\) *\(ax ([^)]+)\)\)", message))
-        self.angles = np.array([float(joints[name]) for name in self.p["joint_names"]])
-        feet = {n: c + " " + f for n, c, f in re.findall(r"\(FRP \(n (\w+)\) *\(c ([^)]+)\) *\(f ([^)]+)\)\)", message)}
-        gyro, accel = re.search(r"\(rt ([^)]+)\)", message)[1], re.search(r"\(a ([^)]+)\)", message)[1]
-        return [np.array(t.split(), float) for t in (gyro, accel, feet.get("lf", "0 " * 6), feet.get("rf", "0 " * 6))]
+        """Keep the joints' angles, degrees with the server's signs; return gyro, accelerometer, left and right foot."""
+        joints, feet = (dict(re.findall(rf"\({tag} \(n (\w+)\) *(.*?)\)\)", message)) for tag in ("HJ", "FRP"))
+        self.angles = np.array([float(joints[name].split()[1]) for name in self.p["joint_names"]])
+        texts = [re.search(rf"\({tag} ([^)]+)\)", message)[1] for tag in ("rt", "a")]
+        texts += [re.sub("[^-0-9. ]", "", feet.get(name, "0 " * 6)) for name in ("lf", "rf")]
+        return [np.array(text.split(), float) for text in texts]
 
     def centre_of_mass(self):
-        p = self.p
-        turn, at = np.tile(np.eye(3), (len(p["body_mass"]), 1, 1)), np.zeros((len(p["body_mass"]), 3))
+        p, turn, at = self.p, [np.eye(3)] * len(self.p["body_mass"]), np.zeros((len(self.p["body_mass"]), 3))
         chain = zip(*(p["chain_" + name] for name in ("joint", "body", "parent", "anchor", "axis")))
         for joint, body, parent, anchor, axis in chain:
             angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
@@ -58,24 +41,23 @@ class Runner:
         return p["body_mass"] @ at / p["body_mass"].sum()
 
     def observe(self, message, torso):
-        """message: of the agent port; torso: (4, 4) world pose, current. Returns the observation."""
+        """Return the observation: `message` is the agent port's, `torso` the robot's (4, 4) pose on the field, now."""
         gyro, accel, left, right = self.perceive(message)
         joints = np.radians(self.angles[self.p["action_index"]]) * self.p["action_sign"]
-        yaw, height = np.arctan2(torso[1, 1], torso[0, 1]), torso[2, 3]
-        blocks = [joints, [yaw], [height], self.centre_of_mass(), np.radians(gyro), accel]
+        heading, height = [np.arctan2(torso[1, 1], torso[0, 1])], [torso[2, 3]]
+        blocks = [joints, heading, height, self.centre_of_mass(), np.radians(gyro), accel]
         blocks += [left[:3], left[3:], right[:3], right[3:]]
         now, loaded = np.concatenate(blocks), np.array([right[3:].any(), left[3:].any()])
         rates = np.zeros(len(now)) if self.features is None else now - self.features
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
         if self.features is not None:
             self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
-        self.features, self.loaded = now, loaded
-        ends = np.cumsum([len(block) for block in blocks])[:-1]
+        self.features, self.loaded, ends = now, loaded, np.cumsum([len(block) for block in blocks])[:-1]
         pairs = zip(np.split(now, ends), np.split(rates, ends))
         return np.concatenate([[self.steps], *(part for pair in pairs for part in pair), self.counters])
 
     def act(self, observation):
-        """Return the target angles in radians, the server's order and signs."""
+        """Return the joints' target angles in radians, in the server's order and with its signs."""
         p, hidden = self.p, np.clip((observation - self.p["mean"]) * self.p["scale"], -self.p["clip"], self.p["clip"])
         for i in range(p["layers"]):
             hidden = p[f"weights_{i}"] @ (np.tanh(hidden) if i else hidden) + p[f"bias_{i}"]
@@ -91,25 +73,35 @@ class Runner:
 
 def torso_pose(scene):
     """Return the (4, 4) pose of the robot's torso in a full scene graph, None in one of changes alone."""
-    before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
     # the last matrix before the mesh turns the mesh, the one before it is the torso's, column after column
+    before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
     return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody" in scene else None
 
 
-def main(path, host="127.0.0.1", agent_port="3100", monitor_port="3200"):
-    runner, agent, monitor = Runner(path), Port(host, agent_port), Port(host, monitor_port)
+def send(port, text):
+    port.sendall(struct.pack(">I", len(text)) + text.encode())
+
+
+def receive(port):
+    return port.recv(struct.unpack(">I", port.recv(4, socket.MSG_WAITALL))[0], socket.MSG_WAITALL).decode()
+
+
+def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
+    runner = Runner(path)
+    agent, monitor = (socket.create_connection((host, int(port))) for port in (agent_port, monitor_port))
 
     def cycle(command):
-        monitor.send("(reqfullstate)")
-        agent.send(command)
-        return agent.receive(), torso_pose(monitor.receive())
+        send(monitor, "(reqfullstate)")
+        send(agent, command)
+        return receive(agent), torso_pose(receive(monitor))
 
     for greeting in (f"(scene rsg/agent/nao/nao_hetero.rsg {runner.p['robot_type']})", "(init (unum 1)(teamname A))"):
-        agent.send(greeting + "(syn)")
-        agent.receive()
-    x, y, z, yaw = runner.p["start"]
-    monitor.send(f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {x} {y} {z} {yaw}))")
-    monitor.drain()
+        send(agent, greeting + "(syn)")
+        runner.perceive(receive(agent)) if "init" in greeting else receive(agent)
+    place = "{} {} {} {}".format(*runner.p["start"])
+    send(monitor, f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {place}))")
+    while select.select([monitor], [], [], 0.2)[0]:
+        receive(monitor)
     # a symmetric policy does not run from a perfectly symmetric start, which no training begins with
     pose = runner.p["start_pose_rad"] + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.angles)))
     for _ in range(2 + int(runner.p["settling_cycles"])):
