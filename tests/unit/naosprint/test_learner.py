@@ -176,6 +176,19 @@ def test_scheduled_spread_follows_the_steps_and_nothing_else(
         assert learner.policy.log_std.tolist() == pytest.approx([wanted] * 20)
 
 
+def test_the_discount_changes_at_its_step_everywhere(open_learner: Open) -> None:
+    """Returns, advantages and the rewards' normalisation use the same one."""
+    learner = open_learner(gamma=0.9, final_gamma=0.5, gamma_steps=512, total_steps=1024)
+    for wanted in (0.9, 0.9, 0.5, 0.5):
+        collect(learner)
+        buffer = learner.rollout_buffer
+        assert (learner.gamma, buffer.gamma, learner._sprint_env.normaliser.gamma) == (wanted, wanted, wanted)
+        after = buffer.episode_starts[-1] == 0
+        delta = buffer.rewards[-2] + wanted * buffer.values[-1] - buffer.values[-2]
+        expected = delta + wanted * buffer.gae_lambda * buffer.advantages[-1]
+        np.testing.assert_allclose(buffer.advantages[-2][after], expected[after], rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("decay", [0.0, 0.75])
 def test_checkpoints_hold_the_running_mean_of_the_weights(open_learner: Open, decay: float) -> None:
     """A plain mean at first, then one that forgets; without averaging, the latest weights."""

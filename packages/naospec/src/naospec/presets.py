@@ -24,6 +24,8 @@ _PAPER: dict[str, Any] = {
     "target_kl": None,
     "target_kl_final": None,
     "gamma": 0.99,
+    "final_gamma": None,
+    "gamma_steps": 0,
     "gae_lambda": 0.95,
     "entropy_coefficient": 0.0,
     "value_coefficient": 1.0,
@@ -49,8 +51,8 @@ _PAPER: dict[str, Any] = {
 
 # Found by experiment, see benchmarks/learning: a symmetric network, small and frequent updates whose size the learning
 # rate is adapted to and whose jitter is averaged out, little exploration noise that does not die out, a finish line
-# that is no end, a price for drift, and a quarter of the robots that do nothing but start, because starts are where
-# robots fall.
+# that is no end, a price for drift, a quarter of the robots that do nothing but start, because starts are where robots
+# fall, and a long horizon until they no longer do.
 _FAST: dict[str, Any] = {
     "n_envs": 128,
     "n_steps": 64,
@@ -62,6 +64,8 @@ _FAST: dict[str, Any] = {
     "target_kl": 0.03,
     "target_kl_final": None,
     "gamma": 0.995,
+    "final_gamma": 0.99,
+    "gamma_steps": 10_000_000,
     "gae_lambda": 0.95,
     "entropy_coefficient": 0.0,
     "value_coefficient": 0.5,

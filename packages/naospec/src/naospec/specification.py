@@ -140,6 +140,16 @@ class TrainingSpec(_Specification):
     gamma: float = Field(
         default=_fast("gamma"), gt=0.0, le=1.0, title="Discount", description="Discount factor per step."
     )
+    final_gamma: float | None = Field(
+        default=_fast("final_gamma"),
+        gt=0.0,
+        le=1.0,
+        title="Final discount",
+        description="If set, the discount factor from gamma_steps on.",
+    )
+    gamma_steps: int = Field(
+        default=_fast("gamma_steps"), ge=0, title="Discount steps", description="Steps after which final_gamma holds."
+    )
     gae_lambda: float = Field(
         default=_fast("gae_lambda"), ge=0.0, le=1.0, title="GAE lambda", description="Lambda of the advantage estimate."
     )

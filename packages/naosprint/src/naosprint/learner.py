@@ -129,8 +129,9 @@ class SprintPPO(PPO):
         del callback
         began = perf_counter()
         sprint = cast("SprintVecEnv", env)
-        n, gamma = sprint.num_envs, self.gamma
         buffer = rollout_buffer
+        n, gamma = sprint.num_envs, _discount(self.spec, self.num_timesteps)
+        self.gamma = buffer.gamma = sprint.normaliser.gamma = gamma
         buffer.reset()
         policy = self.policy
         policy.set_training_mode(False)
@@ -327,6 +328,11 @@ def _schedule(spec: TrainingSpec) -> float | Callable[[float], float]:
         return spec.learning_rate
     rate = spec.learning_rate
     return lambda remaining: rate * max(remaining, 0.0)
+
+
+def _discount(spec: TrainingSpec, steps: int) -> float:
+    """Return the discount factor after so many steps."""
+    return spec.gamma if spec.final_gamma is None or steps < spec.gamma_steps else spec.final_gamma
 
 
 def _scheduled_log_std(spec: TrainingSpec, steps: int) -> float:

@@ -63,7 +63,7 @@ class Normaliser:
         observations: whether observations are standardised; if not, they pass as they are.
         observation_clip: largest magnitude of a standardised observation.
         rewards: whether rewards are scaled.
-        gamma: discount factor of the return whose spread is followed.
+        gamma: discount factor of the return whose spread is followed; may be changed on the way.
         mirror: if given, observations are standardised alike on both sides.
     """
 
@@ -84,7 +84,7 @@ class Normaliser:
         self._observations = observations
         self._clip = observation_clip
         self._rewards = rewards
-        self._gamma = gamma
+        self.gamma = gamma
 
     def learn_observations(self, observations: FloatArray) -> None:
         """Merge (k, width) raw observations into the statistics."""
@@ -104,7 +104,7 @@ class Normaliser:
         """Merge (n,) raw rewards into the statistics and return them as the learner sees them."""
         if not self._rewards:
             return rewards.astype(np.float32)
-        self._returns = self._returns * self._gamma + rewards
+        self._returns = self._returns * self.gamma + rewards
         self.return_moments.update(self._returns[:, None])
         scaled = rewards / np.sqrt(self.return_moments.variance[0] + EPSILON)
         self._returns[dones] = 0.0
