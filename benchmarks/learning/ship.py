@@ -124,9 +124,10 @@ def ship(name: str, checkpoint: Path, evaluation: Path, metrics: Path, stages: l
     target = SHIPPED / name
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
-    files = {key: entry for key, entry in manifest.files.items() if key not in (LEARNER, ENVIRONMENT)}
-    slim = manifest.model_copy(update={"files": files})
-    (target / MANIFEST).write_text(json.dumps(slim.model_dump(mode="json"), indent=1) + "\n")
+    # as it was written: the specification's digest counts every field that there was then
+    slim = json.loads((checkpoint / MANIFEST).read_text())
+    slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
+    (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
     shutil.copy(checkpoint / POLICY, target / POLICY)
     shutil.copy(evaluation / "replay.json", target / "replay.json")
     card = {
