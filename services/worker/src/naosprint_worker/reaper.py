@@ -19,6 +19,10 @@ from naosprint_worker.orphans import OrphanSweeper
 logger = logging.getLogger(__name__)
 
 
+_LONGEST_LEASES = 5
+"""No worker of the same service has a lease so many times as long as this one's."""
+
+
 class Reaper:
     """Sweep now and then; any number of workers may do so at once."""
 
@@ -60,9 +64,10 @@ class Reaper:
             return
         with context.sessions() as session:
             up_for = session.scalar(text("SELECT clock_timestamp() - pg_postmaster_start_time()"))
-        if up_for is None or up_for < timedelta(seconds=lease_s):
+        # less than nothing: its clock was set back since
+        if up_for is None or timedelta() <= up_for < timedelta(seconds=lease_s):
             return
-        for lost in lifecycle.requeue_stale(context.sessions):
+        for lost in lifecycle.requeue_stale(context.sessions, longest_lease_s=_LONGEST_LEASES * lease_s):
             logger.warning("job %s was lost by its worker and is now %s", lost.job_id, lost.state)
             if lost.state is JobState.QUEUED:
                 context.announce_job(lost.job_id)
