@@ -611,8 +611,8 @@ def _lose(session: Session, job: Job, reason: str) -> JobState:
 def requeue_stale(sessions: Sessions, *, limit: int = 100, longest_lease_s: float = 3600.0) -> list[Requeued]:
     """Take back every job whose lease has run out (the reaper); return what became of each.
 
-    Several reapers may run at once: each row is taken by one. No lease is longer than `longest_lease_s`: one that is comes
-    from before the database's clock was set back, and is cut to that.
+    Several reapers may run at once: each row is taken by one. No lease is longer than `longest_lease_s`: one that is
+    comes from before the database's clock was set back, and is cut to that.
     """
     done = []
     longest = timedelta(seconds=longest_lease_s)
