@@ -108,7 +108,7 @@ def stage(job: dict[str, Any], work: Path) -> dict[str, Any]:
         "task": spec.task,
         "preset": spec.preset,
         "seed": spec.seed,
-        "steps": rows[-1]["step"],
+        "steps": int(rows[-1]["step"]),
         "training_s": round(rows[-1]["time_s"]),
         "departures": spec.departures(),
         "curve": {name: [round(row[name], 4) for row in shown if "speed_mps" in row] for name in names},

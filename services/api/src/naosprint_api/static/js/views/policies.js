@@ -35,7 +35,7 @@ function cardOf(card) {
     h("div", { class: "card-head wrap" }, h("h2", null, h("a", { href }, card.name)), tags(card)),
     h("p", { class: "pad soft" }, "From random weights → ", descent(card)),
     figuresBlock(card, true),
-    h("div", { class: "row pad" }, h("a", { class: "button small", href, "aria-label": `Watch ${card.name} run` }, icon("play"), "Watch it run")));
+    h("div", { class: "row pad" }, h("a", { class: "button small", href, "aria-label": `Watch it run: ${card.name}` }, icon("play"), "Watch it run")));
 }
 
 /** Show the page in `root`. */
