@@ -22,6 +22,18 @@ def torso(monitor: Wire, scene: _core.SceneReader, number: int = 1) -> tuple[np.
     return position, rotation
 
 
+def step_until_at(
+    place: tuple[float, float], player: Player, monitor: Wire, scene: _core.SceneReader, number: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Step until a robot is where a trainer has put it, whose words may come some cycles after a player's."""
+    for _ in range(100):
+        player.step()
+        position, rotation = torso(monitor, scene, number)
+        if np.allclose(position[:2], place, atol=0.1):
+            return position, rotation
+    raise AssertionError(f"the robot is at {position}, not at {place}")
+
+
 @pytest.mark.parametrize("robot_type", robots.ROBOT_TYPES)
 def test_a_league_agent_is_answered_as_it_expects(server: Server, robot_type: int) -> None:
     player = Player(server.agent_port, "Nao", 7, robot_type)
@@ -103,9 +115,7 @@ def test_a_trainer_rules_the_field(server: Server) -> None:
     assert ball[0] > 1.1, "it rolls"
     before, turned = torso(monitor, scene) if player.step() else (None, None)
     monitor.send("(agent (unum 1)(team Left)(pos -5 5 2))")
-    for _ in range(4):
-        player.step()
-        position, rotation = torso(monitor, scene)
+    position, rotation = step_until_at((-5, 5), player, monitor, scene)
     assert np.allclose(position, [-5, 5, 2], atol=0.1)
     assert rotation == pytest.approx(turned, abs=0.05), f"moved from {before}, not turned"
     monitor.send("(kill (unum 1)(team Left))")
@@ -118,20 +128,13 @@ def test_a_trainer_turns_selects_and_sends_off_players(server: Server) -> None:
     player, mate = Player(server.agent_port), Player(server.agent_port)
     monitor, scene = Wire(server.monitor_port), _core.SceneReader()
     monitor.send("(agent (unum 1)(team Left)(pos -2 0 1)(rot 20 0 90))(reqfullstate)")
-    for _ in range(2):
-        player.step()
-        position, rotation = torso(monitor, scene)
+    position, rotation = step_until_at((-2, 0), player, monitor, scene)
     tilt = np.radians(20)
     turned = np.array([[0, -1, 0], [np.cos(tilt), 0, -np.sin(tilt)], [np.sin(tilt), 0, np.cos(tilt)]])
     np.testing.assert_allclose(rotation, turned, atol=0.02)
     assert np.allclose(position, [-2, 0, 1], atol=0.02)
     monitor.send("(select)(select)(repos)(select (unum 1)(team Left))")
-    for wire in (player, mate):
-        wire.step()
-        torso(monitor, scene)
-    monitor.send("(reqfullstate)")
-    mate.step()
-    position, _ = torso(monitor, scene, 2)
+    position, _ = step_until_at((-3, -10.5), mate, monitor, scene, 2)
     assert np.allclose(position, [-3, -10.5, 1], atol=0.02), "outside the field, on the side where the ball is not"
     monitor.send("(kill)")
     assert player.closed()

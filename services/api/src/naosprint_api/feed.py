@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +21,9 @@ from naosprint_api.views import event_view, job_view, log_view
 Result = TypeVar("Result")
 
 #: How long a read waits for more followers, and thereby how often at most each is told news.
-GATHER_S = 0.1
+GATHER_S = 0.25
+#: Followers who share a read are told one after the other, so far apart: all at once would hold up every request.
+APART_S, LONGEST_S = 0.002, 0.25
 #: Threads that followers may use at a time, so that many of them never starve requests.
 THREADS = 4
 
@@ -56,6 +59,7 @@ class Feed:
         self._limiter = anyio.CapacityLimiter(THREADS)
         #: Reads that have not begun yet: only those may be joined, for they will see all that is committed by now.
         self._gathering: dict[tuple[str, Position, frozenset[str]], asyncio.Task[Batch]] = {}
+        self._turns = itertools.count()
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
         """Run a read in one of the threads for followers."""
@@ -70,8 +74,12 @@ class Feed:
         if task is None:
             task = asyncio.create_task(self._gather(key))
             self._gathering[key] = task
+            self._turns = itertools.count()
+        turn = next(self._turns)
         # A follower that leaves must not take the read away from the others.
-        return await asyncio.shield(task)
+        batch = await asyncio.shield(task)
+        await asyncio.sleep(turn * APART_S % LONGEST_S)
+        return batch
 
     async def _gather(self, key: tuple[str, Position, frozenset[str]]) -> Batch:
         try:
