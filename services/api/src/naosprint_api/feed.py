@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -57,9 +57,9 @@ class Feed:
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
         self._limiter = anyio.CapacityLimiter(THREADS)
-        #: Reads that have not begun yet: only those may be joined, for they will see all that is committed by now.
-        self._gathering: dict[tuple[str, Position, frozenset[str]], asyncio.Task[Batch]] = {}
-        self._turns = itertools.count()
+        #: Reads that have not begun yet, and the turns of those who wait for them. Only these may be joined, for they
+        #: will see all that is committed by now.
+        self._gathering: dict[tuple[str, Position, frozenset[str]], tuple[asyncio.Task[Batch], Iterator[int]]] = {}
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
         """Run a read in one of the threads for followers."""
@@ -70,12 +70,10 @@ class Feed:
         if at_once:
             return await self.in_thread(partial(self._read, job_id, seen, kinds))
         key = (job_id, seen, kinds)
-        task = self._gathering.get(key)
-        if task is None:
-            task = asyncio.create_task(self._gather(key))
-            self._gathering[key] = task
-            self._turns = itertools.count()
-        turn = next(self._turns)
+        if key not in self._gathering:
+            self._gathering[key] = asyncio.create_task(self._gather(key)), itertools.count()
+        task, turns = self._gathering[key]
+        turn = next(turns)
         # A follower that leaves must not take the read away from the others.
         batch = await asyncio.shield(task)
         await asyncio.sleep(turn * APART_S % LONGEST_S)
