@@ -24,7 +24,7 @@ from sqlalchemy.orm import Session, sessionmaker
 from naojobs.database import notify
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.ids import new_id
-from naojobs.models import Checkpoint, Event, Job, Metric
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Metric
 from naojobs.schemas import MAX_GROUP_SIZE, GroupCreate, JobCreate
 from naojobs.states import ENDED, LEASED, OPEN, JobState, can_become
 
@@ -608,21 +608,30 @@ def _lose(session: Session, job: Job, reason: str) -> JobState:
     return target
 
 
-def requeue_stale(sessions: Sessions, *, limit: int = 100, longest_lease_s: float = 3600.0) -> list[Requeued]:
+def cut_leases(sessions: Sessions, longest_s: float) -> None:
+    """Cut every lease of a job or an evaluation to `longest_s`.
+
+    A longer one comes from before the database's clock was set back, and would keep what a dead worker held until the
+    clock has caught up.
+    """
+    longest = func.now() + timedelta(seconds=longest_s)
+    with sessions.begin() as session:
+        for held in (Job, Evaluation):
+            session.execute(
+                update(held)
+                .where(held.lease_owner.is_not(None), held.lease_expires_at > longest)
+                .values(lease_expires_at=longest)
+                .execution_options(synchronize_session=False)
+            )
+
+
+def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
     """Take back every job whose lease has run out (the reaper); return what became of each.
 
-    Several reapers may run at once: each row is taken by one. No lease is longer than `longest_lease_s`: one that is
-    comes from before the database's clock was set back, and is cut to that.
+    Several reapers may run at once: each row is taken by one.
     """
     done = []
-    longest = timedelta(seconds=longest_lease_s)
     with sessions.begin() as session:
-        session.execute(
-            update(Job)
-            .where(Job.state.in_(LEASED), Job.lease_expires_at > func.now() + longest)
-            .values(lease_expires_at=func.now() + longest)
-            .execution_options(synchronize_session=False)
-        )
         stale = session.scalars(
             select(Job)
             .where(Job.state.in_(LEASED), Job.lease_expires_at < func.now())

@@ -169,8 +169,8 @@ class RemoteSimulator:
 
     Every start is simulated: the robot is untangled in the air, put on the start line and held in its start pose for 60
     cycles. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
-    cycles in which the robot runs; at the start the two change places. A robot whose server fails is
-    marked in :attr:`lost`; its next start begins with a new server.
+    cycles in which the robot runs; at the start the two change places. A robot whose server fails is marked in
+    :attr:`lost`; its next start begins with a new server.
 
     Args:
         launcher: starts the servers.

@@ -67,7 +67,8 @@ class Reaper:
         # less than nothing: its clock was set back since
         if up_for is None or timedelta() <= up_for < timedelta(seconds=lease_s):
             return
-        for lost in lifecycle.requeue_stale(context.sessions, longest_lease_s=_LONGEST_LEASES * lease_s):
+        lifecycle.cut_leases(context.sessions, _LONGEST_LEASES * lease_s)
+        for lost in lifecycle.requeue_stale(context.sessions):
             logger.warning("job %s was lost by its worker and is now %s", lost.job_id, lost.state)
             if lost.state is JobState.QUEUED:
                 context.announce_job(lost.job_id)
