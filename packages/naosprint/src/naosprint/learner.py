@@ -17,6 +17,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
+from naosprint.dense import dense_layers, run_network
 from naosprint.symmetry import Mirror, tie_weights
 from naosprint.vec_env import SprintVecEnv
 
@@ -85,6 +86,8 @@ class SprintPPO(PPO):
             self.policy.log_std.requires_grad_(False)
         self.set_logger(Logger(folder=None, output_formats=[]))
         self.spec = spec
+        self._actor = dense_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
+        self._critic = dense_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
         self.generator = torch.Generator()
         self.generator.manual_seed(spec.seed)
         self.collect_s = 0.0
@@ -145,14 +148,12 @@ class SprintPPO(PPO):
             scaled_noise = noise * log_std.exp()
             observations = cast("Float32Array", self._last_obs)
             starts = cast("BoolArray", self._last_episode_starts)
-            latent = policy.mlp_extractor.policy_net
-            head = policy.action_net
             for step in range(n_rollout_steps):
                 if stop is not None and stop():
                     return False
                 buffer.observations[step] = observations
                 buffer.episode_starts[step] = starts
-                mean = head(latent(torch.from_numpy(observations)))
+                mean = run_network(self._actor, torch.from_numpy(observations))
                 torch.add(mean, scaled_noise[step], out=actions[step])
                 transition = sprint.advance(buffer.actions[step])
                 observations = transition.observations
@@ -161,13 +162,13 @@ class SprintPPO(PPO):
                 starts = transition.dones
                 buffer.rewards[step] = transition.rewards
                 if len(transition.cut_rows):
-                    cut = policy.predict_values(torch.from_numpy(transition.cut_observations)).numpy()
+                    cut = run_network(self._critic, torch.from_numpy(transition.cut_observations)).numpy()
                     buffer.rewards[step, transition.cut_rows] += gamma * cut[:, 0]
-            values = policy.predict_values(torch.from_numpy(buffer.observations.reshape(n_rollout_steps * n, -1)))
+            values = run_network(self._critic, torch.from_numpy(buffer.observations.reshape(n_rollout_steps * n, -1)))
             buffer.values[:] = values.numpy().reshape(n_rollout_steps, n)
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - action_dim * _HALF_LOG_TWO_PI
             buffer.log_probs[:] = density.numpy()
-            last_values = policy.predict_values(torch.from_numpy(observations))
+            last_values = run_network(self._critic, torch.from_numpy(observations))
         buffer.pos, buffer.full = buffer.buffer_size, True
         buffer.compute_returns_and_advantage(last_values=last_values, dones=starts)
         self._last_obs = observations
@@ -199,7 +200,6 @@ class SprintPPO(PPO):
         if spec.advantage_normalisation == "rollout":
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         parameters = list(policy.parameters())
-        actor, critic = policy.mlp_extractor.policy_net, policy.mlp_extractor.value_net
         clip = spec.clip_range
         logs: list[tuple[float, ...]] = []
         early = False
@@ -210,8 +210,8 @@ class SprintPPO(PPO):
                 chosen = order[first : first + spec.batch_size]
                 seen = observations.index_select(0, chosen)
                 log_std = policy.log_std
-                mean = policy.action_net(actor(seen))
-                values = policy.value_net(critic(seen)).squeeze(1)
+                mean = run_network(self._actor, seen)
+                values = run_network(self._critic, seen).squeeze(1)
                 deviation = (actions.index_select(0, chosen) - mean) * (-log_std).exp()
                 normaliser = log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI
                 log_probs = -0.5 * deviation.square().sum(dim=1) - normaliser
@@ -243,7 +243,7 @@ class SprintPPO(PPO):
                     early = True
                     break
                 policy.optimizer.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 if spec.max_grad_norm is not None:
                     nn.utils.clip_grad_norm_(parameters, spec.max_grad_norm)
                 policy.optimizer.step()
