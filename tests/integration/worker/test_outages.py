@@ -8,11 +8,13 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
 from naojobs import lifecycle
 from naojobs.models import Log
 from naojobs.states import JobState
 from naojobs.store import Manifest
-from sqlalchemy import select
+from naosprint_worker.database import DATABASE_TROUBLE, open_engine
+from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
 
@@ -50,6 +52,19 @@ def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess
     job = service.until_state(job_id, JobState.SUCCEEDED)
     assert (job.attempt, job.failures) == (1, 0)
     assert_whole(service, job_id, steps)
+
+
+def test_a_transaction_in_which_the_process_slept_is_trouble_that_passes(service: Service) -> None:
+    """A machine that was suspended in the middle of a write tries again; its job does not fail for it."""
+    settings = service.settings.model_copy(update={"lease_s": 0.3})
+    engine = open_engine(settings, pool_size=1, application_name="sleeper")
+    try:
+        with pytest.raises(DATABASE_TROUBLE, match="timeout"), engine.connect() as connection:
+            connection.execute(text("SELECT pg_sleep(60)"))
+        with engine.connect() as connection:
+            assert connection.scalar(text("SELECT 1")) == 1
+    finally:
+        engine.dispose()
 
 
 def test_database_clock_that_is_set_forward(service: Service, worker: WorkerProcess) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import psycopg
 from naojobs.database import make_engine
@@ -12,11 +12,16 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from naosprint_worker.settings import WorkerSettings
 
+if TYPE_CHECKING:
+    from sqlalchemy.engine import ExceptionContext
+
 #: What the database raises while it restarts, is overloaded or cannot be reached.
 DATABASE_TROUBLE: tuple[type[Exception], ...] = (OperationalError, InterfaceError, PoolTimeoutError)
 
 #: The first version of Postgres that can limit a transaction as a whole.
 _TRANSACTION_TIMEOUT_SINCE = 170_000
+
+_TOO_LONG = (psycopg.errors.TransactionTimeout, psycopg.errors.IdleInTransactionSessionTimeout)
 
 
 def open_engine(settings: WorkerSettings, *, pool_size: int, application_name: str) -> Engine:
@@ -35,5 +40,15 @@ def open_engine(settings: WorkerSettings, *, pool_size: int, application_name: s
         for name in names:
             connection.execute("SELECT set_config(%s, %s, false)", (name, limit))
         connection.commit()
+
+    @event.listens_for(engine, "handle_error", retval=True)
+    def tell_the_limit_from_a_mistake(context: ExceptionContext) -> Exception | None:
+        # The driver files a transaction that lasted too long under internal errors, as it does a wrong use of one. All
+        # that happened is that this process slept: the next try succeeds, or says that the lease is lost.
+        error = context.original_exception
+        if not isinstance(error, _TOO_LONG):
+            return None
+        context.is_disconnect = True
+        return OperationalError(context.statement, context.parameters, error, connection_invalidated=True)
 
     return engine
