@@ -67,12 +67,14 @@ class Broadcaster:
         finally:
             del self._subscriptions[subscription]
 
-    async def wait(self, subscription: Subscription) -> None:
-        """Wait for news or until it is time to look anyway."""
+    async def wait(self, subscription: Subscription) -> bool:
+        """Wait for news or until it is time to look anyway; return whether there are news."""
         with suppress(TimeoutError):
             async with asyncio.timeout(_IDLE_S if self._listening else _BLIND_S):
                 await subscription.wake.wait()
+        woken = subscription.wake.is_set()
         subscription.wake.clear()
+        return woken
 
     def _wake_all(self) -> None:
         for subscription in self._subscriptions:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable
+from functools import partial
 from math import ceil
 from typing import Annotated, cast
 
@@ -47,11 +48,10 @@ def _caller(request: Request) -> str:
     return request.client.host if request.client else "unknown"
 
 
-def authenticate(
-    request: Request,
-    service: ServiceDep,
-    credentials: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)],
-) -> Principal:
+Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+
+
+def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
     """Return who the token belongs to, and count the request against their rate."""
     if credentials is None:
         _limit(service, f"address {_caller(request)}")
@@ -110,7 +110,14 @@ def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
     return check
 
 
+async def follower(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
+    """Return who wants to follow, looked up where followers wait for each other: many may come at once."""
+    principal = await service.feed.in_thread(partial(authenticate, request, service, credentials))
+    return require(Scope.READ, principal, service)
+
+
 Reader = Annotated[Principal, Depends(needs(Scope.READ))]
+Follower = Annotated[Principal, Depends(follower)]
 Submitter = Annotated[Principal, Depends(needs(Scope.SUBMIT))]
 Admin = Annotated[Principal, Depends(needs(Scope.ADMIN))]
 

@@ -6,12 +6,13 @@ import asyncio
 import itertools
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import anyio
+from fastapi.sse import format_sse_event
 from naojobs.lifecycle import Sessions
 from naojobs.states import JobState
 
@@ -19,36 +20,34 @@ from naosprint_api.queries import Position, news_of
 from naosprint_api.views import event_view, job_view, log_view
 
 Result = TypeVar("Result")
+#: A job, what a follower has seen of it, the kinds of news it wants, and whether it is behind.
+_Wanted: TypeAlias = tuple[str, Position, frozenset[str], bool]
 
 #: How long a read waits for more followers, and thereby how often at most each is told news.
 GATHER_S = 0.25
+#: The same for followers that are known to be behind: just long enough for those of whom many come at once.
+HURRIED_GATHER_S = 0.02
 #: Followers who share a read are told one after the other, so far apart: all at once would hold up every request.
 APART_S, LONGEST_S = 0.002, 0.25
 #: Threads that followers may use at a time, so that many of them never starve requests.
-THREADS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class Item:
-    """Is one message, ready to be sent."""
-
-    event: str
-    text: str
-    position: Position
+THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
     """Is what has happened to a job since a position; `state` none means that there is no such job any more."""
 
-    items: tuple[Item, ...]
+    #: The news as server-sent events, encoded once for all who read them.
+    news: bytes
+    #: What has been seen behind them.
+    position: Position
     #: Whether there is more than fits into one batch.
     more: bool = False
     state: JobState | None = None
     error: str | None = None
     updated_at: datetime | None = None
-    #: The job itself, as JSON.
-    job: str = ""
+    #: The job itself, as an event.
+    job: bytes = b""
 
 
 class Feed:
@@ -59,45 +58,42 @@ class Feed:
         self._limiter = anyio.CapacityLimiter(THREADS)
         #: Reads that have not begun yet, and the turns of those who wait for them. Only these may be joined, for they
         #: will see all that is committed by now.
-        self._gathering: dict[tuple[str, Position, frozenset[str]], tuple[asyncio.Task[Batch], Iterator[int]]] = {}
+        self._gathering: dict[_Wanted, tuple[asyncio.Task[Batch], Iterator[int]]] = {}
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
         """Run a read in one of the threads for followers."""
         return await anyio.to_thread.run_sync(function, limiter=self._limiter)
 
-    async def news(self, job_id: str, seen: Position, kinds: frozenset[str], *, at_once: bool = False) -> Batch:
-        """Return what is new about a job; `at_once` for a follower that is known to be behind."""
-        if at_once:
-            return await self.in_thread(partial(self._read, job_id, seen, kinds))
-        key = (job_id, seen, kinds)
-        if key not in self._gathering:
-            self._gathering[key] = asyncio.create_task(self._gather(key)), itertools.count()
-        task, turns = self._gathering[key]
+    async def news(self, job_id: str, seen: Position, kinds: frozenset[str], *, hurried: bool = False) -> Batch:
+        """Return what is new about a job; `hurried` for a follower that is known to be behind."""
+        wanted = job_id, seen, kinds, hurried
+        if wanted not in self._gathering:
+            self._gathering[wanted] = asyncio.create_task(self._gather(wanted)), itertools.count()
+        task, turns = self._gathering[wanted]
         turn = next(turns)
         # A follower that leaves must not take the read away from the others.
         batch = await asyncio.shield(task)
         await asyncio.sleep(turn * APART_S % LONGEST_S)
         return batch
 
-    async def _gather(self, key: tuple[str, Position, frozenset[str]]) -> Batch:
+    async def _gather(self, wanted: _Wanted) -> Batch:
+        job_id, seen, kinds, hurried = wanted
         try:
-            await asyncio.sleep(GATHER_S)
+            await asyncio.sleep(HURRIED_GATHER_S if hurried else GATHER_S)
         finally:
-            del self._gathering[key]
-        return await self.in_thread(partial(self._read, *key))
+            del self._gathering[wanted]
+        return await self.in_thread(partial(self._read, job_id, seen, kinds))
 
     def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> Batch:
         news = news_of(self._sessions, job_id, seen, kinds)
         if news.job is None:
-            return Batch(())
-        items: list[Item] = []
+            return Batch(b"", seen)
+        events: list[bytes] = []
 
         def add(event: str, text: str, **moved: int) -> None:
-            last = items[-1].position if items else seen
-            position = Position(
-                moved.get("metrics", last.metrics), moved.get("logs", last.logs), moved.get("events", last.events)
-            )
-            items.append(Item(event, text, position))
+            nonlocal seen
+            seen = replace(seen, **moved)
+            events.append(format_sse_event(event=event, data_str=text, id=str(seen)))
 
         for row in news.metrics:
             values: dict[str, Any] = {**row.values, "step": row.step, "attempt": row.attempt}
@@ -107,4 +103,5 @@ class Feed:
         for event in news.events:
             add("event", event_view(event).model_dump_json(), events=event.id)
         job = news.job
-        return Batch(tuple(items), news.more, job.state, job.error, job.updated_at, job_view(job).model_dump_json())
+        state = format_sse_event(event="state", data_str=job_view(job).model_dump_json(), id=str(seen))
+        return Batch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)

@@ -7,16 +7,17 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Header, Query
-from fastapi.sse import EventSourceResponse, ServerSentEvent
+from fastapi.responses import StreamingResponse
+from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from naojobs.ids import PATTERN
 from naojobs.models import Job
 from naojobs.states import ENDED, JobState
 
 from naosprint_api import queries
-from naosprint_api.dependencies import MAX_BIGINT, PLAIN, JobId, Reader, ServiceDep
+from naosprint_api.dependencies import MAX_BIGINT, PLAIN, Follower, JobId, ServiceDep
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
 from naosprint_api.routes.jobs import job_filter
@@ -33,11 +34,33 @@ LastEventId = Annotated[
     ),
 ]
 
-_STREAM = responses(401, 403, 404, 422, 429, 503)
+_EVENT = {
+    "type": "object",
+    "properties": {"event": {"type": "string"}, "data": {"type": "string"}, "id": {"type": "string"}},
+    "required": ["event", "data"],
+}
+_STREAM: dict[int | str, dict[str, Any]] = {
+    200: {"description": "Events, one after the other", "content": {"text/event-stream": {"itemSchema": _EVENT}}},
+    **responses(401, 403, 404, 422, 429, 503),
+}
 
 
-def _message(event: str, text: str, identifier: str | None = None) -> ServerSentEvent:
-    return ServerSentEvent(raw_data=text, event=event, id=identifier)
+def _message(event: str, content: object, identifier: str | None = None) -> bytes:
+    return format_sse_event(event=event, data_str=json.dumps(content), id=identifier)
+
+
+class EventStream(StreamingResponse):
+    """Sends chunks of whole events, several in one where there are several.
+
+    The framework's own way takes each event through two queues, which with many followers is most of what the service
+    does.
+    """
+
+    media_type = "text/event-stream"
+
+    def __init__(self, chunks: AsyncIterator[bytes], status_code: int = 200) -> None:
+        # The second is for proxies, which would otherwise collect them.
+        super().__init__(chunks, status_code, {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
 
 
 @contextmanager
@@ -46,14 +69,14 @@ def _follower(service: Service) -> Iterator[None]:
         yield
 
 
-def place(service: ServiceDep) -> None:
+async def place(service: ServiceDep) -> None:
     """Refuse a follower when there are too many."""
     if service.broadcaster.closing or service.broadcaster.followers >= service.settings.api_max_followers:
         service.telemetry.refused.labels("followers").inc()
         raise ProblemError(503, "too many streams are open; try again soon", headers={"Retry-After": "10"})
 
 
-def start_position(
+async def start_position(
     metrics_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="`last_seq` of a metrics answer.")] = 0,
     logs_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of a log line.")] = 0,
     events_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of an event.")] = 0,
@@ -69,15 +92,15 @@ def start_position(
     return position
 
 
-def followed_job(job_id: JobId, principal: Reader, service: ServiceDep) -> Job:
+async def followed_job(job_id: JobId, principal: Follower, service: ServiceDep) -> Job:
     """Return the job to follow. Raises NotFoundError."""
-    return queries.visible_job(service.reads, principal, job_id)
+    return await service.feed.in_thread(partial(queries.visible_job, service.reads, principal, job_id))
 
 
-def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
+async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
     """Return the time from which changes of jobs are told."""
     if not last_event_id:
-        return queries.database_now(service.reads)
+        return await service.feed.in_thread(partial(queries.database_now, service.reads))
     try:
         since = datetime.fromisoformat(last_event_id)
         if since.tzinfo is None or since.year < 2000:
@@ -90,8 +113,8 @@ def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime
     return since
 
 
-def stream_filter(
-    principal: Reader,
+async def stream_filter(
+    principal: Follower,
     state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
     tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
     owner: Annotated[
@@ -105,7 +128,7 @@ def stream_filter(
 
 @router.get(
     "/jobs/stream",
-    response_class=EventSourceResponse,
+    response_class=EventStream,
     responses=_STREAM,
     dependencies=[Depends(place)],
 )
@@ -113,35 +136,44 @@ async def stream_jobs(
     service: ServiceDep,
     wanted: Annotated[queries.JobFilter, Depends(stream_filter)],
     since: Annotated[datetime, Depends(since_of)],
-) -> AsyncIterator[ServerSentEvent]:
+) -> EventStream:
     """Follow all jobs: `job` with the whole job whenever one changes, `gone` with the id of one that was deleted.
 
     The first message, `ready`, says that nothing will be missed from there on. A change may be told twice.
     """
+    return EventStream(_news_of_all(service, wanted, since))
+
+
+async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datetime) -> AsyncIterator[bytes]:
     sent: dict[str, datetime] = {}
     with _follower(service), service.broadcaster.subscribe() as subscription:
-        yield _message("ready", json.dumps({"since": since.isoformat()}), since.isoformat())
+        yield _message("ready", {"since": since.isoformat()}, since.isoformat())
         while not service.broadcaster.closing:
             rows = await service.feed.in_thread(
                 partial(queries.changed_jobs, service.reads, wanted, since=since),
             )
+            news: list[bytes] = []
             for job in rows:
                 since = max(since, job.updated_at)
                 if sent.get(job.id) != job.updated_at:
                     sent[job.id] = job.updated_at
-                    yield _message("job", job_view(job).model_dump_json(), since.isoformat())
+                    text = job_view(job).model_dump_json()
+                    news.append(format_sse_event(event="job", data_str=text, id=since.isoformat()))
             # What lies outside the overlap is not read again, so it need not be remembered.
             sent = {job.id: job.updated_at for job in rows}
-            await service.broadcaster.wait(subscription)
+            if news:
+                yield b"".join(news)
+            if not await service.broadcaster.wait(subscription):
+                yield KEEPALIVE_COMMENT
             deleted, subscription.deleted = subscription.deleted, {}
             for job_id, owner in deleted.items():
                 if wanted.owner in (None, owner):
-                    yield _message("gone", json.dumps({"id": job_id}), since.isoformat())
+                    yield _message("gone", {"id": job_id}, since.isoformat())
 
 
 @router.get(
     "/jobs/{job_id}/stream",
-    response_class=EventSourceResponse,
+    response_class=EventStream,
     responses=_STREAM,
     dependencies=[Depends(place)],
 )
@@ -150,32 +182,37 @@ async def stream_job(
     job: Annotated[Job, Depends(followed_job)],
     seen: Annotated[Position, Depends(start_position)],
     only: Annotated[list[Kind], Query(description="Only these kinds; left out, all.")] = [],  # noqa: B006
-) -> AsyncIterator[ServerSentEvent]:
+) -> EventStream:
     """Follow one job: `metrics`, `log`, `event` and `state` messages, then `end` when it has ended.
 
     Everything from the start is sent unless `Last-Event-ID` or the query say where to go on. When a job resumes from
     a checkpoint its steps go back: a `metrics` row whose step is not beyond the last one replaces all from there on.
     """
     kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})
-    job_id = job.id
+    return EventStream(_news_of_one(service, job.id, seen, kinds))
+
+
+async def _news_of_one(service: Service, job_id: str, seen: Position, kinds: frozenset[str]) -> AsyncIterator[bytes]:
     told: datetime | None = None
     behind = True
     with _follower(service), service.broadcaster.subscribe(job_id) as subscription:
         while not service.broadcaster.closing:
-            batch = await service.feed.news(job_id, seen, kinds, at_once=behind)
+            batch = await service.feed.news(job_id, seen, kinds, hurried=behind)
             if batch.state is None:
-                yield _message("gone", json.dumps({"id": job_id}))
+                yield _message("gone", {"id": job_id})
                 return
-            for item in batch.items:
-                seen = item.position
-                yield _message(item.event, item.text, str(seen))
-            behind = batch.more
+            seen, behind = batch.position, batch.more
             if behind:
+                yield batch.news
                 continue
+            news = batch.news
             if "state" in kinds and batch.updated_at != told:
-                yield _message("state", batch.job, str(seen))
+                news += batch.job
             told = batch.updated_at
             if batch.state in ENDED:
-                yield _message("end", json.dumps({"state": batch.state, "error": batch.error}), str(seen))
+                yield news + _message("end", {"state": batch.state, "error": batch.error}, str(seen))
                 return
-            await service.broadcaster.wait(subscription)
+            if news:
+                yield news
+            if not await service.broadcaster.wait(subscription):
+                yield KEEPALIVE_COMMENT
