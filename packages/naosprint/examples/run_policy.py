@@ -3,13 +3,10 @@
 python run_policy.py policy.npz [host [agent port [monitor port]]]
 """
 
-# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D102, D103, T201
-from __future__ import annotations
-
+# ruff: noqa: ANN001, ANN201, ANN204, B905, D102, D103, I002, T201
 import re
 import select
 import socket
-import struct
 import sys
 
 import numpy as np
@@ -19,56 +16,47 @@ class Runner:
     """Turn a server's messages into observations, and those into joint speeds."""
 
     def __init__(self, path):
-        self.p = dict(np.load(path))
-        self.loaded, self.counters, self.steps, self.features = np.zeros(2, bool), np.zeros(2), 0, None
+        self.__dict__.update(np.load(path), features=None)
 
     def perceive(self, message):
-        """Keep the joints' angles, degrees with the server's signs; return gyro, accelerometer, left and right foot."""
-        joints, feet = (dict(re.findall(rf"\({tag} \(n (\w+)\) *(.*?)\)\)", message)) for tag in ("HJ", "FRP"))
-        self.angles = np.array([float(joints[name].split()[1]) for name in self.p["joint_names"]])
-        texts = [re.search(rf"\({tag} ([^)]+)\)", message)[1] for tag in ("rt", "a")]
-        texts += [re.sub("[^-0-9. ]", "", feet.get(name, "0 " * 6)) for name in ("lf", "rf")]
-        return [np.array(text.split(), float) for text in texts]
+        """Keep the joints' angles in degrees, and gyro, accelerometer, left and right foot: place and force."""
+        felt = re.findall(r"\((\w+) \(n (\w+)\)(.*?)\)\)", message)
+        felt = {tag + name: np.array(re.sub("[^-0-9. ]", "", text).split(), float) for tag, name, text in felt}
+        self.angles = np.array([felt["HJ" + name][0] for name in self.joint_names])
+        self.felt = [np.radians(felt["GYRtorso"]), felt["ACCtorso"], *(felt.get(f"FRP{s}f", np.zeros(6)) for s in "lr")]
 
     def centre_of_mass(self):
-        p, turn, at = self.p, [np.eye(3)] * len(self.p["body_mass"]), np.zeros((len(self.p["body_mass"]), 3))
-        chain = zip(*(p["chain_" + name] for name in ("joint", "body", "parent", "anchor", "axis")))
-        for joint, body, parent, anchor, axis in chain:
+        turn, at = [np.eye(3)] * len(self.body_mass), np.zeros((len(self.body_mass), 3))
+        for joint, body, parent, offset, anchor, axis in self.chain:
             angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
             turn[body] = turn[parent] @ (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
-            hinge = p["body_offset"][body] - p["body_offset"][parent] + anchor
-            at[body] = at[parent] + turn[parent] @ hinge - turn[body] @ anchor
-        return p["body_mass"] @ at / p["body_mass"].sum()
+            at[body] = at[parent] + turn[parent] @ offset - turn[body] @ anchor
+        return self.body_mass @ at / self.body_mass.sum()
 
     def observe(self, message, torso):
         """Return the observation: `message` is the agent port's, `torso` the robot's (4, 4) pose on the field, now."""
-        gyro, accel, left, right = self.perceive(message)
-        joints = np.radians(self.angles[self.p["action_index"]]) * self.p["action_sign"]
-        heading, height = [np.arctan2(torso[1, 1], torso[0, 1])], [torso[2, 3]]
-        blocks = [joints, heading, height, self.centre_of_mass(), np.radians(gyro), accel]
-        blocks += [left[:3], left[3:], right[:3], right[3:]]
-        now, loaded = np.concatenate(blocks), np.array([right[3:].any(), left[3:].any()])
-        rates = np.zeros(len(now)) if self.features is None else now - self.features
+        self.perceive(message)
+        joints, place = self.joint_view @ np.radians(self.angles), [np.arctan2(torso[1, 1], torso[0, 1]), torso[2, 3]]
+        now = np.concatenate([joints, place, self.centre_of_mass(), *self.felt])
+        loaded = np.array([self.felt[3][3:].any(), self.felt[2][3:].any()])
+        if self.features is None:
+            self.features, self.loaded, self.steps, self.counters = now, loaded, -1, np.array([-1, -1])
+        rates = now - self.features
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
-        if self.features is not None:
-            self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
-        self.features, self.loaded, ends = now, loaded, np.cumsum([len(block) for block in blocks])[:-1]
-        pairs = zip(np.split(now, ends), np.split(rates, ends))
-        return np.concatenate([[self.steps], *(part for pair in pairs for part in pair), self.counters])
+        self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
+        self.features, self.loaded = now, loaded
+        return np.concatenate([[self.steps], np.append(now, rates)[self.feature_order], self.counters])
 
     def act(self, observation):
         """Return the joints' target angles in radians, in the server's order and with its signs."""
-        p, hidden = self.p, np.clip((observation - self.p["mean"]) * self.p["scale"], -self.p["clip"], self.p["clip"])
-        for i in range(p["layers"]):
-            hidden = p[f"weights_{i}"] @ (np.tanh(hidden) if i else hidden) + p[f"bias_{i}"]
-        targets, share = np.zeros(len(self.angles)), (np.clip(hidden, -1, 1) + 1) / 2
-        targets[p["action_index"]] = (p["low_rad"] + share * (p["high_rad"] - p["low_rad"])) * p["action_sign"]
-        return targets
+        values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
+        for i in range(self.layers):
+            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+        return self.middle_rad + self.reach_rad @ np.clip(values, -1, 1)
 
     def command(self, targets):
-        speeds = self.p["gain"] * (targets - np.radians(self.angles))
-        speeds = np.clip(speeds, -self.p["max_speed"], self.p["max_speed"])
-        return "".join(f"({name} {speed:.5f})" for name, speed in zip(self.p["effector_names"], speeds)) + "(syn)"
+        speeds = np.clip(self.gain * (targets - np.radians(self.angles)), -self.max_speed, self.max_speed)
+        return "".join(f"({name} {speed:.5f})" for name, speed in zip(self.effector_names, speeds)) + "(syn)"
 
 
 def torso_pose(scene):
@@ -78,40 +66,29 @@ def torso_pose(scene):
     return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody" in scene else None
 
 
-def send(port, text):
-    port.sendall(struct.pack(">I", len(text)) + text.encode())
-
-
-def receive(port):
-    return port.recv(struct.unpack(">I", port.recv(4, socket.MSG_WAITALL))[0], socket.MSG_WAITALL).decode()
+def ask(port, text):
+    port.sendall(len(text).to_bytes(4, "big") + text.encode())
+    return port.recv(int.from_bytes(port.recv(4, socket.MSG_WAITALL), "big"), socket.MSG_WAITALL).decode()
 
 
 def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
     runner = Runner(path)
     agent, monitor = (socket.create_connection((host, int(port))) for port in (agent_port, monitor_port))
-
-    def cycle(command):
-        send(monitor, "(reqfullstate)")
-        send(agent, command)
-        return receive(agent), torso_pose(receive(monitor))
-
-    for greeting in (f"(scene rsg/agent/nao/nao_hetero.rsg {runner.p['robot_type']})", "(init (unum 1)(teamname A))"):
-        send(agent, greeting + "(syn)")
-        runner.perceive(receive(agent)) if "init" in greeting else receive(agent)
-    place = "{} {} {} {}".format(*runner.p["start"])
-    send(monitor, f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {place}))")
+    ask(agent, f"(scene rsg/agent/nao/nao_hetero.rsg {runner.robot_type})(syn)")
+    message, torso, cycle, settled = ask(agent, "(init (unum 1)(teamname A))(syn)"), None, 0, 2 + runner.settling_cycles
+    move = "(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {} {} {} {}))"
+    ask(monitor, move.format(*runner.start))
     while select.select([monitor], [], [], 0.2)[0]:
-        receive(monitor)
+        monitor.recv(1 << 16)
     # a symmetric policy does not run from a perfectly symmetric start, which no training begins with
-    pose = runner.p["start_pose_rad"] + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.angles)))
-    for _ in range(2 + int(runner.p["settling_cycles"])):
-        message, torso = cycle(runner.command(pose))
+    pose = runner.start_pose_rad + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.start_pose_rad)))
+    while cycle < settled or (torso[2, 3] > 0.25 and torso[0, 3] < 14 and cycle < 3000):
         runner.perceive(message)
-    begin = torso[0, 3]
-    while torso[2, 3] > 0.25 and torso[0, 3] < 14 and runner.steps < 3000:
-        message, torso = cycle(runner.command(runner.act(runner.observe(message, torso))))
-    seconds = (runner.steps + 1) * runner.p["cycle_s"]
-    print(f"{torso[0, 3] - begin:.2f} m in {seconds:.2f} s: {(torso[0, 3] - begin) / seconds:.2f} m/s")
+        command = runner.command(pose if cycle < settled else runner.act(runner.observe(message, torso)))
+        # a full scene is asked for a cycle ahead
+        message, torso, cycle = ask(agent, command), torso_pose(ask(monitor, "(reqfullstate)")), cycle + 1
+    seconds, metres = (cycle - settled) * runner.cycle_s, torso[0, 3] - runner.start[0]
+    print(f"{metres:.2f} m in {seconds:.2f} s: {metres / seconds:.2f} m/s")
 
 
 if __name__ == "__main__":

@@ -150,7 +150,7 @@ def test_exported_kinematics_give_the_centre_of_mass(robot_type: int, exported: 
 
     model = robots.model(robot_type)
     runner: Any = agent.Runner(exported / "policy.npz")
-    runner.p = {**runner.p, **_kinematics(model)}
+    vars(runner).update(_kinematics(model))
     rng = np.random.default_rng(robot_type)
     for angles in rng.uniform(model.low_deg, model.high_deg, (5, len(model.joints))):
         runner.angles = angles

@@ -19,6 +19,7 @@ from naosprint.policy import load_policy
 from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from naosim.robots import RobotModel
@@ -123,10 +124,7 @@ def _arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
         "action_names": np.array(manifest.actions),
         "joint_names": np.array(model.joint_names),
         "effector_names": np.array([joint.effector for joint in model.joints]),
-        "action_index": actuation.index,
-        "action_sign": actuation.sign,
-        "low_rad": actuation.low_rad,
-        "high_rad": actuation.high_rad,
+        **_views(manifest.observations, actuation),
         "max_speed": actuation.max_speed,
         "start_pose_rad": actuation.start_pose(),
         "start": np.array([task.start_x_m, task.start_y_m, model.standing_height + DROP_M, RUNNING_YAW_DEG]),
@@ -140,19 +138,43 @@ def _arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
     return arrays
 
 
-def _kinematics(model: RobotModel) -> dict[str, AnyArray]:
-    """Return what the centre of mass follows from: one row per joint, in an order in which parents come first."""
-    place, joints = model.body_index, model.joints
-    order = sorted(range(len(joints)), key=lambda k: place[joints[k].body])
+def _views(observations: Sequence[str], actuation: Actuation) -> dict[str, AnyArray]:
+    """Return what turns joint angles into observations, observations into their order, and actions into targets."""
+    joints = np.arange(actuation.n_actions)
+    view = np.zeros((actuation.n_actions, len(actuation.max_speed)))
+    view[joints, actuation.index] = actuation.sign
+    reach = (actuation.high_rad - actuation.low_rad) / 2.0
+    features = [name for name in observations if f"{name}_rate" in observations]
+    both = [*features, *(f"{name}_rate" for name in features)]
     return {
-        "body_mass": np.array([body.mass for body in model.bodies]),
-        "body_offset": np.array([body.offset for body in model.bodies]),
-        "chain_joint": np.array(order),
-        "chain_body": np.array([place[joints[k].body] for k in order]),
-        "chain_parent": np.array([place[joints[k].parent] for k in order]),
-        "chain_anchor": np.array([joints[k].anchor for k in order], dtype=np.float64),
-        "chain_axis": np.array([joints[k].axis for k in order]),
+        "joint_view": view,
+        "middle_rad": (actuation.low_rad + reach) @ view,
+        "reach_rad": view.T * reach,
+        "feature_order": np.array([both.index(name) for name in observations if name in both]),
     }
+
+
+def _kinematics(model: RobotModel) -> dict[str, AnyArray]:
+    """Return what the centre of mass follows from.
+
+    ``chain`` has a row per joint, parents first: which joint turns which body against which other, the joint's place
+    in the frames of both (``offset`` in the parent's, ``anchor`` in the body's), metres, and its axis.
+    """
+    place, offsets = model.body_index, np.array([body.offset for body in model.bodies])
+    vector = ("f8", 3)
+    kinds = [
+        ("joint", "i8"),
+        ("body", "i8"),
+        ("parent", "i8"),
+        ("offset", *vector),
+        ("anchor", *vector),
+        ("axis", *vector),
+    ]
+    rows = []
+    for k, joint in sorted(enumerate(model.joints), key=lambda item: place[item[1].body]):
+        body, parent, anchor = place[joint.body], place[joint.parent], np.array(joint.anchor, dtype=np.float64)
+        rows.append((k, body, parent, offsets[body] - offsets[parent] + anchor, anchor, joint.axis))
+    return {"body_mass": np.array([body.mass for body in model.bodies]), "chain": np.array(rows, dtype=kinds)}
 
 
 def _description(policy: Policy, manifest: Manifest) -> dict[str, Any]:

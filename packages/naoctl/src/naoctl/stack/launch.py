@@ -13,9 +13,11 @@ import shutil
 import signal
 import sys
 
-# Linux: linux/prctl.h, linux/capability.h
+# Linux: linux/prctl.h, linux/capability.h, linux/securebits.h
 PR_SET_PDEATHSIG = 1
 PR_SET_KEEPCAPS = 8
+PR_SET_SECUREBITS = 28
+SECBIT_NO_SETUID_FIXUP = 1 << 2
 PR_CAP_AMBIENT = 47
 PR_CAP_AMBIENT_RAISE = 2
 CAPABILITY_VERSION_3 = 0x20080522
@@ -45,6 +47,9 @@ def drop_root(uid: int, gid: int, *, keep_search: bool) -> None:
     capability = _search_capability(libc) if keep_search else None
     if capability is not None:
         libc.prctl(PR_SET_KEEPCAPS, 1, 0, 0, 0)
+        # Without it access(2), by which Postgres looks for its programs, takes no notice of the right that stays. Where
+        # root may not set it, the programs have to lie where everybody can reach them.
+        libc.prctl(PR_SET_SECUREBITS, SECBIT_NO_SETUID_FIXUP, 0, 0, 0)
     os.setgroups([])
     os.setresgid(gid, gid, gid)
     os.setresuid(uid, uid, uid)
