@@ -6,6 +6,9 @@ import os
 import subprocess
 import sys
 
+from naosprint.threads import one_blas_thread
+from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
+
 
 def run(code: str, **environment: str) -> str:
     """Run Python code in a fresh process without OpenMP settings and return its output."""
@@ -45,3 +48,16 @@ def test_learner_threads_are_set() -> None:
     """PyTorch uses as many threads as asked."""
     code = "from naosprint.threads import set_learner_threads as s; s(1); import torch; print(torch.get_num_threads())"
     assert run(code) == "1"
+
+
+def test_numpy_multiplies_on_one_thread_while_asked_to() -> None:
+    """OpenBLAS is told, and afterwards has what it had."""
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    before = threads()
+    assert before, "NumPy's library is not known"
+    with one_blas_thread():
+        assert set(threads()) == {1}
+    assert threads() == before

@@ -21,6 +21,7 @@ from naosprint.replay import Replay
 from naosprint.servers import most_servers
 from naosprint.starts import draw_start_poses
 from naosprint.statistics import bootstrap_mean, wilson
+from naosprint.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -182,7 +183,8 @@ def evaluate(
         poses = draw_start_poses(batch.actuation, spec.episodes, spec.start_noise_deg, spec.seed)
         batch.load_starts(poses)
         rng = None if spec.deterministic else np.random.default_rng([0xAC7, spec.seed])
-        runs = _run(batch, policy, spec.episodes, len(poses), rng, progress, stop)
+        with one_blas_thread():
+            runs = _run(batch, policy, spec.episodes, len(poses), rng, progress, stop)
         failures = batch.simulator.failures
     finally:
         batch.close()

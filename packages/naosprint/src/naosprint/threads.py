@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
 
 _QUIET = {
     # GNU OpenMP, which PyTorch's Linux wheels carry; PASSIVE alone still spins a little.
@@ -34,3 +40,13 @@ def set_learner_threads(count: int) -> None:
     import torch
 
     torch.set_num_threads(count)
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Let NumPy multiply matrices on the calling thread alone while the returned context lasts.
+
+    OpenBLAS shares out products as small as a policy's for a hundred robots; waiting for the other thread then costs
+    up to twenty times the product, most where other work keeps the processors busy.
+    """
+    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limits
