@@ -56,7 +56,7 @@ def test_a_group_varies_only_what_it_names() -> None:
     for job in jobs:
         assert job.spec == base.spec.model_copy(update={"seed": job.spec.seed, "learning_rate": 1e-3})
         assert job.tags == ["t"]
-        assert f"seed={job.spec.seed}" in (job.name or "")
+        assert (job.name or "").endswith(f"-seed-{job.spec.seed}")
 
 
 def test_a_preset_in_a_grid_brings_its_own_values() -> None:

@@ -222,7 +222,9 @@ def expand_group(request: GroupCreate) -> list[JobCreate]:
             first = error.errors()[0]
             field = ".".join(str(part) for part in first["loc"]) or next(iter(point))
             raise InvalidError(f"{label}: {first['msg']}", f"grid.{field}") from error
-        name = f"{request.job.display_name()} {label}"[:200]
+        # without blanks, so that it can be typed as it stands
+        apart = "".join(f"-{name}-{value}" for name, value in point.items()).replace(" ", "")
+        name = f"{request.job.display_name()}{apart}"[:200]
         jobs.append(request.job.model_copy(update={"spec": spec, "name": name}))
     return jobs
 
