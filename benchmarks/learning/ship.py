@@ -217,7 +217,9 @@ def page(card: dict[str, Any]) -> str:
         "",
     ]
     recipes = sorted((ROOT / "benchmarks" / "learning" / "recipes").glob(f"{name}-[0-9].yaml"))
-    for number, recipe in enumerate(recipes):
+    # where others come before the policy's own, their page says how
+    before = len(card["lineage"]) - len(recipes)
+    for number, recipe in enumerate(recipes, start=before):
         lines.append(f"    naoctl submit {recipe.relative_to(ROOT)}" + (" --from JOB" if number else ""))
     lines += ["", "where `JOB` is the job before it, once that has come as far as the table says.", ""]
     return "\n".join(lines)
