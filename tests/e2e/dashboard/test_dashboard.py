@@ -507,9 +507,8 @@ def test_the_evaluation_shows_the_service_s_numbers(
     assert said["Falls"][1] == f"{falls['ci'][0] * 100:.1f} % to {falls['ci'][1] * 100:.1f} %"
     assert said["Deviation"] == [f"{deviation['mean']:.2f}°", f"sd {deviation['sd']:.2f}°"]
     browser.shows("Paths of 8 episodes")
-    assert len(browser.all("svg g[data-episode]")) == 8
-    contact = browser.all("svg[aria-label^='Ground contact'] rect")
-    assert len(contact) > 2
+    browser.until(lambda: len(browser.all("svg g[data-episode]")) == 8, message="not all paths are drawn")
+    browser.until(lambda: len(browser.all("svg[aria-label^='Ground contact'] rect")) > 2, message="no contact is drawn")
     choose(browser, "select[aria-label=Episode]", "3")
     browser.until(lambda: browser.all("svg g[data-episode='3'] path[stroke-width='2.25']"))
     browser.until(lambda: painted(browser, "[data-chart='Torso height'] canvas") > 200)
