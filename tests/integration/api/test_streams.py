@@ -12,6 +12,7 @@ import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
 from naojobs.states import JobState
+from naosprint_api import broadcast
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
@@ -39,6 +40,18 @@ def test_a_follower_sees_a_job_live_until_it_ends(
     assert kinds.count("event") == 2
     assert kinds[-2:] == ["state", "end"]
     assert rest[-1].data == {"state": "succeeded", "error": None}
+
+
+@pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{}/stream"])
+def test_a_follower_without_news_is_told_that_the_stream_lives(
+    path: str, client: httpx.Client, run_job: Callable[..., Lease], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Proxies cut what is silent, and a write is how a follower that has gone is noticed."""
+    for name in ("_IDLE_S", "_BLIND_S"):
+        monkeypatch.setattr(broadcast, name, 0.05)
+    with client.stream("GET", path.format(run_job().job_id)) as response:
+        assert response.headers["content-type"].startswith("text/event-stream")
+        assert next(line for line in response.iter_lines() if line.startswith(":")) == ": ping"
 
 
 def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import pytest
 import torch
@@ -24,20 +25,45 @@ def outputs_and_gradients(outputs: torch.Tensor, net: nn.Sequential) -> list[tor
     return [outputs.detach(), *gradients]
 
 
+ONEDNN = pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="this torch carries no oneDNN")
+
+
+@ONEDNN
+def test_the_fused_kernels_are_the_ones_that_run() -> None:
+    """Else every training would take twice as long and nobody would know."""
+    assert dense._run_layer == dense._Dense.apply
+
+
 @pytest.mark.parametrize("rows", [1, 7, 128, 2048])
-@pytest.mark.parametrize("sizes", [(89, 64, 64, 20), (89, 64, 64, 1), (89, 20), (5, 3, 2)])
-@pytest.mark.parametrize("implementation", ["chosen", "plain"])
-def test_a_network_and_its_gradients_are_those_of_torch(
-    rows: int, sizes: tuple[int, ...], implementation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if implementation == "plain":
-        monkeypatch.setattr(dense, "_run_layer", dense._plain)
+@pytest.mark.parametrize("sizes", [(89, 64, 64, 20), (89, 128, 128, 1), (89, 20), (5, 3, 2)])
+def test_a_network_and_its_gradients_are_those_of_torch(rows: int, sizes: tuple[int, ...]) -> None:
     net = network(*sizes)
     inputs = torch.randn(rows, sizes[0])
     ours = outputs_and_gradients(run_network(dense_layers(net), inputs), net)
     torchs = outputs_and_gradients(net(inputs), net)
     for mine, known in zip(ours, torchs, strict=True):
         torch.testing.assert_close(mine, known, rtol=1e-4, atol=1e-4 * float(known.abs().max()))
+
+
+def missing(*_: object) -> torch.Tensor:
+    raise AttributeError("no such operator")
+
+
+def wrong(inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None, squash: bool) -> torch.Tensor:
+    # a kernel that forgets the bias
+    outputs = inputs @ weight.t()
+    return torch.tanh(outputs) if squash else outputs
+
+
+@pytest.mark.parametrize("operator", [missing, wrong])
+def test_an_operator_that_is_missing_or_wrong_is_not_used(operator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dense, "_fused", operator)
+    assert not dense._fused_works()
+    # what runs instead does not need it
+    net = network(6, 4, 2)
+    inputs = torch.randn(9, 6)
+    monkeypatch.setattr(dense, "_run_layer", dense._plain)
+    torch.testing.assert_close(run_network(dense_layers(net), inputs), net(inputs))
 
 
 def test_the_inputs_get_their_gradient_too() -> None:
@@ -50,7 +76,12 @@ def test_the_inputs_get_their_gradient_too() -> None:
 
 @pytest.mark.parametrize(
     "modules",
-    [(nn.Linear(3, 2), nn.ReLU(), nn.Linear(2, 1)), (nn.Linear(3, 2), nn.Tanh()), (nn.Linear(3, 2), nn.Linear(2, 1))],
+    [
+        (nn.Linear(3, 2), nn.ReLU(), nn.Linear(2, 1)),
+        (nn.Linear(3, 2), nn.Tanh()),
+        (nn.Linear(3, 2), nn.Linear(2, 1)),
+        (nn.Linear(3, 2), nn.Linear(2, 1), nn.Tanh()),
+    ],
 )
 def test_other_networks_are_refused(modules: tuple[nn.Module, ...]) -> None:
     with pytest.raises(ValueError, match="linear layers with tanh between them"):

@@ -25,9 +25,8 @@ def dense_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
         ValueError: if anything but tanh stands between them.
     """
     chain = list(modules)
-    layers = tuple(module for module in chain if isinstance(module, nn.Linear))
-    between = [module for module in chain if not isinstance(module, nn.Linear)]
-    if len(between) != len(layers) - 1 or not all(isinstance(module, nn.Tanh) for module in between):
+    layers = tuple(module for module in chain[::2] if isinstance(module, nn.Linear))
+    if len(chain) != 2 * len(layers) - 1 or not all(isinstance(module, nn.Tanh) for module in chain[1::2]):
         raise ValueError(f"networks are linear layers with tanh between them, not {chain}")
     return layers
 

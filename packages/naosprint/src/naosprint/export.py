@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from naosprint.checkpoint import Manifest
     from naosprint.policy import Policy
 
-FORMAT = 1
+FORMAT = 2
 """Version of the exported files."""
 
 OPSET = 17
@@ -161,15 +161,8 @@ def _kinematics(model: RobotModel) -> dict[str, AnyArray]:
     in the frames of both (``offset`` in the parent's, ``anchor`` in the body's), metres, and its axis.
     """
     place, offsets = model.body_index, np.array([body.offset for body in model.bodies])
-    vector = ("f8", 3)
-    kinds = [
-        ("joint", "i8"),
-        ("body", "i8"),
-        ("parent", "i8"),
-        ("offset", *vector),
-        ("anchor", *vector),
-        ("axis", *vector),
-    ]
+    numbers, vectors = ("joint", "body", "parent"), ("offset", "anchor", "axis")
+    kinds = [*((name, "i8") for name in numbers), *((name, "f8", 3) for name in vectors)]
     rows = []
     for k, joint in sorted(enumerate(model.joints), key=lambda item: place[item[1].body]):
         body, parent, anchor = place[joint.body], place[joint.parent], np.array(joint.anchor, dtype=np.float64)
