@@ -200,6 +200,12 @@ class _Session:
                 f"{directory}: its policy sees {len(manifest.observations)} observations that are not those of "
                 f"robot type {self.spec.robot_type}"
             )
+        if manifest.spec.hidden_sizes != self.spec.hidden_sizes:
+            theirs = list(manifest.spec.hidden_sizes)
+            raise CheckpointError(
+                f"{directory}: its policy has hidden_sizes {theirs}, this training has {list(self.spec.hidden_sizes)}; "
+                f"set hidden_sizes to {theirs}"
+            )
         require_like(directory / POLICY, policy, self._policy_arrays())
         self.ppo.load_policy_state(_weights(policy))
         normaliser = self.env.normaliser
