@@ -52,6 +52,37 @@ MEASURE_S = 20.0
 """Seconds that each throughput is measured."""
 
 
+CHAIN: tuple[dict[str, Any], ...] = (
+    {"total_steps": LONG_STEPS},
+    # four times as many samples an update, and the spread held
+    {
+        "total_steps": 45_000_000,
+        "gamma": 0.99,
+        "n_steps": 256,
+        "batch_size": 4096,
+        "learning_rate_schedule": "constant",
+        "start_practice": 0.125,
+        "initial_log_std": -2.0,
+        "final_log_std": -2.0,
+        "log_std_steps": None,
+        "policy_averaging": 0.95,
+    },
+    # a quiet end
+    {
+        "total_steps": 15_000_000,
+        "gamma": 0.99,
+        "n_steps": 256,
+        "batch_size": 8192,
+        "target_kl": 0.02,
+        "target_kl_final": 0.01,
+        "initial_log_std": -2.0,
+        "final_log_std": -2.3,
+        "log_std_steps": None,
+        "policy_averaging": 0.95,
+    },
+)
+"""The recipe that several seeds follow: what each stage sets other than preset ``fast``; it starts from the one before."""
+
 ONE_CORE: dict[str, Any] = {"simulator_threads": 1, "torch_threads": 1}
 
 
@@ -92,14 +123,15 @@ class _Rows(Log):
         self.rows.append(row)
 
 
-def trained(workdir: Path, name: str, spec: TrainingSpec) -> Path:
+def trained(workdir: Path, name: str, spec: TrainingSpec, initial_policy: Path | None = None) -> Path:
     """Return the folder of a finished training, which is begun or continued as needed."""
     folder = workdir / name
     checkpoints = sorted(folder.glob("step-*"))
     latest = checkpoints[-1] if checkpoints else None
     if latest is None or read_manifest(latest).steps < spec.planned_steps:
         print(f"{name}: training to {spec.total_steps:,} steps")
-        train(spec, workdir=folder, reporter=Log(folder), resume=latest)
+        first = initial_policy if latest is None else None
+        train(spec, workdir=folder, reporter=Log(folder), resume=latest, initial_policy=first)
     return folder
 
 
@@ -189,6 +221,23 @@ def long(workdir: Path) -> dict[str, Any]:
         for left_over in folder.glob("evaluation-*"):
             subprocess.run(["rm", "-r", str(left_over)], check=True)
     return digest(trained(workdir, "fast-0-long", spec), spec, steps=LONG_STEPS)
+
+
+def chain(seed: int) -> Callable[[Path], dict[str, Any]]:
+    """Return a section that takes a seed through all stages of the recipe."""
+
+    def section(workdir: Path) -> dict[str, Any]:
+        stages: list[dict[str, Any]] = []
+        latest: Path | None = None
+        for number, settings in enumerate(CHAIN):
+            spec = TrainingSpec(seed=seed, checkpoint_interval_steps=5_000_000, **settings, **ONE_CORE)
+            name = f"chain-{seed}-{number + 1}" if number else f"fast-{seed}-long"
+            folder = trained(workdir, name, spec, latest)
+            latest = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
+            stages.append(digest(folder, spec, steps=spec.planned_steps))
+        return {"seed": seed, "final": stages[-1]["final"], "stages": stages}
+
+    return section
 
 
 def paper(workdir: Path) -> dict[str, Any]:
@@ -289,6 +338,7 @@ SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "seeds": seeds,
     "paper": paper,
     "long": long,
+    **{f"chain-{seed}": chain(seed) for seed in SEEDS},
 }
 
 
