@@ -60,7 +60,6 @@ CHAIN: tuple[dict[str, Any], ...] = (
         "gamma": 0.99,
         "n_steps": 256,
         "batch_size": 4096,
-        "learning_rate_schedule": "constant",
         "start_practice": 0.125,
         "initial_log_std": -2.0,
         "final_log_std": -2.0,
@@ -81,7 +80,7 @@ CHAIN: tuple[dict[str, Any], ...] = (
         "policy_averaging": 0.95,
     },
 )
-"""The recipe that several seeds follow: what each stage sets other than preset ``fast``; it starts from the one before."""
+"""The recipe that seeds follow: what each stage sets other than preset ``fast``; it starts from the one before."""
 
 ONE_CORE: dict[str, Any] = {"simulator_threads": 1, "torch_threads": 1}
 
