@@ -1,3 +1,5 @@
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -32,6 +34,14 @@ std::string seconds_text(double seconds) {
   std::string out;
   append_fixed(out, seconds, 1);
   return out + " s";
+}
+
+// Acknowledge what has come at once. The kernel would wait up to 40 ms for an answer that could carry the acknowledgement, and
+// rcssserver3d, which leaves Nagle's algorithm on, would hold the next frame back for as long. To an agent port every
+// command is such an answer; a monitor port gets none.
+void acknowledge(int fd) {
+  const int now = 1;
+  ::setsockopt(fd, IPPROTO_TCP, TCP_QUICKACK, &now, sizeof now);
 }
 
 constexpr char kDetached[] = "no server is attached";
@@ -134,6 +144,7 @@ bool Exchange::receive(int row, bool monitor) {
   for (;;) {
     const ssize_t got = ::recv(stream.fd, chunk, sizeof chunk, MSG_DONTWAIT);
     if (got > 0) {
+      if (monitor) acknowledge(stream.fd);
       stream.buffer.append(chunk, static_cast<std::size_t>(got));
       if (!parse(row, monitor)) return false;
       if (static_cast<std::size_t>(got) < sizeof chunk) return true;
