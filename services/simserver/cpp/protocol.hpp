@@ -177,9 +177,11 @@ class Exchange {
   void detach(int row);
   void choose(int row, int side, int uniform_number);  // whose torso is the truth
   void post(int row, bool monitor, std::string_view payload);
-  // Send (n, joints) speeds and "(syn)" to the chosen rows and wait for one message and, with a monitor, one frame of each.
+  // Send (n, joints) speeds and "(syn)" to the chosen rows.
+  void dispatch(const double* speeds, const std::uint8_t* rows);
+  // Wait for the answer of each chosen row to what was dispatched: one message and, with a monitor, one frame.
   // Returns how many rows have failed, all told.
-  int step(const double* speeds, const std::uint8_t* rows, double timeout_s);
+  int gather(const std::uint8_t* rows, double timeout_s);
   // Wait until every chosen row got `messages` agent messages and `frames` monitor frames.
   void collect(const std::uint8_t* rows, int messages, int frames, double timeout_s);
   // Read what is there and go on until nothing came for `quiet_s`; count messages and frames in `messages_of` and `frames_of`.
@@ -209,10 +211,12 @@ class Exchange {
     int side = 0, uniform_number = 0, joints_seen = 0;
     bool torso_seen = false;
     long messages = 0, frames = 0;
+    long message_goal = 0, frame_goal = 0;  // how many there will be once the server has answered
     std::string failure;
     explicit Channel(const std::vector<std::string>& names) : reader(names) {}
   };
   void send(int row, bool monitor, std::string_view framed);
+  void wait(const std::uint8_t* rows, double timeout_s);
   bool receive(int row, bool monitor);  // false once the row has failed
   bool parse(int row, bool monitor);
   std::size_t joints_;

@@ -209,14 +209,20 @@ void bind_protocol(nb::module_& m) {
              nb::gil_scoped_release release;
              self.post(row, monitor, data);
            })
-      .def("step",
-           [](Exchange& self, const Doubles& speeds, const std::optional<Bytes>& rows, double timeout_s) {
+      .def("dispatch",
+           [](Exchange& self, const Doubles& speeds, const std::optional<Bytes>& rows) {
              require(speeds.size() == static_cast<std::size_t>(self.size()) * self.joint_count(), "speeds: wrong shape");
              const std::uint8_t* chosen = rows_of(self, rows);
              const double* data = speeds.data();
              nb::gil_scoped_release release;
-             return self.step(data, chosen, timeout_s);
-           }, nb::arg("speeds"), nb::arg("rows").none(), nb::arg("timeout_s"))
+             self.dispatch(data, chosen);
+           }, nb::arg("speeds"), nb::arg("rows").none())
+      .def("gather",
+           [](Exchange& self, const std::optional<Bytes>& rows, double timeout_s) {
+             const std::uint8_t* chosen = rows_of(self, rows);
+             nb::gil_scoped_release release;
+             return self.gather(chosen, timeout_s);
+           }, nb::arg("rows").none(), nb::arg("timeout_s"))
       .def("collect",
            [](Exchange& self, const std::optional<Bytes>& rows, int messages, int frames, double timeout_s) {
              const std::uint8_t* chosen = rows_of(self, rows);

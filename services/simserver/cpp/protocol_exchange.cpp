@@ -4,6 +4,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <charconv>
 #include <chrono>
@@ -82,7 +83,7 @@ void Exchange::attach(int row, int agent_fd, int monitor_fd) {
   }
   c.scene = SceneReader();
   c.game = GameState();
-  c.messages = c.frames = 0;
+  c.messages = c.frames = c.message_goal = c.frame_goal = 0;
   c.joints_seen = c.side = c.uniform_number = 0;
   c.torso_seen = false;
   c.failure.clear();
@@ -209,7 +210,7 @@ bool Exchange::parse(int row, bool monitor) {
   return true;
 }
 
-int Exchange::step(const double* speeds, const std::uint8_t* rows, double timeout_s) {
+void Exchange::dispatch(const double* speeds, const std::uint8_t* rows) {
   std::string message;
   for (int row = 0; row < size(); ++row) {
     if ((rows != nullptr && !rows[row]) || !channels_[row].failure.empty()) continue;
@@ -227,9 +228,15 @@ int Exchange::step(const double* speeds, const std::uint8_t* rows, double timeou
     }
     message += "(syn)";
     append_size(message, 0);
+    // what has come so far is no answer to this
+    channels_[row].message_goal = channels_[row].messages + 1;
+    channels_[row].frame_goal = channels_[row].frames + 1;
     send(row, false, message);
   }
-  collect(rows, 1, 1, timeout_s);
+}
+
+int Exchange::gather(const std::uint8_t* rows, double timeout_s) {
+  wait(rows, timeout_s);
   for (int row = 0; row < size(); ++row) {
     Channel& c = channels_[row];
     if ((rows != nullptr && !rows[row]) || !c.failure.empty()) continue;
@@ -242,53 +249,52 @@ int Exchange::step(const double* speeds, const std::uint8_t* rows, double timeou
 }
 
 void Exchange::collect(const std::uint8_t* rows, int messages, int frames, double timeout_s) {
-  const auto until = after(timeout_s);
-  struct Goal {
-    int row;
-    long messages, frames;
-  };
-  std::vector<Goal> waiting;
   for (int row = 0; row < size(); ++row) {
-    Channel& c = channels_[row];
-    if ((rows != nullptr && !rows[row]) || !c.failure.empty()) continue;
-    waiting.push_back({row, c.messages + messages, c.frames + (c.monitor.fd >= 0 ? frames : 0)});
+    if (rows != nullptr && !rows[row]) continue;
+    channels_[row].message_goal = channels_[row].messages + messages;
+    channels_[row].frame_goal = channels_[row].frames + frames;
   }
+  wait(rows, timeout_s);
+}
+
+void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
+  const auto until = after(timeout_s);
+  const auto frame_due = [](const Channel& c) { return c.monitor.fd >= 0 && c.frames < c.frame_goal; };
+  const auto due = [&](const Channel& c) { return c.failure.empty() && (c.messages < c.message_goal || frame_due(c)); };
+  std::vector<int> waiting;
+  for (int row = 0; row < size(); ++row)
+    if ((rows == nullptr || rows[row]) && due(channels_[row])) waiting.push_back(row);
   std::vector<pollfd> polled;
   std::vector<std::pair<int, bool>> whose;
   while (!waiting.empty()) {
     polled.clear();
     whose.clear();
-    for (const Goal& goal : waiting) {
-      Channel& c = channels_[goal.row];
+    for (const int row : waiting) {
+      const Channel& c = channels_[row];
       // Every wake-up costs more than what is read: while a frame is due, what the agent port says may lie, but not its end.
-      const bool frame = c.monitor.fd >= 0 && c.frames < goal.frames;
+      const bool frame = frame_due(c);
       polled.push_back({c.agent.fd, static_cast<short>(frame ? POLLRDHUP : POLLIN), 0});
-      whose.emplace_back(goal.row, false);
+      whose.emplace_back(row, false);
       if (frame) {
         polled.push_back({c.monitor.fd, POLLIN, 0});
-        whose.emplace_back(goal.row, true);
+        whose.emplace_back(row, true);
       }
     }
     const int ready = ::poll(polled.data(), polled.size(), left_ms(until));
     if (ready < 0 && errno != EINTR) {
-      for (const Goal& goal : waiting) fail(goal.row, std::string("poll: ") + std::strerror(errno));
+      for (const int row : waiting) fail(row, std::string("poll: ") + std::strerror(errno));
       return;
     }
     if (ready == 0 && Clock::now() >= until) {
-      for (const Goal& goal : waiting) {
-        const bool agent = channels_[goal.row].messages < goal.messages;
-        fail(goal.row, std::string(port_name(!agent)) + ": no reply within " + seconds_text(timeout_s));
+      for (const int row : waiting) {
+        const bool agent = channels_[row].messages < channels_[row].message_goal;
+        fail(row, std::string(port_name(!agent)) + ": no reply within " + seconds_text(timeout_s));
       }
       return;
     }
     for (std::size_t k = 0; k < polled.size() && ready > 0; ++k)
       if (polled[k].revents != 0 && receive(whose[k].first, whose[k].second) && whose[k].second) receive(whose[k].first, false);
-    std::size_t kept = 0;
-    for (const Goal& goal : waiting) {
-      const Channel& c = channels_[goal.row];
-      if (c.failure.empty() && (c.messages < goal.messages || c.frames < goal.frames)) waiting[kept++] = goal;
-    }
-    waiting.resize(kept);
+    waiting.erase(std::remove_if(waiting.begin(), waiting.end(), [&](int row) { return !due(channels_[row]); }), waiting.end());
   }
 }
 

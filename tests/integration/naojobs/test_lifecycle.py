@@ -323,6 +323,15 @@ def test_a_parent_that_does_not_fit_is_refused_by_field(
     assert caught.value.field == field
 
 
+def test_a_parent_may_have_trained_a_robot_of_another_type_with_the_same_joints(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    parent = submit()
+    request = JobCreate(parent_job_id=parent.id, spec=TrainingSpec(robot_type=3))
+    job, new = lifecycle.submit(sessions, request, owner="alice")
+    assert (job.parent_job_id, new) == (parent.id, True)
+
+
 def test_anothers_job_is_no_parent(sessions: Sessions, submit: Callable[..., Job]) -> None:
     parent = submit(owner="bob")
     with pytest.raises(InvalidError, match="job of yours"):

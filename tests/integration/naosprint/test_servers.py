@@ -210,6 +210,39 @@ def test_a_standby_server_prepares_the_next_start_while_the_robot_runs() -> None
         batch.close()
 
 
+def test_a_group_starts_over_while_the_servers_of_the_other_compute() -> None:
+    """Robots that are stepped in turns perceive what they would side by side, a restart in between included."""
+    simulators = [RemoteSimulator(embedded(), 3, robot_type=0, task=SPRINT, max_failures=0) for _ in range(2)]
+    together, turns = (batch_of(simulator) for simulator in simulators)
+    try:
+        groups = turns.simulator.groups
+        assert groups == (slice(0, 2), slice(2, 3))
+        poses = np.repeat(turns.actuation.start_pose()[None], 2, axis=0)
+        poses[1, turns.actuation.index[0]] += 0.2
+        for batch in (together, turns):
+            batch.load_starts(poses)
+            batch.restart(np.arange(3), np.array([0, 1, 0]))
+        rng = np.random.default_rng(3)
+        actions = 0.2 * rng.standard_normal((30, 3, turns.actuation.n_actions))
+        for group in groups:
+            turns.send(actions[0, group], group)
+        for cycle in range(30):
+            together.step(actions[cycle])
+            for group in groups:
+                turns.receive(group)
+                np.testing.assert_array_equal(turns.observations[group], together.observations[group])
+                np.testing.assert_array_equal(turns.rewards[group], together.rewards[group])
+                if cycle == 15 and group.start == 0:
+                    for batch in (together, turns):
+                        batch.restart(np.array([1]), np.array([0]))
+                if cycle < 29:
+                    turns.send(actions[cycle + 1, group], group)
+        assert list(turns.steps) == list(together.steps) == [30, 14, 30]
+    finally:
+        together.close()
+        turns.close()
+
+
 class Killer(NullReporter):
     """Kill a server after each of the first updates."""
 

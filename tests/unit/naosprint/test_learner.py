@@ -78,14 +78,14 @@ def test_time_limit_bootstraps_the_value_of_what_was_cut_off(
     batch = env.batch
     monkeypatch.setattr(batch, "task", replace(batch.task, max_steps=5))
     seen: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
-    advance = env.advance
+    receive = env.receive
 
-    def watch(actions: np.ndarray) -> object:
-        transition = advance(actions)
+    def watch(group: slice) -> object:
+        transition = receive(group)
         seen.append((len(seen), transition.rewards.copy(), transition.cut_rows, transition.cut_observations))
         return transition
 
-    monkeypatch.setattr(env, "advance", watch)
+    monkeypatch.setattr(env, "receive", watch)
     collect(learner)
     cuts = 0
     for step, rewards, rows, observations in seen:

@@ -141,34 +141,52 @@ class SprintBatch:
         simulator = self.simulator
         targets = self.actuation.targets(actions)
         simulator.step(self.actuation.speeds(targets, simulator.perceptors.joint_angles), active)
-        self.lost = simulator.lost.copy()
-        lost = np.flatnonzero(self.lost)
-        last_seen = self.observer.observations[lost]
+        self._take_in(slice(0, self.n))
+        return self.observer.observations
+
+    def send(self, actions: FloatArray, group: slice) -> None:
+        """Begin a step of one of the simulator's groups with (k, A) actions; :meth:`receive` finishes it."""
+        simulator = self.simulator
+        targets = self.actuation.targets(actions)
+        simulator.send(self.actuation.speeds(targets, simulator.perceptors.joint_angles[group]), group)
+
+    def receive(self, group: slice) -> None:
+        """Finish the step that :meth:`send` has begun: the group's rows of all attributes are those after it."""
+        self.simulator.receive(group)
+        self._take_in(group)
+
+    def _take_in(self, rows: slice) -> None:
+        """Bring the robots of ``rows`` up to what the simulator says after a step."""
+        simulator, task = self.simulator, self.task
+        lost = simulator.lost[rows]
+        gone = np.flatnonzero(lost) + rows.start
+        last_seen = self.observer.observations[gone]
         truth = simulator.truth
-        observations = self.observer.update(simulator.perceptors, truth)
-        x = truth.torso_position[:, 0].copy()
-        # what a server said while it broke down is no ground to learn from
-        observations[lost] = last_seen
-        aside = np.abs(truth.torso_position[:, 1] - self.task.start_y_m)
-        x[lost], aside[lost] = self._x[lost], self._aside[lost]
-        self.steps += 1
-        self.fallen = (truth.torso_position[:, 2] < self.fall_height_m) & ~self.lost
-        gain = x - self._x - self.drift_penalty * (aside - self._aside) - self.fall_penalty_m * self.fallen
-        self.rewards = gain * self.reward_scale
-        self._x, self._aside = x, aside
-        task = self.task
-        if task.finish_x_m is not None:
-            self.arrived = (x > task.finish_x_m) & ~self.fallen & ~self.lost
-        over = self.fallen | self.arrived
-        late = self.steps >= task.max_steps
+        self.observer.update(simulator.perceptors, truth, rows)
+        position = truth.torso_position[rows]
+        x = position[:, 0].copy()
+        aside = np.abs(position[:, 1] - task.start_y_m)
+        if len(gone):
+            # what a server said while it broke down is no ground to learn from
+            self.observer.observations[gone] = last_seen
+            x[lost], aside[lost] = self._x[gone], self._aside[gone]
+        fallen = (position[:, 2] < self.fall_height_m) & ~lost
+        gain = x - self._x[rows] - self.drift_penalty * (aside - self._aside[rows]) - self.fall_penalty_m * fallen
+        self.rewards[rows] = gain * self.reward_scale
+        self._x[rows], self._aside[rows] = x, aside
+        arrived = np.zeros_like(fallen) if task.finish_x_m is None else (x > task.finish_x_m) & ~fallen & ~lost
+        self.lost[rows], self.fallen[rows], self.arrived[rows] = lost, fallen, arrived
+        self.steps[rows] += 1
+        over = fallen | arrived
+        late = self.steps[rows] >= task.max_steps
         if task.horizon_is_terminal:
-            self.terminated = (over | late) & ~self.lost
-            self.truncated = self.lost.copy()
+            terminated = (over | late) & ~lost
+            truncated = lost
         else:
-            self.terminated = over
-            self.truncated = (late & ~over) | self.lost
-        self.truncated |= self.practises & (self.steps >= PRACTICE_STEPS) & ~self.terminated
-        return observations
+            terminated = over
+            truncated = (late & ~over) | lost
+        practised = self.practises[rows] & (self.steps[rows] >= PRACTICE_STEPS) & ~terminated
+        self.terminated[rows], self.truncated[rows] = terminated, truncated | practised
 
     def elapsed_s(self) -> FloatArray:
         """Return the time each episode has lasted, in seconds."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.vec_env import VecEnv
 
-    from naosprint.arrays import AnyArray, BoolArray, Float32Array
+    from naosprint.arrays import AnyArray, Float32Array
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _RATE_STEP = 1.2
@@ -146,24 +146,31 @@ class SprintPPO(PPO):
             noise = torch.randn((n_rollout_steps, n, action_dim), generator=self.generator)
             actions = torch.from_numpy(buffer.actions)
             scaled_noise = noise * log_std.exp()
-            observations = cast("Float32Array", self._last_obs)
-            starts = cast("BoolArray", self._last_episode_starts)
-            for step in range(n_rollout_steps):
-                if stop is not None and stop():
+            observations = np.array(self._last_obs, dtype=np.float32)
+            starts = np.array(self._last_episode_starts, dtype=np.bool_)
+            # while the simulator computes for one group, another is seen to
+            for step in range(n_rollout_steps + 1):
+                if stop is not None and step < n_rollout_steps and stop():
+                    for group in sprint.groups if step else ():
+                        sprint.receive(group)
                     return False
-                buffer.observations[step] = observations
-                buffer.episode_starts[step] = starts
-                mean = run_network(self._actor, torch.from_numpy(observations))
-                torch.add(mean, scaled_noise[step], out=actions[step])
-                transition = sprint.advance(buffer.actions[step])
-                observations = transition.observations
-                if not np.isfinite(observations.sum()):
-                    raise TrainingDivergedError(_locate(sprint, observations))
-                starts = transition.dones
-                buffer.rewards[step] = transition.rewards
-                if len(transition.cut_rows):
-                    cut = run_network(self._critic, torch.from_numpy(transition.cut_observations)).numpy()
-                    buffer.rewards[step, transition.cut_rows] += gamma * cut[:, 0]
+                for group in sprint.groups:
+                    if step:
+                        transition = sprint.receive(group)
+                        if not np.isfinite(transition.observations.sum()):
+                            raise TrainingDivergedError(_locate(sprint, transition.observations, group))
+                        observations[group], starts[group] = transition.observations, transition.dones
+                        rewards = buffer.rewards[step - 1, group]
+                        rewards[:] = transition.rewards
+                        if len(transition.cut_rows):
+                            cut = run_network(self._critic, torch.from_numpy(transition.cut_observations)).numpy()
+                            rewards[transition.cut_rows] += gamma * cut[:, 0]
+                    if step < n_rollout_steps:
+                        buffer.observations[step, group] = observations[group]
+                        buffer.episode_starts[step, group] = starts[group]
+                        mean = run_network(self._actor, torch.from_numpy(observations[group]))
+                        torch.add(mean, scaled_noise[step, group], out=actions[step, group])
+                        sprint.send(buffer.actions[step, group], group)
             values = run_network(self._critic, torch.from_numpy(buffer.observations.reshape(n_rollout_steps * n, -1)))
             buffer.values[:] = values.numpy().reshape(n_rollout_steps, n)
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - action_dim * _HALF_LOG_TWO_PI
@@ -380,6 +387,6 @@ def _explained_variance(values: Float32Array, returns: Float32Array) -> float:
     return 1.0 - float(np.var(returns - values)) / variance if variance > 0.0 else 0.0
 
 
-def _locate(env: SprintVecEnv, observations: Float32Array) -> str:
+def _locate(env: SprintVecEnv, observations: Float32Array, group: slice) -> str:
     row, column = np.argwhere(~np.isfinite(observations))[0]
-    return f"observation {env.batch.observer.names[column]!r} of environment {row} is no longer finite"
+    return f"observation {env.batch.observer.names[column]!r} of environment {group.start + row} is no longer finite"

@@ -18,6 +18,8 @@ EPSILON = 1e-8
 REWARD_CLIP = 10.0
 """Largest magnitude of a normalised reward."""
 
+_EVERYONE = slice(None)
+
 
 class RunningMoments:
     """Follow mean and variance of a stream of samples.
@@ -100,14 +102,16 @@ class Normaliser:
         clipped: Float32Array = np.clip(scaled, -self._clip, self._clip).astype(np.float32)
         return clipped
 
-    def rewards(self, rewards: FloatArray, dones: BoolArray) -> Float32Array:
-        """Merge (n,) raw rewards into the statistics and return them as the learner sees them."""
+    def rewards(self, rewards: FloatArray, dones: BoolArray, rows: slice = _EVERYONE) -> Float32Array:
+        """Merge (k,) raw rewards of the environments ``rows`` and return them as the learner sees them."""
         if not self._rewards:
             return rewards.astype(np.float32)
-        self._returns = self._returns * self.gamma + rewards
-        self.return_moments.update(self._returns[:, None])
+        returns = self._returns[rows]
+        returns *= self.gamma
+        returns += rewards
+        self.return_moments.update(returns[:, None])
         scaled = rewards / np.sqrt(self.return_moments.variance[0] + EPSILON)
-        self._returns[dones] = 0.0
+        returns[dones] = 0.0
         clipped: Float32Array = np.clip(scaled, -REWARD_CLIP, REWARD_CLIP).astype(np.float32)
         return clipped
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from naosprint.simulator import Perceptors, Truth
 
 _AXES = ("x", "y", "z")
+_EVERYONE = slice(None)
 
 # the features in blocks, each of which is followed by its rates
 _SHARED_BLOCKS: tuple[tuple[str, ...], ...] = (
@@ -94,30 +95,26 @@ class Observer:
         first[:, self._value_columns] = features
         self.observations[rows] = first
 
-    def update(self, perceptors: Perceptors, truth: Truth) -> FloatArray:
-        """Compute the observations after a step of every robot.
-
-        Returns:
-            (n, D) observations; the array is overwritten by the next call.
-        """
-        features = self._perceive(perceptors, truth, slice(None))
-        rates = features - self._features
+    def update(self, perceptors: Perceptors, truth: Truth, rows: slice = _EVERYONE) -> None:
+        """Compute the observations of the robots ``rows`` after a step."""
+        features = self._perceive(perceptors, truth, rows)
+        rates = features - self._features[rows]
         # the short way round, also where the yaw passes from pi to -pi
         rates[:, self._yaw] = _wrap(rates[:, self._yaw])
-        self._features = features
-        self._steps += 1
-        self._counters += 1
+        self._features[rows] = features
+        self._steps[rows] += 1
+        counters = self._counters[rows]
+        counters += 1
         loaded = self._loaded(features)
-        self._counters[loaded & ~self.feet_loaded] = 0
-        self.feet_loaded = loaded
-        self.both_feet_off = self._unloaded(features)
-        observations = self.observations
-        observations[:, 0] = self._steps
+        counters[loaded & ~self.feet_loaded[rows]] = 0
+        self.feet_loaded[rows] = loaded
+        self.both_feet_off[rows] = self._unloaded(features)
+        observations = self.observations[rows]
+        observations[:, 0] = self._steps[rows]
         observations[:, self._value_columns] = features
         observations[:, self._rate_columns] = rates
-        observations[:, -2] = self._counters[:, 1]
-        observations[:, -1] = self._counters[:, 0]
-        return observations
+        observations[:, -2] = counters[:, 1]
+        observations[:, -1] = counters[:, 0]
 
     def foot_loads(self) -> FloatArray:
         """Return the (n, 2) latest upward forces on left and right foot in newtons, zero without contact."""

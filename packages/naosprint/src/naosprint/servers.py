@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -125,6 +125,44 @@ def require_servers(n: int) -> None:
         )
 
 
+class RemotePerceptors:
+    """What n robots perceive, by the latest messages of their servers; valid until the next step."""
+
+    def __init__(self, remote: RemoteBatch, servers: IntArray) -> None:
+        self._remote = remote
+        self._servers = servers
+
+    @property
+    def time(self) -> FloatArray:
+        """Return (n,) times of the servers in seconds."""
+        return self._remote.perceptors.time[self._servers]
+
+    @property
+    def joint_angles(self) -> FloatArray:
+        """Return (n, J) angles in degrees."""
+        return self._remote.perceptors.joint_angles[self._servers]
+
+    @property
+    def gyro(self) -> FloatArray:
+        """Return (n, 3) rates in degrees per second, torso frame."""
+        return self._remote.perceptors.gyro[self._servers]
+
+    @property
+    def accel(self) -> FloatArray:
+        """Return (n, 3) accelerations in m/s^2, torso frame."""
+        return self._remote.perceptors.accel[self._servers]
+
+    @property
+    def foot_left(self) -> FloatArray:
+        """Return (n, 6) centre of pressure in metres and force in newtons, foot frame; NaN where none was sent."""
+        return self._remote.perceptors.foot_left[self._servers]
+
+    @property
+    def foot_right(self) -> FloatArray:
+        """Return the same of the right foot."""
+        return self._remote.perceptors.foot_right[self._servers]
+
+
 class RemoteTruth:
     """Where n robots are, as the servers' monitor ports show it; valid until the next step.
 
@@ -172,6 +210,8 @@ class RemoteSimulator:
     cycles in which the robot runs; at the start the two change places. A robot whose server fails is marked in
     :attr:`lost`; its next start begins with a new server.
 
+    Two robots or more are two groups: the servers of one compute while the caller sees to the other.
+
     Args:
         launcher: starts the servers.
         n: number of robots.
@@ -208,20 +248,22 @@ class RemoteSimulator:
         )
         self.n = n
         self.model: RobotModel = self._remote.model
+        self.groups = (slice(0, n),) if n < 2 else (slice(0, -(-n // 2)), slice(-(-n // 2), n))
         self._actuation = Actuation(self.model)
         self._start_position = np.array((task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M))
         self._servers: IntArray = np.arange(n)
         self._standbys = [_Standby(n + row) for row in range(n)] if standby_servers else []
         self._acts: dict[int, Act] = {}  # by server, of those that prepare a start
         self._speeds = np.zeros((self._remote.n, len(self.model.joints)))
+        self._sent: BoolArray = np.zeros(self._remote.n, dtype=np.bool_)  # servers that have not been heard since
+        self._perceptors = RemotePerceptors(self._remote, self._servers)
         self._truth = RemoteTruth(self._remote, self._servers)
         self._starts: FloatArray | None = None
 
     @property
     def perceptors(self) -> Perceptors:
         """What the robots perceive; valid until the next call."""
-        theirs = self._remote.perceptors
-        return replace(theirs, **{field.name: getattr(theirs, field.name)[self._servers] for field in fields(theirs)})
+        return self._perceptors
 
     @property
     def truth(self) -> RemoteTruth:
@@ -276,6 +318,7 @@ class RemoteSimulator:
         for row, start in zip(rows.tolist(), [] if following is None else following.tolist(), strict=False):
             if self._standbys:
                 self._prepare(self._standbys[row], start)
+        ours = self._servers_of(rows)
         entering = dict(zip(self._servers[rows].tolist(), starts.tolist(), strict=True))
         standbys = [self._standbys[row] for row in rows.tolist()] if self._standbys else []
         preparing = entering | {standby.server: standby.start for standby in standbys}
@@ -284,7 +327,8 @@ class RemoteSimulator:
             for server in self._remote.replace([server for server in preparing if self._remote.failed[server]]):
                 if preparing[server] != _NO_START:
                     self._acts[server] = self._starting(server, preparing[server])
-            self._advance(np.zeros(self._remote.n, dtype=np.bool_))
+            self._send(np.zeros(self._remote.n, dtype=np.bool_), ours)
+            self._receive(ours)
             entering = {
                 server: start
                 for server, start in entering.items()
@@ -293,23 +337,54 @@ class RemoteSimulator:
 
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
         """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
-        mask = np.zeros(self._remote.n, dtype=np.bool_)
-        mask[self._servers] = True if active is None else active
-        self._speeds[self._servers] = speeds
-        self._advance(mask)
+        rows = np.arange(self.n) if active is None else np.flatnonzero(active)
+        self._speeds[self._servers[rows]] = speeds[rows]
+        ours = self._servers_of(rows)
+        self._send(self._mask(rows), ours)
+        self._receive(ours)
 
-    def _advance(self, mask: BoolArray) -> None:
-        """Run one cycle on the servers of the mask and on those that prepare a start."""
-        mask = mask | self._remote.cue(self._acts, self._speeds)
+    def send(self, speeds: FloatArray, group: slice) -> None:
+        """Begin a cycle of a group's robots with (k, J) joint speeds in rad/s; its servers compute meanwhile."""
+        self._speeds[self._servers[group]] = speeds
+        self._send(self._mask(group), self._servers_of(group))
+
+    def receive(self, group: slice) -> None:
+        """Finish the cycle that :meth:`send` has begun."""
+        self._receive(self._servers_of(group))
+
+    def _mask(self, rows: IntArray | slice) -> BoolArray:
+        """Return the servers on which robots run."""
+        mask = np.zeros(self._remote.n, dtype=np.bool_)
+        mask[self._servers[rows]] = True
+        return mask
+
+    def _servers_of(self, rows: IntArray | slice) -> BoolArray:
+        """Return the servers of robots, standby servers among them."""
+        mask = np.zeros((self._remote.n // self.n, self.n), dtype=np.bool_)
+        mask[:, rows] = True
+        return mask.reshape(-1)
+
+    def _send(self, mask: BoolArray, ours: BoolArray) -> None:
+        """Begin a cycle on the servers of the mask and on those of ours that prepare a start."""
+        if self._acts:
+            mask |= self._remote.cue(self._acts, self._speeds, ours)
         now = monotonic()
         for standby in self._standbys:
             server = standby.server
-            if not mask[server] and now > standby.waiting_since + _IDLE_S:
+            if not mask[server] and ours[server] and now > standby.waiting_since + _IDLE_S:
                 self._speeds[server], mask[server] = 0.0, True
             if mask[server]:
                 standby.waiting_since = now
         if mask.any():
-            self._remote.step(self._speeds, mask)
+            self._remote.send(self._speeds, mask)
+        self._sent |= mask
+
+    def _receive(self, ours: BoolArray) -> None:
+        """Finish the cycle of those of our servers to which something was sent."""
+        mask = self._sent & ours
+        if mask.any():
+            self._remote.receive(mask)
+        self._sent &= ~ours
 
     def _prepare(self, standby: _Standby, start: int) -> None:
         standby.start = start

@@ -67,6 +67,8 @@ class Simulator(Protocol):
 
     n: int
     model: RobotModel
+    groups: tuple[slice, ...]
+    """Robots that are best stepped together: while one group computes, the caller may see to another."""
 
     @property
     def perceptors(self) -> Perceptors:
@@ -105,6 +107,12 @@ class Simulator(Protocol):
     def step(self, speeds: FloatArray, active: BoolArray | None = None) -> None:
         """Advance by one cycle with (n, J) joint speeds in rad/s; only the robots of the mask, where one is given."""
 
+    def send(self, speeds: FloatArray, group: slice) -> None:
+        """Begin a cycle of a group's robots with (k, J) joint speeds in rad/s."""
+
+    def receive(self, group: slice) -> None:
+        """Finish the cycle that :meth:`send` has begun."""
+
     def snapshot(self) -> ByteArray | None:
         """Return the complete state of every robot as (n, S) bytes; None where the simulator cannot."""
 
@@ -125,6 +133,8 @@ class EmbeddedSimulator:
     def __init__(self, n: int, *, robot_type: int, task: Task, threads: int = 1, digits: int | None = 2) -> None:
         self.n = n
         self.model: RobotModel = robots.model(robot_type)
+        self.groups = (slice(0, n),)
+        self._sent: FloatArray = np.zeros((n, len(self.model.joints)))
         self._actuation = Actuation(self.model)
         self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)
         self._threads = threads
@@ -186,6 +196,16 @@ class EmbeddedSimulator:
             self._engine.step(speeds)
         else:
             self._engine.step(speeds, active)
+
+    def send(self, speeds: FloatArray, group: slice) -> None:
+        """Keep (n, J) joint speeds in rad/s for :meth:`receive`: there is one group, all robots."""
+        del group
+        self._sent = speeds
+
+    def receive(self, group: slice) -> None:
+        """Advance by one cycle."""
+        del group
+        self.step(self._sent)
 
     def snapshot(self) -> ByteArray:
         """Return the complete state of every robot as (n, S) bytes."""

@@ -95,19 +95,40 @@ class SprintVecEnv(VecEnv):
         self.normaliser.learn_observations(observations)
         return self.normaliser.observations(observations)
 
+    @property
+    def groups(self) -> tuple[slice, ...]:
+        """Environments that are best stepped together, in turns: see :class:`~naosprint.simulator.Simulator`."""
+        return self.batch.simulator.groups
+
     def advance(self, actions: FloatArray | Float32Array) -> Transition:
         """Take one step with (n, A) actions, which are clipped to [-1, 1]."""
+        self.batch.step(np.asarray(actions, dtype=np.float64))
+        return self._transition(slice(0, self.num_envs))
+
+    def send(self, actions: FloatArray | Float32Array, group: slice) -> None:
+        """Begin a step of one group with (k, A) actions, which are clipped to [-1, 1]."""
+        self.batch.send(np.asarray(actions, dtype=np.float64), group)
+
+    def receive(self, group: slice) -> Transition:
+        """Finish the step that :meth:`send` has begun; rows of the transition count from the group's first."""
+        self.batch.receive(group)
+        return self._transition(group)
+
+    def _transition(self, rows: slice) -> Transition:
+        """Account for the step that the environments ``rows`` have taken, and restart those whose episode is over."""
         batch = self.batch
-        batch.step(np.asarray(actions, dtype=np.float64))
-        self._rewards += batch.rewards
-        dones = batch.terminated | batch.truncated
-        rewards = self.normaliser.rewards(batch.rewards, dones)
-        cut_rows = np.flatnonzero(dones & ~batch.fallen if self._bootstrap_at_end else batch.truncated)
-        cut_raw = batch.observations[cut_rows]
-        self.losses = {row: batch.simulator.loss_reason(row) for row in np.flatnonzero(batch.lost).tolist()}
-        if dones.any():
+        self._rewards[rows] += batch.rewards[rows]
+        dones = batch.terminated[rows] | batch.truncated[rows]
+        rewards = self.normaliser.rewards(batch.rewards[rows], dones, rows)
+        ended = np.flatnonzero(dones)
+        cut_rows = ended[~batch.fallen[rows][ended] if self._bootstrap_at_end else batch.truncated[rows][ended]]
+        cut_raw = batch.observations[rows][cut_rows]
+        self.losses = {}
+        if len(ended):
+            ended += rows.start
+            self.losses = {row: batch.simulator.loss_reason(row) for row in ended[batch.lost[ended]].tolist()}
             # an episode that a broken server cut off, or that was only to practise the start, says nothing of the run
-            told = np.flatnonzero(dones & ~batch.lost & ~batch.practises)
+            told = ended[~batch.lost[ended] & ~batch.practises[ended]]
             self.window.add(
                 rewards=self._rewards[told],
                 distances_m=batch.displacement[told],
@@ -117,10 +138,11 @@ class SprintVecEnv(VecEnv):
             )
             for row, reason in self.losses.items():
                 self.on_loss(row, reason)
-            self._restart(np.flatnonzero(dones))
-        self.normaliser.learn_observations(batch.observations)
+            self._restart(ended)
+        observations = batch.observations[rows]
+        self.normaliser.learn_observations(observations)
         return Transition(
-            observations=self.normaliser.observations(batch.observations),
+            observations=self.normaliser.observations(observations),
             rewards=rewards,
             dones=dones,
             cut_rows=cut_rows,

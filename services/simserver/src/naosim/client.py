@@ -1,8 +1,9 @@
 """Many robots on rcssserver3d servers, one server each, driven from one process as if they were a `BatchSimulator`.
 
-A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side. What
-goes wrong with a server never raises from `step`: the environment is marked in `failed`, `reason` says why, and
-`replace` starts another server in its place.
+A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side; `send`
+and `receive` do each by itself, so that the caller may think while servers compute. What goes wrong with a server never
+raises from `step`: the environment is marked in `failed`, `reason` says why, and `replace` starts another server in its
+place.
 
 The trainer's connection gives the ground truth. Servers send a pose again once it has changed by more than 0.005
 (metres or matrix elements), so a truth is that exact, no more, unless `exact` asks for full frames.
@@ -178,6 +179,22 @@ class RemoteBatch:
         Raises:
             ValueError: wrong shape, or a speed is not finite; nothing has been sent then.
         """
+        with self._lock:
+            self.send(speeds, mask)
+            self.receive(mask)
+
+    def send(self, speeds: ArrayLike, mask: ArrayLike | None = None) -> None:
+        """Send joint speeds for one cycle and let the servers compute; `receive` fetches what comes of it.
+
+        Meanwhile servers that are not in the mask may be stepped, moved, reset or replaced, but not those in it.
+
+        Args:
+            speeds: (n, joints), rad/s.
+            mask: (n,), which environments. Default all.
+
+        Raises:
+            ValueError: wrong shape, or a speed is not finite; nothing has been sent then.
+        """
         commands = np.ascontiguousarray(speeds, dtype=np.float64)
         if commands.shape != self._still.shape:
             raise ValueError(f"speeds: must have shape {self._still.shape}, not {commands.shape}")
@@ -188,7 +205,16 @@ class RemoteBatch:
             if self._exact:
                 for row in np.flatnonzero(~self.failed if rows is None else rows.view(np.bool_) & ~self.failed):
                     self._trainer(int(row), "(reqfullstate)")
-            if self._exchange.step(commands, rows, self._timeout_s) != np.count_nonzero(self.failed):
+            self._exchange.dispatch(commands, rows)
+
+    def receive(self, mask: ArrayLike | None = None) -> None:
+        """Wait for the answers of servers to which `send` has sent, and read them.
+
+        Args:
+            mask: (n,), which environments. Default all.
+        """
+        with self._lock:
+            if self._exchange.gather(self._rows(mask), self._timeout_s) != np.count_nonzero(self.failed):
                 self._note_failures()
 
     def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:
@@ -228,18 +254,21 @@ class RemoteBatch:
                 if mask.any():
                     self.step(speeds, mask)
 
-    def cue(self, acts: dict[int, Act], speeds: Floats) -> Flags:
+    def cue(self, acts: dict[int, Act], speeds: Floats, among: Flags | None = None) -> Flags:
         """Ask every act for its next joint speeds; drop those that have ended, or whose server is lost.
 
         Args:
             acts: by environment.
             speeds: (n, joints), rad/s, whose rows are filled in.
+            among: (n,), environments whose acts are asked; default all.
 
         Returns:
             (n,) whose rows have been filled in: these are to be stepped.
         """
         mask = np.zeros(self.n, dtype=np.bool_)
         for row, act in list(acts.items()):
+            if among is not None and not among[row]:
+                continue
             command = None if self.failed[row] else next(act, None)
             if command is None:
                 del acts[row]
