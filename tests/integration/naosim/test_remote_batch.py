@@ -125,15 +125,27 @@ def test_a_server_that_cannot_start_is_told() -> None:
 OWNER = """
 import sys
 from naosim import ProcessLauncher, RemoteBatch
-remote = RemoteBatch(ProcessLauncher.embedded(), 2)
+launcher = ProcessLauncher((sys.argv[1],)) if sys.argv[1:] else ProcessLauncher.embedded()
+remote = RemoteBatch(launcher, 2)
 print(*(handle.pid for handle in remote._handles), flush=True)
 print(*(handle._home for handle in remote._handles), flush=True)
 sys.stdin.read()
 """
 
 
-def test_nothing_outlives_an_owner_that_is_killed() -> None:
-    with subprocess.Popen([sys.executable, "-c", OWNER], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
+REAL = pytest.param(
+    "rcssserver3d",
+    marks=(
+        pytest.mark.rcssserver3d,
+        pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path"),
+    ),
+)
+
+
+@pytest.mark.parametrize("program", [None, REAL])
+def test_nothing_outlives_an_owner_that_is_killed(program: str | None) -> None:
+    command = [sys.executable, "-c", OWNER, *([program] if program else [])]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
         assert owner.stdout is not None
         guards = [int(pid) for pid in owner.stdout.readline().split()]
         assert len(guards) == 2

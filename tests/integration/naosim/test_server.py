@@ -233,6 +233,31 @@ def test_agents_do_not_wait_for_each_other(server: Server) -> None:
     assert "(now 0.1" in quiet.step()
 
 
+def test_two_full_teams_play_on_one_server(server: Server) -> None:
+    """22 robots, each with its own number and joints; a trainer's monitor shows them all, and there is no 23rd."""
+    watcher, scene = Wire(server.monitor_port), _core.SceneReader()
+    players = [Player(server.agent_port, team, 0) for team in ("A", "B") for _ in range(11)]
+    sides = [re.search(r"\(unum (\d+)\) \(team (\w+)\)", "".join(player.greeting)) for player in players]
+    found = [(side[2], int(side[1])) for side in sides if side]
+    assert sorted(found) == [(team, number) for team in ("left", "right") for number in range(1, 12)]
+    for _ in range(10):
+        for k, player in enumerate(players):
+            player.step(f"(he1 {0.1 * (k + 1):.1f})")
+    for k, player in enumerate(players):
+        # an angle is a cycle old: nine cycles of 20 ms
+        angle = float(senses(player.step())["HJ hj1"][0].split()[-1].rstrip(")"))
+        assert angle == pytest.approx(np.rad2deg(0.1 * (k + 1) * 0.02 * 10), abs=0.3 + 0.02 * angle)
+    watcher.send("(reqfullstate)")
+    while scene.robots < 22:
+        scene.read(watcher.receive().encode())
+    extra = Wire(server.agent_port)
+    with pytest.raises((ConnectionError, OSError)):
+        extra.ask("(scene rsg/agent/nao/nao.rsg)")
+        for _ in range(3):
+            extra.ask("(init (unum 0)(teamname A))(syn)")
+    assert "(time" in players[0].step(), "the others play on"
+
+
 def test_real_time_mode_sends_fifty_messages_a_second() -> None:
     with serving(realtime=True) as server:
         wire = Wire(server.agent_port)
