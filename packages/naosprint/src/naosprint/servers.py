@@ -8,12 +8,12 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim import ProcessLauncher, RemoteBatch
+from naosim import BatchSimulator, ProcessLauncher, RemoteBatch
 from naosim.launcher_docker import ContainerSettings, DockerLauncher
 
 from naosprint.actuation import Actuation
 from naosprint.kinematics import body_states
-from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
+from naosprint.starts import DROP_M, RUNNING_YAW_DEG, settle
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -50,6 +50,12 @@ _IDLE_S = 20.0
 """A standby server that waits for its robot is stepped so often: servers drop agents silent for 61 s."""
 
 _NO_START = -1
+
+_LANDING_M = 0.004
+"""Height above where it is going to stand from which a robot is let down in its start pose."""
+
+_LANDING_CYCLES = 30
+"""Cycles that it holds the pose after that."""
 
 
 def server_launcher(digits: int | None = 2) -> Launcher:
@@ -205,8 +211,8 @@ class _Standby:
 class RemoteSimulator:
     """Run n robots on rcssserver3d servers, all driven from this process.
 
-    Every start is simulated: the robot is untangled in the air, put on the start line and held in its start pose for 60
-    cycles. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
+    Every start is simulated: the robot is untangled in the air, brought into its start pose there, and let down to where
+    the embedded engine's robot stands that has settled in this pose. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
     cycles in which the robot runs; at the start the two change places. A robot whose server fails is marked in
     :attr:`lost`; its next start begins with a new server.
 
@@ -250,7 +256,10 @@ class RemoteSimulator:
         self.model: RobotModel = self._remote.model
         self.groups = (slice(0, n),) if n < 2 else (slice(0, -(-n // 2)), slice(-(-n // 2), n))
         self._actuation = Actuation(self.model)
-        self._start_position = np.array((task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M))
+        self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)
+        engine = BatchSimulator(1, robot_type, digits=None)
+        settle(engine, self._actuation, self._actuation.start_pose()[None], self._start_position)
+        self._stand = engine.truth.torso_position[0] + np.array((0.0, 0.0, _LANDING_M))
         self._servers: IntArray = np.arange(n)
         self._standbys = [_Standby(n + row) for row in range(n)] if standby_servers else []
         self._acts: dict[int, Act] = {}  # by server, of those that prepare a start
@@ -394,11 +403,10 @@ class RemoteSimulator:
         """Bring a server's robot to the start: yield the joint speeds of the cycle that is to come."""
         if self._starts is None:
             raise RuntimeError("no start poses: call load_starts first")
-        remote = self._remote
-        yield from remote.untangling(server)
-        yield from remote.beaming(server, self._start_position, RUNNING_YAW_DEG)
-        pose = self._starts[start]
-        for _ in range(SETTLING_CYCLES):
+        remote, pose = self._remote, self._starts[start]
+        yield from remote.untangling(server, self._actuation.start_pose())
+        yield from remote.beaming(server, self._stand, RUNNING_YAW_DEG)
+        for _ in range(_LANDING_CYCLES):
             yield self._actuation.speeds(pose, remote.perceptors.joint_angles[server])
 
     def snapshot(self) -> None:

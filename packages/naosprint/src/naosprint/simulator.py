@@ -10,7 +10,7 @@ from naosim import BatchSimulator, robots
 
 from naosprint.actuation import Actuation
 from naosprint.servers import RemoteSimulator, require_servers, server_launcher
-from naosprint.starts import DROP_M, RUNNING_YAW_DEG, SETTLING_CYCLES
+from naosprint.starts import DROP_M, settle
 
 if TYPE_CHECKING:
     from naosim.robots import RobotModel
@@ -217,16 +217,6 @@ class EmbeddedSimulator:
 
     def close(self) -> None:
         """Do nothing: the engine holds memory alone."""
-
-
-def settle(
-    engine: BatchSimulator, actuation: Actuation, poses_rad: FloatArray, position: tuple[float, float, float]
-) -> None:
-    """Put every robot of ``engine`` at ``position`` facing +x and drive it into its (n, J) pose for 60 cycles."""
-    engine.reset()
-    engine.beam(np.array(position), RUNNING_YAW_DEG)
-    for _ in range(SETTLING_CYCLES):
-        engine.step(actuation.speeds(poses_rad, engine.perceptors.joint_angles))
 
 
 def open_simulator(

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from naosim import BatchSimulator
+
     from naosprint.actuation import Actuation
     from naosprint.arrays import FloatArray, IntArray
 
@@ -64,3 +66,13 @@ def choose_starts(seed: int, count: int, environments: IntArray, episodes: IntAr
         key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         key = key ^ (key >> np.uint64(31))
     return (key % np.uint64(count)).astype(np.int64)
+
+
+def settle(
+    engine: BatchSimulator, actuation: Actuation, poses_rad: FloatArray, position: tuple[float, float, float]
+) -> None:
+    """Put every robot of ``engine`` at ``position`` facing +x and drive it into its (n, J) pose for 60 cycles."""
+    engine.reset()
+    engine.beam(np.array(position), RUNNING_YAW_DEG)
+    for _ in range(SETTLING_CYCLES):
+        engine.step(actuation.speeds(poses_rad, engine.perceptors.joint_angles))

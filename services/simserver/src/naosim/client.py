@@ -46,6 +46,7 @@ _NUDGE = 1e-3
 """rad/s: any motor that turns wakes a robot."""
 
 _UNTANGLED_DEG, _BEND_DEG = 1.0, 4.0
+_STOP_DEG, _RESTING_DEG = 0.02, 2.0
 _UNTANGLE_CYCLES = 150
 _FREEZE_CYCLES = 150
 """3 s: after these no joint is frozen by the self-collision rule, and the clock may be set back."""
@@ -145,7 +146,7 @@ class RemoteBatch:
         self._still = np.zeros((n, len(self.model.joints)))
         self._nudge = self._still.copy()
         self._nudge[:, self.model.joint_index["hj1"]] = _NUDGE
-        self._bent_deg = np.copysign(_BEND_DEG, self.model.low_deg + self.model.high_deg)
+        self._middle_deg = (self.model.low_deg + self.model.high_deg) / 2.0
         try:
             self._open(range(n))
             for row in range(n):
@@ -290,21 +291,32 @@ class RemoteBatch:
         # one that was about to fall asleep has done so in the first cycle; the second wakes it
         yield self._nudge[row]
 
-    def untangling(self, row: int) -> Act:
-        """Do what `reset` does with one environment: yield the joint speeds of the cycle that is to come."""
+    def untangling(self, row: int, pose_rad: Floats | None = None) -> Act:
+        """Do what `reset` does with one environment: yield the joint speeds of the cycle that is to come.
+
+        Args:
+            row: which environment.
+            pose_rad: (joints,) angles that the joints have in the end, rad; default all 0.
+        """
         late = self._game_time[row] > _CLOCK_S
         lifted = np.array([0.0, 0.0, self.model.standing_height + _LIFT_M])
         angles_deg = self.perceptors.joint_angles[row]
-        target = self._bent_deg
+        pose = np.zeros(len(self.model.joints)) if pose_rad is None else np.rad2deg(pose_rad)
+        bent = pose + np.copysign(_BEND_DEG, self._middle_deg - pose)
+        target = bent
         for cycle in range(_UNTANGLE_CYCLES):
             self._move(row, lifted, -90.0)
             error = np.deg2rad(target - angles_deg)
             yield np.clip(_GAIN * error, -self.model.max_speed, self.model.max_speed)
-            there = np.abs(target - angles_deg).max() < _UNTANGLED_DEG
-            if there and target is not self._bent_deg and not (late and cycle < _FREEZE_CYCLES - 1):
+            # the server ignores what a joint is told that rests on its stop, until something shakes it
+            resting = (angles_deg < self.model.low_deg + _STOP_DEG) | (angles_deg > self.model.high_deg - _STOP_DEG)
+            near = np.abs(target - angles_deg) < _UNTANGLED_DEG
+            near |= resting & (np.abs(pose - angles_deg) < _RESTING_DEG)
+            there = bool(near.all())
+            if there and target is not bent and not (late and cycle < _FREEZE_CYCLES - 1):
                 break
             if there:
-                target = np.zeros_like(target)
+                target = pose
         if late:
             self._trainer(row, "(time 0)(playMode PlayOn)")
 
