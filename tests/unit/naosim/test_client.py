@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,6 +31,10 @@ class Server:
         self.agent.sendall(protocol.frame(message))
         self.exchange.collect(ONLY, 1, 0, timeout_s)
         return self.exchange.failure(0)
+
+    def step(self, speeds: np.ndarray) -> None:
+        self.exchange.dispatch(speeds, None)
+        self.exchange.gather(None, 5.0)
 
     def close(self) -> None:
         self.agent.close()
@@ -88,15 +93,49 @@ def test_a_silent_server_is_told(server: Server) -> None:
 
 def test_a_server_that_hangs_up_is_told(server: Server) -> None:
     server.agent.close()
-    server.exchange.step(np.zeros((1, 22)), None, 5.0)
+    server.step(np.zeros((1, 22)))
     assert "agent port: " in server.exchange.failure(0)
 
 
 def test_a_robot_with_other_joints_is_told(server: Server) -> None:
     server.agent.sendall(protocol.frame(b"(HJ (n hj1) (ax 1.0))"))
     server.monitor.sendall(protocol.frame(b"((time 0))"))
-    server.exchange.step(np.zeros((1, 22)), None, 5.0)
+    server.step(np.zeros((1, 22)))
     assert server.exchange.failure(0) == "malformed reply: 1 of 22 joint angles came"
+
+
+def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) -> None:
+    """What is sent unasked, as in the cycles of a greeting, must not shift the answers."""
+    server.agent.sendall(protocol.frame(GOOD))
+    server.monitor.sendall(protocol.frame(b"((time 0))"))
+    server.exchange.drain(0, 0.05, 5.0)
+    server.exchange.dispatch(np.zeros((1, 22)), None)
+    server.agent.sendall(protocol.frame(GOOD.replace(b"1.20", b"1.22")))
+    server.monitor.sendall(protocol.frame(b"((time 0))"))
+    assert server.exchange.gather(None, 5.0) == 0
+    assert server.views["time"][0] == 1.22
+
+
+def test_acknowledgements_are_not_delayed() -> None:
+    """rcssserver3d leaves Nagle's algorithm on: 40 ms a frame, once a trainer's command has gone over the same socket."""
+    server = Server()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = socket.create_connection(listener.getsockname())
+        far, _ = listener.accept()
+    agent, near = socket.socketpair()
+    with far, agent:
+        server.exchange.attach(0, near.detach(), client.detach())
+        began = time.monotonic()
+        for _ in range(25):
+            server.exchange.post(0, True, b"(time 0)")
+            far.recv(4096)
+            server.exchange.dispatch(np.zeros((1, 22)), None)
+            agent.recv(4096)
+            agent.sendall(protocol.frame(GOOD))
+            far.sendall(protocol.frame(b"((time 0))"))
+            assert server.exchange.gather(None, 5.0) == 0
+        assert time.monotonic() - began < 0.5, "25 frames that are held back take a second"
+    server.close()
 
 
 @given(st.floats(-10, 10, width=32))
@@ -105,7 +144,7 @@ def test_a_speed_arrives_to_the_last_bit(speed: float) -> None:
     try:
         server.agent.sendall(protocol.frame(GOOD))
         server.monitor.sendall(protocol.frame(b"((time 0))"))
-        server.exchange.step(np.full((1, 22), speed), None, 5.0)
+        server.step(np.full((1, 22), speed))
         message = server.agent.recv(65536)[4:]
     finally:
         server.close()
