@@ -117,7 +117,7 @@ def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) 
 
 
 def test_acknowledgements_are_not_delayed() -> None:
-    """rcssserver3d leaves Nagle's algorithm on: 40 ms a frame, once a trainer's command has gone over the same socket."""
+    """Else, after a trainer's command, rcssserver3d holds each frame back for 40 ms."""
     server = Server()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         client = socket.create_connection(listener.getsockname())
@@ -126,15 +126,16 @@ def test_acknowledgements_are_not_delayed() -> None:
     with far, agent:
         server.exchange.attach(0, near.detach(), client.detach())
         began = time.monotonic()
-        for _ in range(25):
-            server.exchange.post(0, True, b"(time 0)")
-            far.recv(4096)
+        for cycle in range(50):
+            if cycle % 2:
+                server.exchange.post(0, True, b"(time 0)")
+                far.recv(4096)
             server.exchange.dispatch(np.zeros((1, 22)), None)
             agent.recv(4096)
             agent.sendall(protocol.frame(GOOD))
             far.sendall(protocol.frame(b"((time 0))"))
             assert server.exchange.gather(None, 5.0) == 0
-        assert time.monotonic() - began < 0.5, "25 frames that are held back take a second"
+        assert time.monotonic() - began < 0.5, "frames are held back"
     server.close()
 
 
