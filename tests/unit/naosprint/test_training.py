@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from naosim import robots
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
+from naosprint.actuation import Actuation
 from naosprint.checkpoint import ENVIRONMENT, LEARNER, POLICY, read_arrays, read_manifest
 from naosprint.columns import COLUMNS
+from naosprint.policy import load_policy
 
 Make = Callable[..., TrainingSpec]
 
@@ -163,11 +166,29 @@ def test_initial_policy_gives_weights_and_statistics(
 def test_initial_policy_of_another_shape_is_refused(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
-    """Other layers, or a robot with other joints."""
+    """The message says what to set."""
     with pytest.raises(CheckpointError, match=r"this training has \[8, 8\]; set hidden_sizes to \["):
         train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
-    with pytest.raises(CheckpointError, match="robot type 4"):
-        train(make_spec(robot_type=4), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
+
+
+def test_a_robot_with_toes_goes_on_from_the_policy_of_one_without(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """It does with all other joints what the policy did, whatever its toes do, and holds these straight; and learns."""
+    spec = make_spec(robot_type=4, total_steps=256)
+    began = train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint, stop=lambda: True).checkpoint
+    (theirs, before), (ours, after) = load_policy(checkpoint), load_policy(began)
+    new = sorted(set(after.observations) - set(before.observations))
+    assert new == ["llj7", "llj7_rate", "rlj7", "rlj7_rate"]
+    seen = np.random.default_rng(0).normal(size=(5, len(after.observations)))
+    known = seen[:, [after.observations.index(name) for name in before.observations]]
+    moved = [after.actions.index(name) for name in before.actions]
+    # the new robot's first observations are part of its statistics already
+    np.testing.assert_allclose(ours.act(seen)[:, moved], theirs.act(known), atol=0.02)
+    toes = Actuation(robots.model(4)).targets(ours.act(seen))[:, [16, 23]]
+    np.testing.assert_allclose(toes, 0.0, atol=1e-6)
+    finished = train(spec, workdir=tmp_path / "on", reporter=recorder, initial_policy=checkpoint)
+    assert finished.status == "finished"
 
 
 def test_resume_and_initial_policy_exclude_each_other(

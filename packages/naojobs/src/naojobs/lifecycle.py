@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
-from naospec import PRESETS, TYPES_WITH_TOES, EvaluationSpec, TrainingSpec
+from naospec import PRESETS, EvaluationSpec, TrainingSpec
 from pydantic import ValidationError
 from sqlalchemy import ColumnElement, and_, func, select, update
 from sqlalchemy.dialects.postgresql import insert
@@ -319,12 +319,6 @@ def _check_parent(session: Session, request: JobCreate, owner: str, see_all: boo
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; take the id of a job of yours", "parent_job_id")
     theirs, ours = TrainingSpec.model_validate(parent.spec), request.spec
-    if (theirs.robot_type in TYPES_WITH_TOES) != (ours.robot_type in TYPES_WITH_TOES):
-        raise InvalidError(
-            f"the parent's robot is of type {theirs.robot_type}, this job's of type {ours.robot_type}; one of them has "
-            "toes and two joints more, so that the policy does not fit: take a parent whose robot has the same joints",
-            "spec.robot_type",
-        )
     if theirs.hidden_sizes != ours.hidden_sizes:
         raise InvalidError(
             f"the parent's policy has hidden_sizes {list(theirs.hidden_sizes)}, this job asks for "

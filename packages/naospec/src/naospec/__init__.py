@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from naospec.presets import PRESET_SUMMARIES, PRESETS, PresetName
-from naospec.robots import STANDING_HEIGHT_M, TYPES_WITH_TOES
+from naospec.robots import STANDING_HEIGHT_M
 from naospec.specification import EvaluationSpec, SimulatorName, TrainingSpec
 from naospec.tasks import ERECT_MIN_HEIGHT_M, FINISH_X_M, MIN_HEIGHT_M, TASKS, Task, task
 
@@ -15,7 +15,6 @@ __all__ = [
     "PRESET_SUMMARIES",
     "STANDING_HEIGHT_M",
     "TASKS",
-    "TYPES_WITH_TOES",
     "EvaluationSpec",
     "PresetName",
     "SimulatorName",

@@ -15,6 +15,3 @@ STANDING_HEIGHT_M: Mapping[int, float] = MappingProxyType(
 
 Type 0: foot centre 0.375 m below the torso plus half a foot, 0.01 m. Types 1 and 3 lengthen thigh and shank.
 """
-
-TYPES_WITH_TOES = frozenset({4})
-"""Robot types with two joints more than the others, so that a policy of one kind does not fit the other."""

@@ -70,6 +70,12 @@ class Actuation:
         """Number of joints that a policy moves."""
         return len(self.names)
 
+    @property
+    def rest(self) -> FloatArray:
+        """(A,) actions that stand for angle 0 of every joint, or the end of its range next to it."""
+        unit: FloatArray = np.clip(-self.low_rad / self._half_range - 1.0, -1.0, 1.0)
+        return unit
+
     def targets(self, actions: FloatArray) -> FloatArray:
         """Map actions onto joint angles.
 

@@ -52,10 +52,10 @@ _IDLE_S = 20.0
 _NO_START = -1
 
 _LANDING_M = 0.004
-"""Height above where it is going to stand from which a robot is let down in its start pose."""
+"""Height above where it is going to stand from which a robot is let down."""
 
 _LANDING_CYCLES = 30
-"""Cycles that it holds the pose after that."""
+"""Cycles in which it is driven into its own start pose after that."""
 
 
 def server_launcher(digits: int | None = 2) -> Launcher:
@@ -211,8 +211,9 @@ class _Standby:
 class RemoteSimulator:
     """Run n robots on rcssserver3d servers, all driven from this process.
 
-    Every start is simulated: the robot is untangled in the air, brought into its start pose there, and let down to where
-    the embedded engine's robot stands that has settled in this pose. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
+    Every start is simulated: the robot is untangled in the air, brought there into the start pose without noise, let
+    down to where the embedded engine's robot stands that has settled in this pose, and driven into its own pose for 30
+    cycles. So that nobody waits for that, each robot may have a standby server, which prepares the next start in the
     cycles in which the robot runs; at the start the two change places. A robot whose server fails is marked in
     :attr:`lost`; its next start begins with a new server.
 
@@ -254,7 +255,7 @@ class RemoteSimulator:
         )
         self.n = n
         self.model: RobotModel = self._remote.model
-        self.groups = (slice(0, n),) if n < 2 else (slice(0, -(-n // 2)), slice(-(-n // 2), n))
+        self.groups: tuple[slice, ...] = (slice(0, n),) if n < 2 else (slice(0, -(-n // 2)), slice(-(-n // 2), n))
         self._actuation = Actuation(self.model)
         self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)
         engine = BatchSimulator(1, robot_type, digits=None)

@@ -133,7 +133,7 @@ class EmbeddedSimulator:
     def __init__(self, n: int, *, robot_type: int, task: Task, threads: int = 1, digits: int | None = 2) -> None:
         self.n = n
         self.model: RobotModel = robots.model(robot_type)
-        self.groups = (slice(0, n),)
+        self.groups: tuple[slice, ...] = (slice(0, n),)
         self._sent: FloatArray = np.zeros((n, len(self.model.joints)))
         self._actuation = Actuation(self.model)
         self._start_position = (task.start_x_m, task.start_y_m, self.model.standing_height + DROP_M)

@@ -22,6 +22,7 @@ from naosprint.checkpoint import (
 from naosprint.environment import open_training_batch
 from naosprint.learner import SprintPPO, TrainingDivergedError
 from naosprint.threads import set_learner_threads
+from naosprint.transfer import refit
 from naosprint.vec_env import SprintVecEnv
 
 if TYPE_CHECKING:
@@ -194,17 +195,20 @@ class _Session:
     def take_policy(self, directory: Path) -> None:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""
         manifest = read_manifest(directory)
-        policy = read_file(directory, manifest, POLICY)
-        if manifest.observations != self.env.batch.observer.names:
-            raise CheckpointError(
-                f"{directory}: its policy sees {len(manifest.observations)} observations that are not those of "
-                f"robot type {self.spec.robot_type}"
-            )
+        batch = self.env.batch
         if manifest.spec.hidden_sizes != self.spec.hidden_sizes:
             theirs = list(manifest.spec.hidden_sizes)
             raise CheckpointError(
                 f"{directory}: its policy has hidden_sizes {theirs}, this training has {list(self.spec.hidden_sizes)}; "
                 f"set hidden_sizes to {theirs}"
+            )
+        policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
+        if (manifest.observations, manifest.actions) != (batch.observer.names, batch.actuation.names):
+            policy = refit(
+                policy,
+                observations=(manifest.observations, batch.observer.names),
+                actions=(manifest.actions, batch.actuation.names),
+                rest=batch.actuation.rest,
             )
         require_like(directory / POLICY, policy, self._policy_arrays())
         self.ppo.load_policy_state(_weights(policy))
