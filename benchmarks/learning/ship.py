@@ -221,8 +221,22 @@ def page(card: dict[str, Any]) -> str:
     before = len(card["lineage"]) - len(recipes)
     for number, recipe in enumerate(recipes, start=before):
         lines.append(f"    naoctl submit {recipe.relative_to(ROOT)}" + (" --from JOB" if number else ""))
-    lines += ["", "where `JOB` is the job before it, once that has come as far as the table says.", ""]
-    return "\n".join(lines)
+    lines += ["", "where `JOB` is the job before it, once that has come as far as the table says."]
+    if before and (other := shares(card["lineage"][:before], name)):
+        lines[-1] += f" The jobs before these are those of [{other}]({other}.md)."
+    return "\n".join([*lines, ""])
+
+
+def shares(stages: list[dict[str, Any]], name: str) -> str | None:
+    """Return the shipped policy with the shortest lineage that begins with these jobs."""
+    jobs = [one["job"] for one in stages]
+    cards = [json.loads(path.read_text()) for path in sorted(SHIPPED.glob("*/card.json"))]
+    known = [
+        (len(card["lineage"]), card["name"])
+        for card in cards
+        if card["name"] != name and [one["job"] for one in card["lineage"]][: len(jobs)] == jobs
+    ]
+    return min(known)[1] if known else None
 
 
 if __name__ == "__main__":
