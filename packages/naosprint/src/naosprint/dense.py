@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-_FEW_ROWS = 64
+FEW_ROWS = 64
 """oneDNN's operator takes 20 microseconds a call whatever it does; with fewer rows than these plain torch is faster."""
 
 
@@ -35,11 +35,17 @@ def dense_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
     return layers
 
 
-def run_network(layers: Sequence[nn.Linear], inputs: Tensor) -> Tensor:
-    """Return the (n, outputs) outputs of a network for (n, inputs) inputs; gradients flow through it."""
+def run_network(layers: Sequence[nn.Linear], inputs: Tensor, *, fused: bool = True) -> Tensor:
+    """Return the (n, outputs) outputs of a network for (n, inputs) inputs; gradients flow through it.
+
+    Args:
+        layers: the network's linear layers, tanh between them.
+        inputs: (n, inputs).
+        fused: whether oneDNN may compute it; what it computes differs from plain torch in the last bits.
+    """
     values = inputs
     last = len(layers) - 1
-    run_layer = _plain if len(inputs) < _FEW_ROWS or not FUSED else _Dense.apply if torch.is_grad_enabled() else _fused
+    run_layer = _plain if not (fused and FUSED) else _Dense.apply if torch.is_grad_enabled() else _fused
     for i, layer in enumerate(layers):
         values = cast("Any", run_layer)(values, layer.weight, layer.bias, i < last)
     return values

@@ -17,7 +17,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from torch import nn
 
-from naosprint.dense import dense_layers, run_network
+from naosprint.dense import FEW_ROWS, dense_layers, run_network
 from naosprint.symmetry import Mirror, tie_weights
 from naosprint.vec_env import SprintVecEnv
 
@@ -148,6 +148,7 @@ class SprintPPO(PPO):
             scaled_noise = noise * log_std.exp()
             observations = np.array(self._last_obs, dtype=np.float32)
             starts = np.array(self._last_episode_starts, dtype=np.bool_)
+            many = n >= FEW_ROWS
             # while the simulator computes for one group, another is seen to
             for step in range(n_rollout_steps + 1):
                 if stop is not None and step < n_rollout_steps and stop():
@@ -168,7 +169,7 @@ class SprintPPO(PPO):
                     if step < n_rollout_steps:
                         buffer.observations[step, group] = observations[group]
                         buffer.episode_starts[step, group] = starts[group]
-                        mean = run_network(self._actor, torch.from_numpy(observations[group]))
+                        mean = run_network(self._actor, torch.from_numpy(observations[group]), fused=many)
                         torch.add(mean, scaled_noise[step, group], out=actions[step, group])
                         sprint.send(buffer.actions[step, group], group)
             values = run_network(self._critic, torch.from_numpy(buffer.observations.reshape(n_rollout_steps * n, -1)))
