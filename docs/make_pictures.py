@@ -30,9 +30,9 @@ PICTURE_LIMIT = 300_000  # bytes
 GIF_VIEW = (682, 1400)  # CSS pixels; leaves GIF_WIDTH to the replay itself, and all of it in sight
 GIF_WIDTH = 640
 GIF_LIMIT = 2_000_000  # bytes
-GIF_SECONDS = 4
+GIF_SECONDS = 3
 GIF_FRAME_S = 0.06  # browsers draw GIF frames shorter than 0.02 s slowly; a multiple of 0.01 s
-GIF_COLOURS = 192
+GIF_COLOURS = 96
 
 
 def main() -> None:
