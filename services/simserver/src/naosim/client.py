@@ -47,6 +47,8 @@ _NUDGE = 1e-3
 
 _UNTANGLED_DEG, _BEND_DEG = 1.0, 4.0
 _STOP_DEG, _RESTING_DEG = 0.02, 2.0
+"""A joint so close to its stop rests on it, and is left there if it is so close to where it should be."""
+
 _UNTANGLE_CYCLES = 150
 _FREEZE_CYCLES = 150
 """3 s: after these no joint is frozen by the self-collision rule, and the clock may be set back."""
