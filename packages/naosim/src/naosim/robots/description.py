@@ -1,0 +1,148 @@
+"""What a robot is, as everything above the simulators sees it.
+
+A robot is data. Angles are in radians. A policy sees and sets joint angles in the *policy convention*, in which the same
+number on the left and on the right is a symmetric posture: policy angle = ``sign`` x simulator angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+Floats = NDArray[np.float64]
+Side = Literal["left", "right", "centre"]
+
+
+class RobotParameters(BaseModel):
+    """Base of a robot's settings, for example motor gains; they are part of a training's specification."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class JointDescription:
+    """One joint, in the simulator's own signs.
+
+    Attributes:
+        name: its name in observations, actions and perceptors.
+        effector: its name in commands of the network protocol.
+        side: which side of the body it is on.
+        mirror: the joint on the other side; itself if it is in the centre.
+        mirror_sign: factor of the policy angle in a mirrored posture: 1 for joints with a partner; -1 for joints in the
+            centre that turn about the x or z axis.
+        sign: policy angle = sign x simulator angle.
+        low_rad, high_rad: range of the simulator angle.
+        max_speed: rad/s; infinite where the robot has no limit.
+        max_torque: N m.
+        actuated: whether a policy moves it; others are held at their nominal angle.
+    """
+
+    name: str
+    effector: str
+    side: Side
+    mirror: str
+    low_rad: float
+    high_rad: float
+    max_speed: float = float("inf")
+    max_torque: float = float("inf")
+    sign: float = 1.0
+    mirror_sign: float = 1.0
+    actuated: bool = True
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One rigid part as it is drawn.
+
+    Attributes:
+        name: name of the part.
+        kind: box, sphere, capsule or cylinder (the latter two along their z axis).
+        size_m: box: full lengths x, y, z. Sphere: radius, 0, 0. Capsule and cylinder: radius, length, 0.
+    """
+
+    name: str
+    kind: str
+    size_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class PerceptorDescription:
+    """One named array that the robot senses.
+
+    Attributes:
+        name: key in ``Simulator.perceptors``.
+        width: numbers in it.
+        unit: their unit.
+        description: frame and meaning.
+    """
+
+    name: str
+    width: int
+    unit: str
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Description of one robot.
+
+    Attributes:
+        name: how specifications refer to it, for example ``nao-0`` or ``t1``.
+        family: robots that share simulators and observations, for example ``nao`` or ``booster``.
+        title: name for users.
+        joints: all joints, in the order of commands and joint perceptors.
+        nominal_rad: simulator angle of each joint in the pose from which episodes start, by joint name; 0 if missing.
+        standing_height_m: torso height with straight legs, soles on the ground.
+        fall_height_m: torso height below which an episode counts as a fall, unless the task says otherwise.
+        erect_height_m: the same for tasks that require an upright run.
+        front_axis: column of the torso's rotation matrix that points to the robot's front.
+        perceptors: what it senses.
+        observations: names of the observation blocks that a task uses by default, in order
+            (``naosprint.tasks.observations``).
+        action_range_rad: half the range of the target angle around nominal for an action of 1; None if actions span the
+            joint's whole range.
+        parameters: its settings.
+        defaults: preset values of task and algorithm settings that suit this robot better, by section and field.
+    """
+
+    name: str
+    family: str
+    title: str
+    joints: tuple[JointDescription, ...]
+    nominal_rad: Mapping[str, float]
+    standing_height_m: float
+    fall_height_m: float
+    erect_height_m: float
+    front_axis: int
+    perceptors: tuple[PerceptorDescription, ...]
+    observations: tuple[str, ...]
+    action_range_rad: Mapping[str, float] | None = None
+    parameters: RobotParameters = field(default_factory=RobotParameters)
+    data: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Robot:
+        """Return this robot with other parameters.
+
+        Raises:
+            pydantic.ValidationError: if a value is out of range or unknown.
+        """
+        from dataclasses import replace
+
+        return replace(self, parameters=type(self.parameters).model_validate(dict(values)))
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints in order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def nominal(self) -> Floats:
+        """(J,) nominal pose in radians, simulator signs."""
+        return np.array([self.nominal_rad.get(joint.name, 0.0) for joint in self.joints])

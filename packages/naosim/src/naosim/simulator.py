@@ -1,0 +1,263 @@
+"""The interface between simulators and everything that uses them.
+
+A simulator runs n robots of one kind, each alone in a world of its own, 20 ms a step. Whoever uses it cannot see whether
+it computes in this process or drives servers over the network. To add one, subclass :class:`Simulator`, describe it
+with a :class:`SimulatorKind`, and register the kind under the entry-point group ``naosim.simulators``;
+``naosim.conformance`` checks that it behaves.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from contextlib import AbstractContextManager
+
+    from naosim.robots import Robot
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
+
+STEP_S = 0.02
+"""Simulated time of one step, seconds."""
+
+
+class SimulatorClosedError(RuntimeError):
+    """Use of a simulator after it was closed."""
+
+
+class SimulatorParameters(BaseModel):
+    """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeOptions:
+    """Settings that change how fast a simulator computes and how it survives faults, never what it computes."""
+
+    threads: int = 1
+    """Threads that step an embedded simulator."""
+    standby_servers: bool = False
+    """Whether each robot on a server has a second server that prepares its next start."""
+    max_server_failures: int = 20
+    """Servers that may fail and be replaced."""
+
+
+@dataclass(frozen=True)
+class Starts:
+    """States from which episodes begin: k poses that robots have settled in.
+
+    Args:
+        poses_rad: (k, J) joint angles that the motors hold while the robot settles, simulator order and signs.
+        position_m: (2,) x and y of the torso in the world.
+        heading_rad: direction the torso faces, counter-clockwise from the world's +x.
+        orientations: (k, 4) torso quaternions w, x, y, z from which robots are dropped, for starts that are not
+            upright; None for upright ones. A simulator that cannot do this raises ValueError.
+    """
+
+    poses_rad: Floats
+    position_m: tuple[float, float] = (0.0, 0.0)
+    heading_rad: float = 0.0
+    orientations: Floats | None = None
+
+    def __len__(self) -> int:
+        """Return the number of starts."""
+        return len(self.poses_rad)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where the robots are, as an observer outside their world sees them; views that the next step overwrites.
+
+    Attributes:
+        torso_position: (n, 3) metres, world frame.
+        torso_rotation: (n, 3, 3) rotations from the torso's frame into the world's.
+    """
+
+    torso_position: Floats
+    torso_rotation: Floats
+
+
+class Simulator(ABC):
+    """n robots of one kind, stepped together.
+
+    Subclasses set :attr:`n` and :attr:`robot` through ``super().__init__`` and implement the abstract methods. The
+    defaults suit a simulator in this process that cannot lose robots and has no snapshots.
+
+    Attributes:
+        n: number of robots.
+        robot: what they are.
+        groups: robots that are best stepped together. While one group computes, the caller can process another.
+        perceptors: what each robot senses, by name: (n, width) arrays in the units of ``robot.perceptors``. NaN where
+            a perceptor reports nothing. Valid until the next call.
+        truth: where the robots are; valid until the next call.
+        latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
+            command already does.
+    """
+
+    perceptors: Mapping[str, Floats]
+    truth: Truth
+    latency_steps: ClassVar[int] | int = 1
+
+    def __init__(self, robot: Robot, n: int) -> None:
+        self.robot = robot
+        self.n = n
+        self.groups: tuple[slice, ...] = (slice(0, n),)
+        self.closed = False
+        self._nothing_lost: Flags = np.zeros(n, dtype=np.bool_)
+
+    # one step
+
+    @abstractmethod
+    def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
+        """Begin a step of the robots ``rows``; :meth:`step_wait` finishes it.
+
+        Args:
+            targets_rad: (k, J) joint angles to drive to, simulator order and signs, k = rows.stop - rows.start.
+            rows: one of :attr:`groups`, or all robots.
+            active: (k,) robots that take the step; the others keep still. None for all.
+        """
+
+    @abstractmethod
+    def step_wait(self, rows: slice) -> None:
+        """Finish the step that :meth:`step_async` began for these rows."""
+
+    def step(self, targets_rad: Floats, active: Flags | None = None) -> None:
+        """Take one step of all robots with (n, J) target angles; only those of the (n,) mask, if one is given."""
+        everyone = slice(0, self.n)
+        self.step_async(targets_rad, everyone, active)
+        self.step_wait(everyone)
+
+    # starts
+
+    @abstractmethod
+    def load_starts(self, starts: Starts) -> None:
+        """Replace the starts that :meth:`start` chooses from.
+
+        Raises:
+            ValueError: if a start is impossible in this simulator.
+        """
+
+    @abstractmethod
+    def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
+        """Put the (k,) robots ``rows`` into the (k,) ``starts``, leaving the others alone.
+
+        Args:
+            rows: (k,) robots.
+            starts: (k,) indices of loaded starts.
+            following: (k,) the starts of the episodes after these, if they are known, for simulators that prepare them.
+
+        Raises:
+            RuntimeError: if no starts have been loaded.
+        """
+
+    # what a viewer needs
+
+    def bodies(self) -> Floats:
+        """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
+        raise NotImplementedError(f"{type(self).__name__} does not report body poses")
+
+    def foot_forces(self) -> Floats:
+        """Return the (n, 2) upward forces on left and right foot in newtons, zero without contact."""
+        return np.zeros((self.n, 2))
+
+    # robots can be lost with what runs them
+
+    @property
+    def lost(self) -> Flags:
+        """(n,) robots that lost what runs them; they stand still until they are started again."""
+        return self._nothing_lost
+
+    @property
+    def failures(self) -> int:
+        """Number of lost robots that have been given a new place to run."""
+        return 0
+
+    def loss_reason(self, row: int) -> str:
+        """Return why the robot ``row`` is lost; empty if it is not."""
+        del row
+        return ""
+
+    def keep_alive(self) -> AbstractContextManager[None]:
+        """Return a context in which robots survive although nothing is stepped."""
+        return nullcontext()
+
+    # snapshots
+
+    def snapshot(self) -> Bytes | None:
+        """Return the complete state of every robot as (n, S) bytes; None if the simulator cannot."""
+        return None
+
+    def restore(self, state: Bytes) -> None:
+        """Return to a snapshot.
+
+        Raises:
+            RuntimeError: if the simulator has no snapshots.
+        """
+        del state
+        raise RuntimeError(f"{type(self).__name__} cannot return to a snapshot")
+
+    # the end
+
+    def close(self) -> None:
+        """Release what the simulator holds; calling it twice does no harm."""
+        self.closed = True
+
+    def require_open(self) -> None:
+        """Raise SimulatorClosedError if the simulator has been closed."""
+        if self.closed:
+            raise SimulatorClosedError(f"{type(self).__name__} is closed")
+
+
+class SimulatorKind(ABC):
+    """One entry of the group ``naosim.simulators``: what a specification's section ``simulator`` can name.
+
+    Attributes:
+        name: how specifications refer to it.
+        summary: one line for users.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+
+    @abstractmethod
+    def supports(self, robot: Robot) -> bool:
+        """Return whether it can run this robot."""
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings that it takes for this robot."""
+        del robot
+        return SimulatorParameters
+
+    @abstractmethod
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = RuntimeOptions()
+    ) -> Simulator:
+        """Open it for n robots.
+
+        Args:
+            robot: the robot, with its own parameters applied.
+            n: number of robots.
+            parameters: an instance of ``self.parameters(robot)``.
+            options: how fast and how robustly it runs.
+
+        Raises:
+            ValueError: if this machine cannot run so many robots; the message says what to change.
+            FileNotFoundError: if a program is missing; the message says how to get it.
+        """
+
+    def max_robots(self) -> int | None:
+        """Return the most robots that this machine can run; None without a limit."""
+        return None
+
