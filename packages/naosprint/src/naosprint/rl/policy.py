@@ -1,4 +1,4 @@
-"""Act with a trained policy, with NumPy alone."""
+"""Trained policies, evaluated with NumPy alone."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosprint.checkpoint import POLICY, CheckpointError, Manifest, read_file, read_manifest
-from naosprint.normalisation import EPSILON
+from naosprint.rl.checkpoint import POLICY, CheckpointError, Manifest, read_file, read_manifest
+from naosprint.rl.normalization import EPSILON
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Policy:
-    """Map raw observations to actions: standardise, clip, tanh layers, linear layer.
+    """Function from raw observations to actions: standardize, clip, tanh layers, linear layer.
 
     Attributes:
         mean: (D,) subtracted from observations.
         scale: (D,) observations are multiplied by it then.
-        clip: largest magnitude of a standardised observation; infinite where they are not standardised.
+        clip: largest magnitude of a standardized observation; infinite where they are not standardized.
         layers: weights (out, in) and bias (out,) of each layer; tanh follows each but the last.
         log_std: (A,) logarithm of the standard deviation with which training explored.
     """
@@ -35,14 +35,14 @@ class Policy:
     layers: tuple[tuple[Float32Array, Float32Array], ...]
     log_std: Float32Array
 
-    def standardise(self, observations: FloatArray) -> Float32Array:
+    def standardize(self, observations: FloatArray) -> Float32Array:
         """Return (n, D) raw observations as the network sees them."""
         scaled = (observations - self.mean) * self.scale
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
     def act(self, observations: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
         """Return (n, A) actions in [-1, 1] for (n, D) raw observations: the mean, or a draw if given a generator."""
-        hidden = self.standardise(observations)
+        hidden = self.standardize(observations)
         for weights, bias in self.layers[:-1]:
             hidden = np.tanh(hidden @ weights.T + bias)
         weights, bias = self.layers[-1]
@@ -70,7 +70,7 @@ def load_policy(directory: Path) -> tuple[Policy, Manifest]:
 
 def _build(arrays: Mapping[str, AnyArray], manifest: Manifest) -> Policy:
     spec = manifest.spec
-    sizes = (len(manifest.observations), *spec.hidden_sizes, len(manifest.actions))
+    sizes = (len(manifest.observations), *spec.algorithm.hidden_sizes, len(manifest.actions))
 
     def take(name: str, shape: tuple[int, ...], kind: type[np.floating]) -> AnyArray:
         array = arrays[name]
@@ -85,10 +85,10 @@ def _build(arrays: Mapping[str, AnyArray], manifest: Manifest) -> Policy:
         weights = take(f"{name}.weight", (sizes[i + 1], sizes[i]), np.float32).astype(np.float32)
         layers.append((weights, take(f"{name}.bias", (sizes[i + 1],), np.float32).astype(np.float32)))
     log_std = take("log_std", (sizes[-1],), np.float32).astype(np.float32)
-    if spec.normalise_observations:
+    if spec.algorithm.normalize_observations:
         mean = take("observation_mean", sizes[:1], np.float64).astype(np.float64)
         variance = take("observation_variance", sizes[:1], np.float64).astype(np.float64)
-        scale, clip = 1.0 / np.sqrt(np.maximum(variance, 0.0) + EPSILON), spec.observation_clip
+        scale, clip = 1.0 / np.sqrt(np.maximum(variance, 0.0) + EPSILON), spec.algorithm.observation_clip
     else:
         mean, scale, clip = np.zeros(sizes[0]), np.ones(sizes[0]), np.inf
     return Policy(mean, scale, clip, tuple(layers), log_std)

@@ -1,9 +1,9 @@
-"""Save and load checkpoints: directories of plain arrays and one manifest, never pickles.
+"""Checkpoints: directories of plain arrays and one manifest, never pickles.
 
     checkpoint.json     format, specification, counters, versions, and SHA-256 and size of every file
     policy.npz          weights and observation statistics: all that acting needs
     learner.npz         optimiser, generators
-    environment.npz     simulator, episodes, statistics; absent where the simulator cannot tell its state
+    environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
 
 A directory is written under another name and renamed when it is complete, so one that exists is whole.
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from naospec import TrainingSpec
+from naospec import TrainingSpec, validation_words
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ POLICY = "policy.npz"
 LEARNER = "learner.npz"
 ENVIRONMENT = "environment.npz"
 
-FORMAT = 1
+FORMAT = 2
 """Version of the checkpoint format that this code writes and reads."""
 
 _MAX_MANIFEST_BYTES = 1_000_000
@@ -44,11 +44,11 @@ _MAX_ARRAYS = 1000
 
 
 class CheckpointError(ValueError):
-    """Say what is wrong with a checkpoint, and where."""
+    """Checkpoint that is damaged or does not fit."""
 
 
 class FileEntry(BaseModel):
-    """Identify one file of a checkpoint."""
+    """Checksum and size of one file of a checkpoint."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -57,13 +57,14 @@ class FileEntry(BaseModel):
 
 
 class Manifest(BaseModel):
-    """Describe a checkpoint."""
+    """Content of ``checkpoint.json``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     format: int
     spec: TrainingSpec
     spec_sha256: str
+    stage: int = Field(ge=0)
     steps: int = Field(ge=0)
     updates: int = Field(ge=0)
     episodes: int = Field(ge=0)
@@ -76,8 +77,14 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class TrainingState:
-    """Hold everything that a training's future depends on, besides its specification."""
+    """Everything that a training's future depends on, besides its specification.
 
+    Attributes:
+        stage: number of the stage that it belongs to, from 0.
+        steps: environment steps of all stages so far.
+    """
+
+    stage: int
     steps: int
     updates: int
     episodes: int
@@ -95,7 +102,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
     An existing directory of that name is replaced. Returns ``directory``.
 
     Raises:
-        OSError: if the file system refuses.
+        OSError: if the files cannot be written.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
     partial = directory.with_name(f".{directory.name}.{os.getpid()}.partial")
@@ -111,6 +118,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
             format=FORMAT,
             spec=spec,
             spec_sha256=spec.digest(),
+            stage=state.stage,
             steps=state.steps,
             updates=state.updates,
             episodes=state.episodes,
@@ -157,11 +165,10 @@ def read_manifest(directory: Path) -> Manifest:
     try:
         manifest = Manifest.model_validate(raw)
     except ValidationError as error:
-        problem = error.errors()[0]
-        where = ".".join(map(str, problem["loc"]))
-        raise CheckpointError(f"{path}: {where}: {problem['msg']}") from error
-    # over what was written, so that fields added since do not count
-    canonical = json.dumps(raw["spec"], sort_keys=True, separators=(",", ":"))
+        raise CheckpointError(f"{path}: {validation_words(error.errors())}") from error
+    # of what was written, so that fields added since do not count
+    written = {name: value for name, value in raw["spec"].items() if name != "runtime"}
+    canonical = json.dumps(written, sort_keys=True, separators=(",", ":"))
     if hashlib.sha256(canonical.encode()).hexdigest() != manifest.spec_sha256:
         raise CheckpointError(f"{path}: spec: does not match spec_sha256; the file was edited")
     return manifest
@@ -171,7 +178,7 @@ def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyAr
     """Read one file of arrays after checking it against the manifest.
 
     Raises:
-        CheckpointError: if it is missing, changed, or holds anything but plain arrays.
+        CheckpointError: if it is missing, changed, or contains anything but plain arrays.
     """
     entry = manifest.files.get(name)
     path = directory / name
@@ -180,7 +187,7 @@ def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyAr
     try:
         size = path.stat().st_size
         if size != entry.size:
-            raise CheckpointError(f"{path}: {size} bytes, but the manifest says {entry.size}; the file is damaged")
+            raise CheckpointError(f"{path}: {size} bytes, but the manifest has {entry.size}; the file is damaged")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
@@ -191,10 +198,10 @@ def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyAr
 
 
 def read_arrays(path: Path) -> dict[str, AnyArray]:
-    """Read a ``.npz`` file of plain numbers, trusting nothing in it.
+    """Read a ``.npz`` file of plain numbers without trusting its content.
 
     Raises:
-        CheckpointError: if it is no such file, holds objects, or claims more data than it has.
+        CheckpointError: if it is not such a file, contains objects, or announces more data than it has.
     """
     arrays: dict[str, AnyArray] = {}
     try:
@@ -211,10 +218,10 @@ def read_arrays(path: Path) -> dict[str, AnyArray]:
                         raise CheckpointError(f"{path}: {member.filename}: unknown array version {major_minor}")
                     shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
                     if dtype.hasobject or dtype.kind not in "fiub" or fortran:
-                        raise CheckpointError(f"{path}: {member.filename}: holds {dtype}, not plain numbers")
+                        raise CheckpointError(f"{path}: {member.filename}: {dtype} is not a type of plain numbers")
                     wanted = math.prod(shape) * dtype.itemsize
                     if wanted > member.file_size:
-                        raise CheckpointError(f"{path}: {member.filename}: claims {wanted} bytes, has fewer")
+                        raise CheckpointError(f"{path}: {member.filename}: announces {wanted} bytes but has fewer")
                     data = stream.read(wanted)
                     arrays[member.filename.removesuffix(".npy")] = np.frombuffer(data, dtype).reshape(shape).copy()
     except CheckpointError:
@@ -234,7 +241,7 @@ def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[st
         if name not in found:
             raise CheckpointError(f"{path}: array {name!r} is missing")
         if name not in expected:
-            raise CheckpointError(f"{path}: array {name!r} does not belong here")
+            raise CheckpointError(f"{path}: array {name!r} is unknown")
         ours, theirs = expected[name], found[name]
         if ours.shape != theirs.shape or ours.dtype != theirs.dtype:
             raise CheckpointError(
@@ -242,7 +249,7 @@ def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[st
                 f"but the specification needs {ours.dtype}{list(ours.shape)}"
             )
         if theirs.dtype.kind == "f" and not np.isfinite(theirs).all():
-            raise CheckpointError(f"{path}: array {name!r} holds numbers that are not finite")
+            raise CheckpointError(f"{path}: array {name!r} contains numbers that are not finite")
 
 
 def _write_arrays(path: Path, arrays: Mapping[str, AnyArray]) -> FileEntry:

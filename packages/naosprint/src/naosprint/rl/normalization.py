@@ -1,4 +1,4 @@
-"""Keep observations and rewards at a size that networks like."""
+"""Running normalization of observations and rewards."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray
-    from naosprint.symmetry import Mirror
+    from naosprint.mirror import Mirror
 
 EPSILON = 1e-8
 """Added to variances before their root is taken."""
 
 REWARD_CLIP = 10.0
-"""Largest magnitude of a normalised reward."""
+"""Largest magnitude of a normalized reward."""
 
-_EVERYONE = slice(None)
+_ALL = slice(None)
 
 
 class RunningMoments:
-    """Follow mean and variance of a stream of samples.
+    """Mean and variance of a stream of samples.
 
     Batches are merged by the parallel formula of Chan, Golub and LeVeque (1979). The start counts as 1e-4 samples of
     mean 0 and variance 1, so there is no division by zero.
@@ -47,7 +47,7 @@ class RunningMoments:
         if self._mirror is not None:
             image = self._mirror.apply(mean)
             half_gap = 0.5 * (mean - image)
-            squares = 0.5 * (squares + squares[self._mirror.place]) + k * half_gap * half_gap
+            squares = 0.5 * (squares + squares[self._mirror.index]) + k * half_gap * half_gap
             mean = 0.5 * (mean + image)
         total = self.count + k
         delta = mean - self.mean
@@ -56,17 +56,17 @@ class RunningMoments:
         self.count = total
 
 
-class Normaliser:
-    """Standardise observations, and scale rewards by the spread of the discounted return.
+class Normalizer:
+    """Standardization of observations, and scaling of rewards by the spread of the discounted return.
 
     Args:
         n: environments.
         width: observations.
-        observations: whether observations are standardised; if not, they pass as they are.
-        observation_clip: largest magnitude of a standardised observation.
+        observations: whether observations are standardized; otherwise they pass unchanged.
+        observation_clip: largest magnitude of a standardized observation.
         rewards: whether rewards are scaled.
-        gamma: discount factor of the return whose spread is followed; may be changed on the way.
-        mirror: if given, observations are standardised alike on both sides.
+        gamma: discount factor of the return whose spread is estimated; may change during a training.
+        mirror: if given, observations are standardized alike on both sides.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Normaliser:
         self._rewards = rewards
         self.gamma = gamma
 
-    def learn_observations(self, observations: FloatArray) -> None:
+    def update_observations(self, observations: FloatArray) -> None:
         """Merge (k, width) raw observations into the statistics."""
         if self._observations:
             self.observation_moments.update(observations)
@@ -102,7 +102,7 @@ class Normaliser:
         clipped: Float32Array = np.clip(scaled, -self._clip, self._clip).astype(np.float32)
         return clipped
 
-    def rewards(self, rewards: FloatArray, dones: BoolArray, rows: slice = _EVERYONE) -> Float32Array:
+    def rewards(self, rewards: FloatArray, dones: BoolArray, rows: slice = _ALL) -> Float32Array:
         """Merge (k,) raw rewards of the environments ``rows`` and return them as the learner sees them."""
         if not self._rewards:
             return rewards.astype(np.float32)
@@ -116,7 +116,7 @@ class Normaliser:
         return clipped
 
     def state(self) -> dict[str, AnyArray]:
-        """Return everything the normaliser knows."""
+        """Return all statistics."""
         seen, returned = self.observation_moments, self.return_moments
         return {
             "observation_mean": seen.mean.copy(),
@@ -129,12 +129,12 @@ class Normaliser:
         }
 
     def load_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Take over what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         self.load_statistics(state)
         self._returns = np.array(state["returns"], dtype=np.float64)
 
     def load_statistics(self, state: Mapping[str, AnyArray]) -> None:
-        """Take over the statistics alone, which do not depend on the number of environments."""
+        """Restore the statistics alone, which do not depend on the number of environments."""
         for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
             moments.mean = np.array(state[f"{name}_mean"], dtype=np.float64)
             moments.variance = np.array(state[f"{name}_variance"], dtype=np.float64)

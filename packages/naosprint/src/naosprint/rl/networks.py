@@ -1,8 +1,8 @@
-"""Run tanh networks on the processor by oneDNN's kernels.
+"""Tanh networks on the processor, by oneDNN's kernels.
 
 Torch multiplies matrices of 32-bit floats by MKL and computes tanh one vector at a time. oneDNN, which torch carries
 for its compiler, does both in one pass and, on AVX-512 machines that are not Intel's, in a third of the time. The
-operator is internal to torch; where it is missing, or does not do what it should, plain torch computes the same.
+operator is internal to torch; where it is missing, or computes something else, plain torch takes its place.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 FEW_ROWS = 64
-"""oneDNN's operator takes 20 microseconds a call whatever it does; with fewer rows than these plain torch is faster."""
+"""oneDNN's operator takes at least 20 microseconds a call; with fewer rows than these plain torch is faster."""
 
 
-def dense_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
+def linear_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
     """Return the linear layers of networks in which tanh follows each but the last.
 
     Raises:
@@ -31,7 +31,7 @@ def dense_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
     chain = list(modules)
     layers = tuple(module for module in chain[::2] if isinstance(module, nn.Linear))
     if len(chain) != 2 * len(layers) - 1 or not all(isinstance(module, nn.Tanh) for module in chain[1::2]):
-        raise ValueError(f"networks are linear layers with tanh between them, not {chain}")
+        raise ValueError(f"expected linear layers with tanh between them, got {chain}")
     return layers
 
 

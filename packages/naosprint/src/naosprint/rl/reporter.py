@@ -1,4 +1,4 @@
-"""Let a training tell the world how it goes."""
+"""What a training reports to whoever started it."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ if TYPE_CHECKING:
 
 
 class Reporter(Protocol):
-    """Receive what a training has to say; every call comes from the training's own thread."""
+    """Receiver of a training's metrics, checkpoints and log lines, called from the training's own thread."""
 
     def metrics(self, row: dict[str, float]) -> None:
-        """Take the figures of one update; one that has no value yet is missing, never NaN."""
+        """Receive the metrics of one update; one that has no value yet is missing, never NaN."""
 
     def checkpoint(self, path: Path, step: int) -> None:
-        """Take note of a checkpoint directory, complete at the time of the call."""
+        """Receive a checkpoint directory, complete at the time of the call."""
 
     def log(self, level: str, message: str) -> None:
-        """Take one line for people; ``level`` is a name of the logging module in lower case."""
+        """Receive one line for users; ``level`` is a name of the logging module in lower case."""
 
 
 class NullReporter:
-    """Keep everything to itself."""
+    """Reporter that ignores everything."""
 
     def metrics(self, row: dict[str, float]) -> None:
-        """Ignore the figures."""
+        """Ignore the metrics."""
 
     def checkpoint(self, path: Path, step: int) -> None:
         """Ignore the checkpoint."""
