@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from naosim.robots import RobotModel
+    from naosim.robots.nao_model import RobotModel
 
     from naosprint.arrays import FloatArray
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim import centre_of_mass
+from naosim.simspark import centre_of_mass
 
 if TYPE_CHECKING:
     from naosprint.actuation import Actuation

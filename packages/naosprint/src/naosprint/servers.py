@@ -2,49 +2,43 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim import BatchSimulator, ProcessLauncher, RemoteBatch
-from naosim.launcher_docker import ContainerSettings, DockerLauncher
+from naosim.launchers import LABELS_VARIABLE, NETWORK_VARIABLE, most_servers, reap_servers, require_servers
+from naosim.simspark import BatchSimulator, RemoteBatch
+from naosim.simspark.kinematics import body_poses
+from naosim.simspark.program import PROGRAM_VARIABLE, server_launcher
 
 from naosprint.actuation import Actuation
-from naosprint.kinematics import body_states
 from naosprint.starts import DROP_M, RUNNING_YAW_DEG, settle
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from naosim.client import Act
-    from naosim.launcher import Launcher
-    from naosim.robots import RobotModel
+    from naosim.launchers import Launcher
+    from naosim.robots.nao_model import RobotModel
+    from naosim.simspark.client import Act
     from naospec import Task
 
     from naosprint.arrays import BoolArray, FloatArray, IntArray
     from naosprint.simulator import Perceptors
 
-PROGRAM_VARIABLE = "NAOSPRINT_SIMSERVER"
-"""Environment variable that names the server's program; ``embedded`` stands for ``naosim serve``, ``docker:IMAGE`` for
-a container of that image."""
+__all__ = [
+    "LABELS_VARIABLE",
+    "NETWORK_VARIABLE",
+    "PROGRAM_VARIABLE",
+    "RemoteSimulator",
+    "most_servers",
+    "reap_servers",
+    "require_servers",
+    "server_launcher",
+]
 
-NETWORK_VARIABLE = "NAOSPRINT_SIMSERVER_NETWORK"
-"""Environment variable that names the containers' Docker network; without it they publish ports on the loopback."""
-
-LABELS_VARIABLE = "NAOSPRINT_SIMSERVER_LABELS"
-"""Environment variable with labels for containers, ``key=value,key=value``, for example of the job they serve."""
-
-DEFAULT_PROGRAM = "rcssserver3d"
-
-SERVERS_PER_CORE = 4
-"""More running robots than this a core only wait for each other."""
-
-DOCKER_PREFIX = "docker:"
 _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 30.0
-_DIGITS = (2, 3)
 
 _IDLE_S = 20.0
 """A standby server that waits for its robot is stepped so often: servers drop agents silent for 61 s."""
@@ -56,79 +50,6 @@ _LANDING_M = 0.004
 
 _LANDING_CYCLES = 30
 """Cycles in which it is driven into its own start pose after that."""
-
-
-def server_launcher(digits: int | None = 2) -> Launcher:
-    """Return the launcher of the program that :data:`PROGRAM_VARIABLE` names.
-
-    Args:
-        digits: decimals that ``naosim serve`` is to send; another program has its own.
-
-    Raises:
-        FileNotFoundError: if there is no such program; the message names the variable.
-        OSError: if containers are asked for and no Docker engine answers.
-        ValueError: if no server can send so many digits, or a variable is malformed.
-    """
-    program = os.environ.get(PROGRAM_VARIABLE) or DEFAULT_PROGRAM
-    if digits not in _DIGITS:
-        raise ValueError(f"sensor_digits: servers send 2 or 3 decimals, not all; use 2 or 3, not {digits}")
-    if program == "embedded":
-        return ProcessLauncher.embedded("--digits", str(digits))
-    if program.startswith(DOCKER_PREFIX):
-        return _container_launcher(program.removeprefix(DOCKER_PREFIX))
-    try:
-        return ProcessLauncher((program,))
-    except FileNotFoundError:
-        raise FileNotFoundError(
-            f"{PROGRAM_VARIABLE}: there is no program {program!r} to run; install rcssserver3d, set {PROGRAM_VARIABLE} "
-            "to its path, to 'docker:IMAGE' for containers, or to 'embedded' for the server that comes with naosim"
-        ) from None
-
-
-def reap_servers(program: str) -> int:
-    """Remove server containers whose owner has died; return how many.
-
-    Args:
-        program: what :data:`PROGRAM_VARIABLE` may say; only containers need this, local servers end with their owner.
-
-    Raises:
-        OSError: if no Docker engine answers.
-    """
-    if not program.startswith(DOCKER_PREFIX):
-        return 0
-    return DockerLauncher(ContainerSettings(program.removeprefix(DOCKER_PREFIX))).reap()
-
-
-def _container_launcher(image: str) -> DockerLauncher:
-    labels: dict[str, str] = {}
-    for word in filter(None, os.environ.get(LABELS_VARIABLE, "").split(",")):
-        key, separator, value = word.partition("=")
-        if not separator or not key.strip():
-            raise ValueError(f"{LABELS_VARIABLE}: must be key=value,key=value, not {word!r}")
-        labels[key.strip()] = value.strip()
-    if not image:
-        raise ValueError(f"{PROGRAM_VARIABLE}: name the image after 'docker:'")
-    network = os.environ.get(NETWORK_VARIABLE) or None
-    return DockerLauncher(ContainerSettings(image, labels=labels, network=network))
-
-
-def most_servers() -> int:
-    """Return how many servers are started at most on this machine."""
-    return SERVERS_PER_CORE * (os.cpu_count() or 1)
-
-
-def require_servers(n: int) -> None:
-    """Check that this machine can carry n servers.
-
-    Raises:
-        ValueError: if it cannot; the message says what to set.
-    """
-    most = most_servers()
-    if n > most:
-        raise ValueError(
-            f"n_envs: {n} environments on rcssserver3d are as many servers, and this machine with {os.cpu_count()} "
-            f"cores carries at most {most}; set n_envs to {most} or less, batch_size to a divisor of n_envs * n_steps"
-        )
 
 
 class RemotePerceptors:
@@ -192,9 +113,9 @@ class RemoteTruth:
 
     @property
     def bodies(self) -> FloatArray:
-        """Return (n, B, 13) body states by forward kinematics from the perceived angles; velocities are NaN."""
+        """Return (n, B, 7) body poses by forward kinematics from the perceived angles."""
         angles = self._remote.perceptors.joint_angles[self._servers]
-        return body_states(self._remote.model, self.torso_position, self.torso_rotation, angles)
+        return body_poses(self._remote.model, self.torso_position, self.torso_rotation, angles)
 
 
 @dataclass(slots=True)

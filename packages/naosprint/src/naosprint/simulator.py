@@ -6,14 +6,15 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from naosim import BatchSimulator, robots
+from naosim.robots import nao_model
+from naosim.simspark import BatchSimulator
 
 from naosprint.actuation import Actuation
 from naosprint.servers import RemoteSimulator, require_servers, server_launcher
 from naosprint.starts import DROP_M, settle
 
 if TYPE_CHECKING:
-    from naosim.robots import RobotModel
+    from naosim.robots.nao_model import RobotModel
     from naospec import SimulatorName, Task
 
     from naosprint.arrays import BoolArray, ByteArray, FloatArray, IntArray
@@ -132,7 +133,7 @@ class EmbeddedSimulator:
 
     def __init__(self, n: int, *, robot_type: int, task: Task, threads: int = 1, digits: int | None = 2) -> None:
         self.n = n
-        self.model: RobotModel = robots.model(robot_type)
+        self.model: RobotModel = nao_model.model(robot_type)
         self.groups: tuple[slice, ...] = (slice(0, n),)
         self._sent: FloatArray = np.zeros((n, len(self.model.joints)))
         self._actuation = Actuation(self.model)

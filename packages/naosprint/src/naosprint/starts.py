@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from naosim import BatchSimulator
+    from naosim.simspark import BatchSimulator
 
     from naosprint.actuation import Actuation
     from naosprint.arrays import FloatArray, IntArray

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
-from naosim import ServerLostError
+from naosim.simulator import ServerLostError
 
 from naosprint.checkpoint import (
     ENVIRONMENT,
