@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PACKAGES := packages/naospec packages/naopolicies services/simserver packages/naosprint packages/naojobs packages/naoctl services/api services/worker
-SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) services/simserver/CMakeLists.txt $(wildcard services/simserver/cpp/*)
+PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosprint packages/naojobs packages/naoctl services/api services/worker
+SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) packages/naosim/CMakeLists.txt $(wildcard packages/naosim/cpp/*)
 INSTALLED := $(VENV)/.installed
 
 .PHONY: help install demo up test check lint types e2e readme docs bench sanitize clean
@@ -53,7 +53,7 @@ bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/python benchmarks/engine/run.py
 
 sanitize: $(INSTALLED)  ## the engine's tests under AddressSanitizer and UBSan (some minutes)
-	services/simserver/sanitize.sh
+	packages/naosim/sanitize.sh
 
 clean:  ## remove what was built; jobs and their data are not touched
-	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache services/simserver/build
+	rm -rf $(VENV) build .mypy_cache .pytest_cache .ruff_cache packages/naosim/build

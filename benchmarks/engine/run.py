@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from naosim import BatchSimulator, robots
-from naosim.batch import engine_table
-from naosim.motion import stepping_speeds
+from naosim.robots import nao_model
+from naosim.simspark import BatchSimulator
+from naosim.simspark.batch import engine_table
+from naosim.simspark.motion import stepping_speeds
 
 HERE = Path(__file__).parent
 WARM_UP = 100
@@ -40,7 +41,7 @@ def record(cycles: int, robot_type: int) -> tuple[np.ndarray, np.ndarray, float]
 
 def libode(commands: np.ndarray, robot_type: int, height: float) -> tuple[np.ndarray, float]:
     """Run the commands on libode; return the torso's path and the seconds inside the steps."""
-    model, table = robots.model(robot_type), engine_table(robots.model(robot_type))
+    model, table = nao_model.model(robot_type), engine_table(nao_model.model(robot_type))
     lines = [f"{len(model.bodies)} {len(commands)} {height!r}"]
     for k, body in enumerate(model.bodies):
         shape = int(table["shape"][k])
@@ -105,7 +106,7 @@ def main() -> None:
         "processor": platform.processor() or platform.machine(),
         "kernel": BatchSimulator(1).kernel,
         "load_average": os.getloadavg()[0],
-        "results": [measure(arguments.cycles, arguments.batch, robot_type) for robot_type in robots.ROBOT_TYPES],
+        "results": [measure(arguments.cycles, arguments.batch, robot_type) for robot_type in nao_model.ROBOT_TYPES],
     }
     text = json.dumps(result, indent=2)
     print(text)

@@ -18,9 +18,11 @@ import sys
 import time
 
 import numpy as np
-from naosim import Address, ProcessLauncher, RemoteBatch, protocol, robots
+from naosim.launchers import Address, ProcessLauncher
+from naosim.robots import nao_model
+from naosim.simspark import RCSSSERVER3D, RemoteBatch, embedded_launcher, protocol
 
-MODEL = robots.model(0)
+MODEL = nao_model.model(0)
 
 
 def gait(cycle: int) -> np.ndarray:
@@ -146,7 +148,7 @@ def main() -> None:
     parser.add_argument("--program", help="default: naosim serve")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    launcher = ProcessLauncher((arguments.program,)) if arguments.program else ProcessLauncher.embedded()
+    launcher = ProcessLauncher(RCSSSERVER3D, (arguments.program,)) if arguments.program else embedded_launcher()
     rates: dict[str, list[float]] = {"agent only": [], "drained": [], "truth": []}
     costs: dict[str, list[float]] = {name: [] for name in rates}
     for _ in range(arguments.rounds):

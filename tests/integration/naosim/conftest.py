@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from naosim.server import Server
+from naosim.simspark.server import Server
 
 from .wire import Wire, serving
 

@@ -10,19 +10,22 @@ import threading
 
 import numpy as np
 import pytest
-from naosim import Address, BatchSimulator, ProcessLauncher, RemoteBatch, ServerLostError, robots
-from naosim.server_robot import SPAWN
+from naosim.launchers import Address, ProcessLauncher
+from naosim.robots import nao_model
+from naosim.simspark import RCSSSERVER3D, BatchSimulator, RemoteBatch, embedded_launcher
+from naosim.simspark.server_robot import SPAWN
+from naosim.simulator import ServerLostError
 
 ENTRY = ((-14.2, 9.2, 0.4), -90.0)
 
 
 def commands(rng: np.random.Generator, n: int, robot_type: int) -> np.ndarray:
-    model = robots.model(robot_type)
+    model = nao_model.model(robot_type)
     return rng.uniform(-1, 1, size=(n, len(model.joints))) * np.minimum(model.max_speed, 3.0)
 
 
 def embedded() -> ProcessLauncher:
-    return ProcessLauncher.embedded("--seed", "1")
+    return embedded_launcher("--seed", "1")
 
 
 @pytest.mark.parametrize("robot_type", [0, 4])
@@ -117,15 +120,16 @@ def test_a_server_that_cannot_start_is_told() -> None:
     with pytest.raises(
         ServerLostError, match=r"server 0: the server has ended \(process \d+, exit code 3, log: \.\.\.oh no\)"
     ):
-        RemoteBatch(ProcessLauncher(("sh", "-c", "echo oh no; exit 3")), 1)
+        RemoteBatch(ProcessLauncher(RCSSSERVER3D, ("sh", "-c", "echo oh no; exit 3")), 1)
     with pytest.raises(ServerLostError, match="Connection refused"):
         RemoteBatch([Address("127.0.0.1", 9, 10)])
 
 
 OWNER = """
 import sys
-from naosim import ProcessLauncher, RemoteBatch
-launcher = ProcessLauncher((sys.argv[1],)) if sys.argv[1:] else ProcessLauncher.embedded()
+from naosim.launchers import ProcessLauncher
+from naosim.simspark import RCSSSERVER3D, RemoteBatch, embedded_launcher
+launcher = ProcessLauncher(RCSSSERVER3D, (sys.argv[1],)) if sys.argv[1:] else embedded_launcher()
 remote = RemoteBatch(launcher, 2)
 print(*(handle.pid for handle in remote._handles), flush=True)
 print(*(handle._home for handle in remote._handles), flush=True)
@@ -178,7 +182,7 @@ def wait_pidfd(fd: int) -> None:
 @pytest.mark.rcssserver3d
 @pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path")
 def test_the_real_server_is_driven_like_the_engine() -> None:
-    with RemoteBatch(ProcessLauncher(), 2) as remote:
+    with RemoteBatch(ProcessLauncher(RCSSSERVER3D), 2) as remote:
         remote.beam((-14.0, 0.0, 0.4), -90.0)
         for _ in range(100):
             remote.step(np.zeros((2, 22)))

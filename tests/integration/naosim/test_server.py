@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from naosim import _core, protocol, robots
-from naosim.server import Server
+from naosim.robots import nao_model
+from naosim.simspark import _core, protocol
+from naosim.simspark.server import Server
 
 from .wire import Player, Wire, senses, serving
 
@@ -34,11 +35,11 @@ def step_until_at(
     raise AssertionError(f"the robot is at {position}, not at {place}")
 
 
-@pytest.mark.parametrize("robot_type", robots.ROBOT_TYPES)
+@pytest.mark.parametrize("robot_type", nao_model.ROBOT_TYPES)
 def test_a_league_agent_is_answered_as_it_expects(server: Server, robot_type: int) -> None:
     player = Player(server.agent_port, "Nao", 7, robot_type)
     assert "(GS (unum 7) (team left) (sl 0) (sr 0) (t 0.00) (pm BeforeKickOff))" in "".join(player.greeting)
-    model = robots.model(robot_type)
+    model = nao_model.model(robot_type)
     zero = "".join(f"({joint.effector} 0.00000)" for joint in model.joints)
     seen = []
     for _ in range(60):
@@ -337,7 +338,7 @@ def test_a_thousand_connections_disturb_nobody(caplog: pytest.LogCaptureFixture)
 
 def test_a_monitor_that_never_reads_blocks_nobody_and_catches_up(server: Server) -> None:
     player, monitor = Player(server.agent_port), Wire(server.monitor_port)
-    wave = "".join(f"({joint.effector} {{0}})" for joint in robots.model(0).joints)
+    wave = "".join(f"({joint.effector} {{0}})" for joint in nao_model.model(0).joints)
     for k in range(2500):
         player.step(wave.format("2.0" if k % 40 < 20 else "-2.0"))
     (unread,) = (c for c in server._connections if c.kind == "monitor")

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, ClassVar
 
-from naosim import protocol
-from naosim.server import Server, ServerSettings
+from naosim.simspark import protocol
+from naosim.simspark.server import Server, ServerSettings
 
 TIMEOUT_S = 20.0
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim import ProcessLauncher, ServerLostError
-from naosim.launcher import ServerHandle
-from naosim.server_robot import SPAWN
+from naosim.launchers import ProcessLauncher, ServerHandle
+from naosim.simspark import RCSSSERVER3D, embedded_launcher
+from naosim.simspark.server_robot import SPAWN
+from naosim.simulator import ServerLostError
 from naospec import EvaluationSpec, TrainingSpec, task
 from naosprint import NullReporter, evaluate, train
 from naosprint.__main__ import main
@@ -69,7 +70,7 @@ def batch_of(simulator: EmbeddedSimulator | RemoteSimulator) -> SprintBatch:
 
 def embedded() -> ProcessLauncher:
     """Return a launcher of the drop-in server without chance."""
-    return ProcessLauncher.embedded("--seed", "1")
+    return embedded_launcher("--seed", "1")
 
 
 def test_both_simulators_show_the_same_89_numbers() -> None:
@@ -109,7 +110,7 @@ def test_both_simulators_show_the_same_89_numbers() -> None:
 def test_the_real_server_shows_the_numbers_of_the_engine(robot_type: int) -> None:
     """One sequence of actions from the same fall: equal but for rounding, until contacts amplify what was rounded."""
     engine = Engine(1, robot_type=robot_type, task=SPRINT)
-    server = Server(ProcessLauncher(), 1, robot_type=robot_type, task=SPRINT, max_failures=0, exact=True)
+    server = Server(ProcessLauncher(RCSSSERVER3D), 1, robot_type=robot_type, task=SPRINT, max_failures=0, exact=True)
     ours, theirs = (SprintBatch(it, SPRINT, robot_type=robot_type, fall_height_m=0.1) for it in (engine, server))
     try:
         remote, x, y, z = server._remote, -10.0, 0.0, engine.model.standing_height + 0.1

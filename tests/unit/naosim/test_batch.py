@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naosim import BatchSimulator, centre_of_mass, robots
-from naosim.motion import stepping_speeds
+from naosim.robots import nao_model
+from naosim.simspark import BatchSimulator, centre_of_mass
+from naosim.simspark.motion import stepping_speeds
 from numpy.typing import NDArray
 
 JOINTS = 22
@@ -33,7 +34,7 @@ def environment_bits(seed: int, robot_type: int = 0) -> bytes:
     return run(BatchSimulator(1, robot_type, kernel="generic"), [seed])
 
 
-@pytest.mark.parametrize("robot_type", robots.ROBOT_TYPES)
+@pytest.mark.parametrize("robot_type", nao_model.ROBOT_TYPES)
 def test_bits_do_not_depend_on_batch_order_threads_or_kernel(robot_type: int) -> None:
     alone = [environment_bits(seed, robot_type) for seed in range(11)]
     for threads in (1, 3):
@@ -103,7 +104,7 @@ def test_robot_settles_as_on_the_server_and_falls_asleep() -> None:
     assert sim.perceptors.accel[0].tolist() == [0, 0, 9.81]
     assert sim.perceptors.foot_left[0].tolist() == pytest.approx([0, -0.01, -0.01, 0, 0, 22.592], abs=2e-3)
     weight = sim.perceptors.foot_left[0, 5] + sim.perceptors.foot_right[0, 5]
-    assert weight == pytest.approx(robots.model(0).mass * 9.81, rel=1e-3)
+    assert weight == pytest.approx(nao_model.model(0).mass * 9.81, rel=1e-3)
     still[0, 3] = 1.0
     sim.step(still)
     assert sim.truth.enabled.all()
@@ -175,7 +176,7 @@ def test_rounding_matches_the_servers_print() -> None:
 
 
 def test_centre_of_mass_by_kinematics_matches_the_simulated_one() -> None:
-    for robot_type in robots.ROBOT_TYPES:
+    for robot_type in nao_model.ROBOT_TYPES:
         sim = BatchSimulator(3, robot_type, digits=None)
         sim.beam((1, 2, 5.0))
         joints = len(sim.model.joints)
@@ -281,7 +282,7 @@ def test_a_broken_environment_is_named_and_disturbs_nobody() -> None:
 @given(
     data=st.data(),
     n=st.integers(1, 9),
-    robot_type=st.sampled_from(robots.ROBOT_TYPES),
+    robot_type=st.sampled_from(nao_model.ROBOT_TYPES),
     size=st.floats(0, 1e6, allow_nan=False),
 )
 def test_fuzzed_states_and_speeds_never_crash(data: st.DataObject, n: int, robot_type: int, size: float) -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from naosim import Address, RemoteBatch, _core, protocol, robots
+from naosim.launchers import Address
+from naosim.robots import nao_model
+from naosim.simspark import RemoteBatch, _core, protocol
 
-NAO = robots.model(0)
+NAO = nao_model.model(0)
 ONLY = np.ones(1, dtype=np.uint8)
 GOOD = b"(time (now 1.20))(GS (unum 4) (team left) (t 3.50) (pm PlayOn) (k none) (ti ((1 none 0))))" + b"".join(
     f"(HJ (n {name})  (ax {k}.25))".encode() for k, name in enumerate(NAO.joint_names)

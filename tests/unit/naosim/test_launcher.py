@@ -7,9 +7,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from naosim import ProcessLauncher, launcher, launcher_docker
-from naosim.launcher import PortLease
-from naosim.launcher_docker import ContainerSettings, container_options, is_orphan, owner_labels
+from naosim.launchers import PortLease, ProcessLauncher, docker
+from naosim.launchers.docker import ContainerSettings, container_options, is_orphan, owner_labels
+from naosim.simspark.program import RCSSSERVER3D, SERVER_SCRIPT
 
 
 def test_leases_never_share_a_port() -> None:
@@ -24,12 +24,12 @@ def test_leases_never_share_a_port() -> None:
 
 def test_a_missing_program_is_named() -> None:
     with pytest.raises(FileNotFoundError, match="no-such-server: no such program"):
-        ProcessLauncher(("no-such-server",))
+        ProcessLauncher(RCSSSERVER3D, ("no-such-server",))
 
 
 def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> None:
     options = container_options(
-        ContainerSettings("server:1", {"job": "job_1", "attempt": "2"}, memory="256m", cpus=0.5)
+        RCSSSERVER3D, ContainerSettings("server:1", {"job": "job_1", "attempt": "2"}, memory="256m", cpus=0.5)
     )
     assert options["cap_drop"] == ["ALL"]
     assert options["read_only"]
@@ -37,8 +37,8 @@ def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> N
     assert options["mem_limit"] == options["memswap_limit"] == "256m"
     assert {host for host, _ in options["ports"].values()} == {"127.0.0.1"}
     assert options["labels"]["job"] == "job_1"
-    assert options["labels"][launcher_docker.OWNER_PID] == str(os.getpid())
-    inside = container_options(ContainerSettings("server:1", network="job_1"))
+    assert options["labels"][docker.OWNER_PID] == str(os.getpid())
+    inside = container_options(RCSSSERVER3D, ContainerSettings("server:1", network="job_1"))
     assert "ports" not in inside
     assert inside["network"] == "job_1"
 
@@ -49,24 +49,24 @@ def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:
     assert not is_orphan({})
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
         theirs = labels | {
-            launcher_docker.OWNER_PID: str(process.pid),
-            launcher_docker.OWNER_START: launcher_docker.process_start(process.pid) or "",
+            docker.OWNER_PID: str(process.pid),
+            docker.OWNER_START: docker.process_start(process.pid) or "",
         }
         assert not is_orphan(theirs)
         process.communicate(b"\n")
     assert is_orphan(theirs)
-    assert is_orphan(labels | {launcher_docker.OWNER_START: "1"}), "the number belongs to another process now"
-    assert not is_orphan(theirs | {launcher_docker.OWNER_HOST: "elsewhere"})
-    assert not is_orphan(theirs | {launcher_docker.OWNER_START: ""})
+    assert is_orphan(labels | {docker.OWNER_START: "1"}), "the number belongs to another process now"
+    assert not is_orphan(theirs | {docker.OWNER_HOST: "elsewhere"})
+    assert not is_orphan(theirs | {docker.OWNER_START: ""})
 
 
 def test_an_owner_elsewhere_is_gone_when_its_container_no_longer_runs() -> None:
-    theirs = {**owner_labels(), launcher_docker.OWNER_HOST: "elsewhere/boot", launcher_docker.OWNER_CONTAINER: "a" * 64}
-    assert launcher_docker._is_left(theirs, {"b" * 64})
-    assert not launcher_docker._is_left(theirs, {"a" * 64, "b" * 64})
+    theirs = {**owner_labels(), docker.OWNER_HOST: "elsewhere/boot", docker.OWNER_CONTAINER: "a" * 64}
+    assert docker._is_left(theirs, {"b" * 64})
+    assert not docker._is_left(theirs, {"a" * 64, "b" * 64})
     # whoever is on our own host is looked at itself, and whoever names no container cannot be
-    assert not launcher_docker._is_left({**theirs, launcher_docker.OWNER_HOST: launcher_docker.host_name()}, set())
-    assert not launcher_docker._is_left({**theirs, launcher_docker.OWNER_CONTAINER: ""}, set())
+    assert not docker._is_left({**theirs, docker.OWNER_HOST: docker.host_name()}, set())
+    assert not docker._is_left({**theirs, docker.OWNER_CONTAINER: ""}, set())
 
 
 def test_a_process_finds_the_container_that_it_runs_in(tmp_path: Path) -> None:
@@ -76,17 +76,17 @@ def test_a_process_finds_the_container_that_it_runs_in(tmp_path: Path) -> None:
         "700 690 0:29 / /proc rw,nosuid - proc proc rw\n"
         f"812 690 254:0 /var/lib/docker/containers/{identifier}/hostname /etc/hostname rw,relatime - ext4 /dev/vda rw\n"
     )
-    assert launcher_docker.own_container(mounts) == identifier
+    assert docker.own_container(mounts) == identifier
     mounts.write_text("700 690 254:0 / / rw,relatime - ext4 /dev/vda rw\n")
-    assert launcher_docker.own_container(mounts) is None
-    assert launcher_docker.own_container(tmp_path / "none") is None
+    assert docker.own_container(mounts) is None
+    assert docker.own_container(tmp_path / "none") is None
 
 
 def test_an_own_network_is_for_owners_in_a_container(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launcher_docker, "own_container", lambda: None)
+    monkeypatch.setattr(docker, "own_container", lambda: None)
     client = SimpleNamespace(api=None)  # it is not asked
     with pytest.raises(OSError, match="network: 'own' is for owners that run in a container"):
-        launcher_docker.DockerLauncher(ContainerSettings("server:1", network="own"), client)
+        docker.DockerLauncher(RCSSSERVER3D, ContainerSettings("server:1", network="own"), client)
 
 
 @pytest.mark.parametrize(
@@ -100,4 +100,4 @@ def test_bad_container_settings_are_named(arguments: dict[str, object], field: s
 
 def test_the_image_configures_the_server_as_the_launcher_does() -> None:
     script = Path(__file__).parents[3] / "services" / "simserver" / "docker" / "trainer.rb"
-    assert script.read_text() == launcher.SERVER_SCRIPT
+    assert script.read_text() == SERVER_SCRIPT

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from naosim import _core, protocol, robots
-from naosim.protocol import Framer, ProtocolError, frame
-from naosim.server_scene import Actor, describe
+from naosim.robots import nao_model
+from naosim.simspark import _core, protocol
+from naosim.simspark.protocol import Framer, ProtocolError, frame
+from naosim.simspark.server_scene import Actor, describe
 
-NAO = robots.model(0)
+NAO = nao_model.model(0)
 EFFECTORS = [joint.effector for joint in NAO.joints]
 
 
@@ -42,11 +43,11 @@ def test_a_robot_tells_of_its_parts_in_the_order_of_the_server() -> None:
     arms = [f"{s}aj{k}" for s in "rl" for k in range(1, 5)]
     legs = [[*(f"{s}lj{k}" for k in range(1, 6)), f"{s}f", f"{s}lj6"] for s in "rl"]
     assert names == ["hj1", "hj2", "See", *arms, *legs[0], *legs[1]]
-    toes = [name for _, name, _ in protocol.percept_order(robots.model(4))]
+    toes = [name for _, name, _ in protocol.percept_order(nao_model.model(4))]
     assert toes[-4:] == ["lf", "llj6", "lf1", "llj7"]
-    for kind in robots.ROBOT_TYPES:
-        order = protocol.percept_order(robots.model(kind))
-        assert sorted(k for what, _, k in order if what == "j") == list(range(len(robots.model(kind).joints)))
+    for kind in nao_model.ROBOT_TYPES:
+        order = protocol.percept_order(nao_model.model(kind))
+        assert sorted(k for what, _, k in order if what == "j") == list(range(len(nao_model.model(kind).joints)))
 
 
 def test_commands_set_speeds_and_hand_back_the_rest() -> None:

@@ -4,10 +4,10 @@ import socket
 
 import pytest
 from naosim import cli
-from naosim.protocol import ProtocolError
-from naosim.server import ServerSettings
-from naosim.server_game import TEAM_SIZE, Ball, Game
-from naosim.server_robot import Robot
+from naosim.simspark.protocol import ProtocolError
+from naosim.simspark.server import ServerSettings
+from naosim.simspark.server_game import TEAM_SIZE, Ball, Game
+from naosim.simspark.server_robot import Robot
 
 
 def test_players_get_free_numbers_and_places_of_their_own() -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from naosim import BatchSimulator, cli, traces
+from naosim import cli
+from naosim.simspark import BatchSimulator, traces
 
 HERE = Path(__file__).parent / "traces"
 RECORDINGS = sorted(HERE.glob("*.npz"))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from naosim import robots
+from naosim.robots import nao_model
 from naosprint.actuation import Actuation
 
 
 @pytest.fixture
 def actuation() -> Actuation:
     """Return the standard robot's joints."""
-    return Actuation(robots.model(0))
+    return Actuation(nao_model.model(0))
 
 
 def test_actions_are_the_papers_twenty_joints(actuation: Actuation) -> None:
@@ -24,7 +24,7 @@ def test_actions_are_the_papers_twenty_joints(actuation: Actuation) -> None:
 
 def test_toes_are_moved_where_there_are_toes() -> None:
     """Robot type 4 has two more actions."""
-    names = Actuation(robots.model(4)).names
+    names = Actuation(nao_model.model(4)).names
     assert len(names) == 22
     assert {"llj7", "rlj7"} <= set(names)
 
@@ -32,7 +32,7 @@ def test_toes_are_moved_where_there_are_toes() -> None:
 @pytest.mark.parametrize("robot_type", range(5))
 def test_ends_of_the_action_range_are_the_joints_stops(robot_type: int) -> None:
     """Actions of -1 and 1 ask for the stops, and every target lies between them."""
-    model = robots.model(robot_type)
+    model = nao_model.model(robot_type)
     actuation = Actuation(model)
     low, high = actuation.targets(np.array([[-1.0], [1.0]]) * np.ones(actuation.n_actions))
     for name in actuation.names:
@@ -61,7 +61,7 @@ def test_neck_is_held_at_zero(actuation: Actuation) -> None:
 
 def test_same_action_on_both_sides_is_a_symmetric_posture(actuation: Actuation) -> None:
     """Mirrored about the sagittal plane: rotations about x keep their sign, those about y and z change it."""
-    model = robots.model(0)
+    model = nao_model.model(0)
     rng = np.random.default_rng(0)
     half_arm, half_leg = rng.uniform(-1, 1, 4), rng.uniform(-1, 1, 6)
     target = actuation.targets(np.concatenate([half_arm, half_arm, half_leg, half_leg])[None])[0]
@@ -90,9 +90,9 @@ def test_controller_is_proportional_with_gain_seven(actuation: Actuation) -> Non
 
 def test_speed_limits_are_each_joints_own() -> None:
     """Robot type 2 has fast ankle pitch and slow ankle roll."""
-    actuation = Actuation(robots.model(2))
+    actuation = Actuation(nao_model.model(2))
     speeds = actuation.speeds(np.full((1, 22), 100.0), np.zeros((1, 22)))[0]
-    index = robots.model(2).joint_index
+    index = nao_model.model(2).joint_index
     assert speeds[index["llj5"]] == pytest.approx(8.80667, rel=1e-4)
     assert speeds[index["llj6"]] == pytest.approx(3.47234, rel=1e-4)
     assert speeds[index["llj4"]] == pytest.approx(6.1395, rel=1e-4)
@@ -101,7 +101,7 @@ def test_speed_limits_are_each_joints_own() -> None:
 def test_start_pose_is_the_papers(actuation: Actuation) -> None:
     """Arms down with bent elbows, hips and ankles at 30 degrees, knees at 60, in the simulator's signs."""
     pose = np.rad2deg(actuation.start_pose())
-    index = robots.model(0).joint_index
+    index = nao_model.model(0).joint_index
     expected = {"laj1": -90, "raj1": -90, "laj3": -90, "raj3": 90, "laj4": -90, "raj4": 90}
     expected |= {"llj3": 30, "rlj3": 30, "llj4": -60, "rlj4": -60, "llj5": 30, "rlj5": 30}
     for name, place in index.items():

@@ -178,7 +178,7 @@ def test_height_above_the_start_pose_is_refused(make_spec: Callable[..., Trainin
 
 def test_standing_heights_of_the_specification_are_the_simulators() -> None:
     """The specification's small table agrees with the robots."""
-    from naosim import robots
+    from naosim.robots import nao_model
 
     for robot_type, height in STANDING_HEIGHT_M.items():
-        assert robots.model(robot_type).standing_height == pytest.approx(height, abs=1e-9)
+        assert nao_model.model(robot_type).standing_height == pytest.approx(height, abs=1e-9)

@@ -15,7 +15,8 @@ import onnx
 import onnxruntime  # type: ignore[import-untyped]
 import pytest
 import torch
-from naosim import centre_of_mass, robots
+from naosim.robots import nao_model
+from naosim.simspark import centre_of_mass
 from naospec import EvaluationSpec
 from naosprint.checkpoint import CheckpointError
 from naosprint.environment import open_batch
@@ -148,7 +149,7 @@ def test_exported_kinematics_give_the_centre_of_mass(robot_type: int, exported: 
     """For every robot type the example's forward kinematics are the engine's."""
     from naosprint.export import _kinematics
 
-    model = robots.model(robot_type)
+    model = nao_model.model(robot_type)
     runner: Any = agent.Runner(exported / "policy.npz")
     vars(runner).update(_kinematics(model))
     rng = np.random.default_rng(robot_type)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from naosim import ProcessLauncher
+from naosim.launchers import ProcessLauncher
 from naospec import TrainingSpec
 from naosprint import servers
 from naosprint.environment import open_training_batch
@@ -16,7 +16,7 @@ def test_the_embedded_server_sends_the_digits_that_a_training_asks_for(monkeypat
     monkeypatch.setenv(servers.PROGRAM_VARIABLE, "embedded")
     launcher = servers.server_launcher(3)
     assert isinstance(launcher, ProcessLauncher)
-    assert launcher._command[-2:] == ["--digits", "3"]
+    assert launcher.command[-2:] == ("--digits", "3")
     with pytest.raises(ValueError, match="sensor_digits: servers send 2 or 3 decimals"):
         servers.server_launcher(None)
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from naosim import centre_of_mass, robots
+from naosim.robots import nao_model
+from naosim.simspark import centre_of_mass
 from naospec import task
 from naosprint.actuation import Actuation
 from naosprint.environment import SprintBatch
@@ -43,7 +44,7 @@ class Watch:
     """Feed readings to an observer and look at the result by name."""
 
     def __init__(self) -> None:
-        self.observer = Observer(1, Actuation(robots.model(0)), 0)
+        self.observer = Observer(1, Actuation(nao_model.model(0)), 0)
         self.names = self.observer.names
 
     def begin(self, readings: Readings) -> dict[str, float]:
@@ -68,10 +69,10 @@ def watch() -> Watch:
 
 def test_there_are_89_in_the_order_of_the_papers_code() -> None:
     """Step counter, joints, rates, torso, centre of mass, sensors, feet, counters."""
-    names = observation_names(Actuation(robots.model(0)).names)
+    names = observation_names(Actuation(nao_model.model(0)).names)
     assert len(names) == len(set(names)) == 89
     assert names[0] == "step"
-    assert names[1:21] == Actuation(robots.model(0)).names
+    assert names[1:21] == Actuation(nao_model.model(0)).names
     assert names[21:41] == tuple(f"{name}_rate" for name in names[1:21])
     assert names[41:45] == ("yaw", "yaw_rate", "height", "height_rate")
     assert names[45:51] == ("com_x", "com_y", "com_z", "com_x_rate", "com_y_rate", "com_z_rate")
@@ -86,7 +87,7 @@ def test_there_are_89_in_the_order_of_the_papers_code() -> None:
 
 def test_rates_make_up_what_the_paper_counts() -> None:
     """43 rates, one for each feature but the three counters."""
-    names = observation_names(Actuation(robots.model(0)).names)
+    names = observation_names(Actuation(nao_model.model(0)).names)
     assert sum(name.endswith("_rate") for name in names) == 43
 
 
@@ -97,10 +98,10 @@ def test_step_counts_from_zero(watch: Watch) -> None:
     assert watch.begin(Readings())["step"] == 0
 
 
-@pytest.mark.parametrize("joint", Actuation(robots.model(0)).names)
+@pytest.mark.parametrize("joint", Actuation(nao_model.model(0)).names)
 def test_joint_and_its_rate(watch: Watch, joint: str) -> None:
     """A joint is its perceived angle in radians with the policies' sign; the rate is the difference."""
-    index = robots.model(0).joint_index[joint]
+    index = nao_model.model(0).joint_index[joint]
     reverse = joint[1:] in ("aj1", "lj3", "lj4", "lj5") or (
         joint[0] == "r" and joint[1:] in ("aj2", "aj3", "aj4", "lj2", "lj6")
     )
@@ -113,7 +114,7 @@ def test_joint_and_its_rate(watch: Watch, joint: str) -> None:
     seen = watch.step(second)
     assert seen[joint] == pytest.approx(sign * np.deg2rad(14.0))
     assert seen[f"{joint}_rate"] == pytest.approx(sign * np.deg2rad(4.0))
-    others = [name for name in Actuation(robots.model(0)).names if name != joint]
+    others = [name for name in Actuation(nao_model.model(0)).names if name != joint]
     assert all(seen[name] == 0.0 and seen[f"{name}_rate"] == 0.0 for name in others)
 
 
@@ -139,7 +140,7 @@ def test_height_is_the_torsos(watch: Watch) -> None:
 def test_centre_of_mass_follows_the_perceived_angles(watch: Watch) -> None:
     """In the torso's frame, wherever the torso is."""
     angles = np.zeros((1, 22))
-    angles[0, robots.model(0).joint_index["llj3"]] = 40.0
+    angles[0, nao_model.model(0).joint_index["llj3"]] = 40.0
     before = watch.begin(Readings())
     seen = watch.step(Readings(joint_angles=angles, torso_position=np.array([[9.0, 9.0, 9.0]])))
     expected = centre_of_mass(0, angles)[0]
@@ -215,7 +216,7 @@ def test_both_feet_off_needs_less_than_a_hundredth_newton_each(watch: Watch) -> 
 
 def test_beginning_one_robot_leaves_the_others_alone() -> None:
     """Only the rows named begin a new episode."""
-    actuation = Actuation(robots.model(0))
+    actuation = Actuation(nao_model.model(0))
     simulator = EmbeddedSimulator(3, robot_type=0, task=task("sprint1"))
     batch = SprintBatch(simulator, task("sprint1"), robot_type=0, fall_height_m=0.27)
     batch.load_starts(draw_start_poses(actuation, 3, 2.0, 0))
@@ -231,7 +232,7 @@ def test_beginning_one_robot_leaves_the_others_alone() -> None:
 
 def test_observations_agree_with_the_simulator_step_by_step() -> None:
     """On the running engine, every observation is what its definition says of the perceptors."""
-    actuation = Actuation(robots.model(0))
+    actuation = Actuation(nao_model.model(0))
     simulator = EmbeddedSimulator(4, robot_type=0, task=task("sprint1"))
     batch = SprintBatch(simulator, task("sprint1"), robot_type=0, fall_height_m=0.27)
     batch.load_starts(draw_start_poses(actuation, 4, 2.0, 0))

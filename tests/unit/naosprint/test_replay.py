@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim import robots
+from naosim.robots import nao_model
 from naosprint.replay import Replay, ReplayError, load_replay
 
 
 def some_replay(frames: int = 4) -> Replay:
     """Return a replay of random poses."""
     rng = np.random.default_rng(0)
-    bodies = rng.normal(size=(frames, len(robots.model(0).bodies), 13))
+    bodies = rng.normal(size=(frames, len(nao_model.model(0).bodies), 13))
     bodies[:, :, 3:7] /= np.linalg.norm(bodies[:, :, 3:7], axis=2, keepdims=True)
     return Replay.from_bodies(0, bodies, rng.uniform(0, 100, (frames, 2)), fallen=False, arrived=True)
 
@@ -32,7 +32,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert (again.robot_type, again.fallen, again.arrived) == (0, False, True)
     with np.load(arrays, allow_pickle=False) as saved:
         np.testing.assert_array_equal(saved["positions"], replay.positions)
-        assert tuple(saved["body_names"]) == robots.model(0).body_names
+        assert tuple(saved["body_names"]) == nao_model.model(0).body_names
 
 
 def test_document_explains_itself(tmp_path: Path) -> None:

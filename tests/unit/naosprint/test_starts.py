@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from naosim import BatchSimulator, robots
+from naosim.robots import nao_model
+from naosim.simspark import BatchSimulator
 from naospec import task
 from naosprint.actuation import Actuation
 from naosprint.simulator import EmbeddedSimulator, open_simulator
@@ -13,14 +14,14 @@ from naosprint.starts import DROP_M, choose_starts, draw_start_poses
 
 def test_without_noise_there_is_one_start() -> None:
     """The standard pose, once."""
-    actuation = Actuation(robots.model(0))
+    actuation = Actuation(nao_model.model(0))
     poses = draw_start_poses(actuation, 50, 0.0, seed=1)
     assert np.array_equal(poses, actuation.start_pose()[None])
 
 
 def test_noise_is_bounded_seeded_and_spares_the_neck() -> None:
     """Each joint moves by at most the noise; the seed decides."""
-    actuation = Actuation(robots.model(0))
+    actuation = Actuation(nao_model.model(0))
     poses = draw_start_poses(actuation, 200, 2.0, seed=1)
     offsets = np.rad2deg(poses - actuation.start_pose())
     assert np.abs(offsets).max() <= 2.0
@@ -52,7 +53,7 @@ def test_choice_spreads_over_all_starts() -> None:
 def test_restored_start_is_the_state_after_sixty_cycles() -> None:
     """Restoring a settled snapshot and simulating 60 cycles into the start pose give the same state, bit for bit."""
     sprint = task("sprint1")
-    model = robots.model(0)
+    model = nao_model.model(0)
     actuation = Actuation(model)
     poses = draw_start_poses(actuation, 3, 2.0, seed=5)
 
@@ -78,7 +79,7 @@ def test_restored_start_is_the_state_after_sixty_cycles() -> None:
 def test_robots_stand_at_the_start_facing_the_finish(robot_type: int) -> None:
     """Every type settles upright at x = -14, feet on the ground, front towards +x."""
     simulator = EmbeddedSimulator(8, robot_type=robot_type, task=task("sprint1"))
-    actuation = Actuation(robots.model(robot_type))
+    actuation = Actuation(nao_model.model(robot_type))
     simulator.load_starts(draw_start_poses(actuation, 8, 2.0, seed=0))
     simulator.start(np.arange(8), np.arange(8))
     position, rotation = simulator.truth.torso_position, simulator.truth.torso_rotation

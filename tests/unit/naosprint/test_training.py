@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim import robots
+from naosim.robots import nao_model
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
 from naosprint.actuation import Actuation
@@ -185,7 +185,7 @@ def test_a_robot_with_toes_goes_on_from_the_policy_of_one_without(
     moved = [after.actions.index(name) for name in before.actions]
     # the new robot's first observations are part of its statistics already
     np.testing.assert_allclose(ours.act(seen)[:, moved], theirs.act(known), atol=0.02)
-    toes = Actuation(robots.model(4)).targets(ours.act(seen))[:, [16, 23]]
+    toes = Actuation(nao_model.model(4)).targets(ours.act(seen))[:, [16, 23]]
     np.testing.assert_allclose(toes, 0.0, atol=1e-6)
     finished = train(spec, workdir=tmp_path / "on", reporter=recorder, initial_policy=checkpoint)
     assert finished.status == "finished"

@@ -1,9 +1,9 @@
 """The interface between simulators and everything that uses them.
 
-A simulator runs n robots of one kind, each alone in a world of its own, 20 ms a step. Whoever uses it cannot see whether
-it computes in this process or drives servers over the network. To add one, subclass :class:`Simulator`, describe it
-with a :class:`SimulatorKind`, and register the kind under the entry-point group ``naosim.simulators``;
-``naosim.conformance`` checks that it behaves.
+A simulator runs n robots of one kind, each alone in a world of its own, 20 ms a step. Its users cannot see whether it
+computes in this process or drives servers over the network. To add one, subclass :class:`Simulator`, describe it with a
+:class:`SimulatorKind`, and register the kind under the entry-point group ``naosim.simulators``;
+:mod:`naosim.conformance` checks that it behaves.
 """
 
 from __future__ import annotations
@@ -36,6 +36,10 @@ class SimulatorClosedError(RuntimeError):
     """Use of a simulator after it was closed."""
 
 
+class ServerLostError(RuntimeError):
+    """Loss of more servers than ``RuntimeOptions.max_server_failures``, or of one that cannot be replaced."""
+
+
 class SimulatorParameters(BaseModel):
     """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
 
@@ -52,6 +56,10 @@ class RuntimeOptions:
     """Whether each robot on a server has a second server that prepares its next start."""
     max_server_failures: int = 20
     """Servers that may fail and be replaced."""
+
+
+DEFAULT_OPTIONS = RuntimeOptions()
+"""Options of a simulator that is opened without any."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,7 @@ class Simulator(ABC):
 
     perceptors: Mapping[str, Floats]
     truth: Truth
-    latency_steps: ClassVar[int] | int = 1
+    latency_steps: int = 1
 
     def __init__(self, robot: Robot, n: int) -> None:
         self.robot = robot
@@ -160,6 +168,8 @@ class Simulator(ABC):
 
         Raises:
             RuntimeError: if no starts have been loaded.
+            IndexError: if one of ``starts`` has not been loaded.
+            ServerLostError: if robots were lost that cannot be given a new place to run.
         """
 
     # what a viewer needs
@@ -214,10 +224,24 @@ class Simulator(ABC):
         """Release what the simulator holds; calling it twice does no harm."""
         self.closed = True
 
+    # checks for subclasses
+
     def require_open(self) -> None:
         """Raise SimulatorClosedError if the simulator has been closed."""
         if self.closed:
             raise SimulatorClosedError(f"{type(self).__name__} is closed")
+
+    def require_group(self, rows: slice) -> None:
+        """Raise ValueError unless ``rows`` is one of :attr:`groups` or all robots."""
+        if rows not in self.groups and rows != slice(0, self.n):
+            raise ValueError(f"rows: expected one of {self.groups} or slice(0, {self.n}), got {rows}")
+
+    def require_starts(self, starts: Ints, loaded: int) -> None:
+        """Raise RuntimeError if no starts have been loaded, IndexError if one of ``starts`` is not among them."""
+        if not loaded:
+            raise RuntimeError("no starts: call load_starts first")
+        if len(starts) and not (starts.min() >= 0 and starts.max() < loaded):
+            raise IndexError(f"starts: expected indices from 0 to {loaded - 1}, got {starts.tolist()}")
 
 
 class SimulatorKind(ABC):
@@ -242,7 +266,7 @@ class SimulatorKind(ABC):
 
     @abstractmethod
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = RuntimeOptions()
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
     ) -> Simulator:
         """Open it for n robots.
 
@@ -260,4 +284,3 @@ class SimulatorKind(ABC):
     def max_robots(self) -> int | None:
         """Return the most robots that this machine can run; None without a limit."""
         return None
-

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import naopolicies
-from naosim import ServerLostError
+from naosim.simulator import ServerLostError
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import ValidationError
 

@@ -10,7 +10,7 @@ from datetime import timedelta
 from naojobs import lifecycle, records, registry
 from naojobs.models import Evaluation, Job
 from naojobs.states import EvaluationState, JobState
-from naosprint.servers import reap_servers
+from naosim.launchers import reap_servers
 from sqlalchemy import Select, func, select, text
 
 from naosprint_worker.context import Context

@@ -17,7 +17,8 @@ from naojobs.lifecycle import Claim, Orders
 from naojobs.models import Job
 from naojobs.records import EvaluationClaim, LogLine
 from naojobs.states import EvaluationState, JobState
-from naosprint.servers import LABELS_VARIABLE, NETWORK_VARIABLE, PROGRAM_VARIABLE
+from naosim.launchers import LABELS_VARIABLE, NETWORK_VARIABLE
+from naosim.simspark.program import PROGRAM_VARIABLE
 from sqlalchemy import select
 
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment

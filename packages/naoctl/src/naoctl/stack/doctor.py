@@ -46,10 +46,11 @@ MODULES = (
 )
 
 _ENGINE_TRIAL = """
-import math, naosim, numpy
-simulator = naosim.BatchSimulator(2)
+import math, numpy
+from naosim.simspark import BatchSimulator
+simulator = BatchSimulator(2)
 for _ in range(10):
-    simulator.step(numpy.zeros((2, len(naosim.robots.model(0).joints))))
+    simulator.step(numpy.zeros((2, len(simulator.model.joints))))
 height = float(simulator.truth.torso_position[0][2])
 assert math.isfinite(height), height
 print(f"10 cycles of 2 robots, torso at {height:.3f} m")

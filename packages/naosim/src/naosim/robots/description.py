@@ -1,13 +1,13 @@
 """What a robot is, as everything above the simulators sees it.
 
-A robot is data. Angles are in radians. A policy sees and sets joint angles in the *policy convention*, in which the same
-number on the left and on the right is a symmetric posture: policy angle = ``sign`` x simulator angle.
+A robot is data. Angles are in radians. A policy sees and sets joint angles in the *policy convention*, in which the
+same number on the left and on the right is a symmetric posture: policy angle = ``sign`` x simulator angle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right", "centre"]
+ShapeKind = Literal["box", "sphere", "capsule", "cylinder"]
 
 
 class RobotParameters(BaseModel):
@@ -36,7 +37,7 @@ class JointDescription:
         side: which side of the body it is on.
         mirror: the joint on the other side; itself if it is in the centre.
         mirror_sign: factor of the policy angle in a mirrored posture: 1 for joints with a partner; -1 for joints in the
-            centre that turn about the x or z axis.
+            centre that turn about the vertical or the forward axis.
         sign: policy angle = sign x simulator angle.
         low_rad, high_rad: range of the simulator angle.
         max_speed: rad/s; infinite where the robot has no limit.
@@ -65,11 +66,13 @@ class Shape:
         name: name of the part.
         kind: box, sphere, capsule or cylinder (the latter two along their z axis).
         size_m: box: full lengths x, y, z. Sphere: radius, 0, 0. Capsule and cylinder: radius, length, 0.
+        side: which side of the body it is on.
     """
 
     name: str
-    kind: str
+    kind: ShapeKind
     size_m: tuple[float, float, float]
+    side: Side = "centre"
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,8 @@ class Robot:
         action_range_rad: half the range of the target angle around nominal for an action of 1; None if actions span the
             joint's whole range.
         parameters: its settings.
-        defaults: preset values of task and algorithm settings that suit this robot better, by section and field.
+        data: what simulators of its family need besides, for example the number of a type.
+        load_shapes: returns :attr:`shapes`; called when they are first asked for.
     """
 
     name: str
@@ -126,6 +130,7 @@ class Robot:
     action_range_rad: Mapping[str, float] | None = None
     parameters: RobotParameters = field(default_factory=RobotParameters)
     data: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    load_shapes: Callable[[], tuple[Shape, ...]] = field(default=tuple, repr=False, compare=False)
 
     def with_parameters(self, values: Mapping[str, Any]) -> Robot:
         """Return this robot with other parameters.
@@ -133,14 +138,17 @@ class Robot:
         Raises:
             pydantic.ValidationError: if a value is out of range or unknown.
         """
-        from dataclasses import replace
-
         return replace(self, parameters=type(self.parameters).model_validate(dict(values)))
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of all joints in order."""
         return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The robot as it is drawn, in the order of ``Simulator.bodies()``; empty if it cannot be drawn."""
+        return self.load_shapes()
 
     @cached_property
     def nominal(self) -> Floats:

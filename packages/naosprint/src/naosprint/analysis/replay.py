@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from naosim import robots
+from naosim.robots import nao_model
 
 from naosprint.actuation import CYCLE_S
 
@@ -78,7 +78,7 @@ class Replay:
 
         Positions are in millimetre tenths, quaternions in four decimals: finer than a screen shows.
         """
-        model = robots.model(self.robot_type)
+        model = nao_model.model(self.robot_type)
         frames = len(self.positions)
         document: dict[str, Any] = {
             "format": FORMAT,
@@ -105,7 +105,7 @@ class Replay:
             arrays,
             robot_type=np.array(self.robot_type),
             cycle_s=np.array(CYCLE_S),
-            body_names=np.array(robots.model(self.robot_type).body_names),
+            body_names=np.array(nao_model.model(self.robot_type).body_names),
             positions=self.positions,
             rotations=self.rotations,
             foot_forces=self.foot_forces,
@@ -126,8 +126,8 @@ def load_replay(path: Path) -> Replay:
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ReplayError(f"{path}: not a replay of format {FORMAT}")
         robot_type, frames = int(document["robot_type"]), int(document["frames"])
-        n_bodies = len(robots.model(robot_type).bodies)
-        if [body["name"] for body in document["bodies"]] != list(robots.model(robot_type).body_names):
+        n_bodies = len(nao_model.model(robot_type).bodies)
+        if [body["name"] for body in document["bodies"]] != list(nao_model.model(robot_type).body_names):
             raise ReplayError(f"{path}: bodies: not those of robot type {robot_type}")
         replay = Replay(
             robot_type=robot_type,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from naosim import robots
+from naosim.robots import nao_model
 from naospec import TrainingSpec, task
 
 from naosprint import figures
@@ -153,7 +153,7 @@ def _pictures(
     top = summary["paper"]["top_speed_mps"]
     begin, end = _window(len(replay.positions))
     left, right = replay.foot_forces[:, 0].astype(np.float64), replay.foot_forces[:, 1].astype(np.float64)
-    names = Actuation(robots.model(spec.robot_type)).names
+    names = Actuation(nao_model.model(spec.robot_type)).names
     first, last = _window(len(paths["joint_angles"]))
     found = []
     if any("speed_mps" in row for row in rows):

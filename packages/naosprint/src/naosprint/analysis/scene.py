@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.collections import PolyCollection
-from naosim import robots
+from naosim.robots import nao_model
 
 if TYPE_CHECKING:
-    from naosim.robots import Body
+    from naosim.robots.nao_model import Body
 
     from naosprint.arrays import FloatArray
     from naosprint.replay import Replay
@@ -78,7 +78,7 @@ def robot_collection(
     shadows: list[FloatArray] = []
     faces: list[_Face] = []
     for body, position, quaternion in zip(
-        robots.model(replay.robot_type).bodies, positions - below, replay.rotations[frame], strict=True
+        nao_model.model(replay.robot_type).bodies, positions - below, replay.rotations[frame], strict=True
     ):
         rotation = _rotation(quaternion.astype(np.float64))
         base = np.array(_rgb(body))

@@ -12,7 +12,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from naosim import robots
+from naosim.robots import nao_model
 
 from naosprint.actuation import CYCLE_S, GAIN, Actuation
 from naosprint.policy import load_policy
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from naosim.robots import RobotModel
+    from naosim.robots.nao_model import RobotModel
     from onnx import ModelProto
 
     from naosprint.arrays import AnyArray
@@ -110,7 +110,7 @@ def build_onnx(policy: Policy) -> ModelProto:
 
 
 def _arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
-    model = robots.model(manifest.spec.robot_type)
+    model = nao_model.model(manifest.spec.robot_type)
     actuation = Actuation(model)
     task = manifest.spec.task_definition
     arrays: dict[str, AnyArray] = {
@@ -171,7 +171,7 @@ def _kinematics(model: RobotModel) -> dict[str, AnyArray]:
 
 
 def _description(policy: Policy, manifest: Manifest) -> dict[str, Any]:
-    actuation = Actuation(robots.model(manifest.spec.robot_type))
+    actuation = Actuation(nao_model.model(manifest.spec.robot_type))
     low, high = np.degrees(actuation.low_rad).round(6), np.degrees(actuation.high_rad).round(6)
     return {
         "format": FORMAT,

@@ -1,11 +1,11 @@
-"""Test where bodies are said to be."""
+"""Test poses of bodies from the torso's pose and joint angles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from naosim import BatchSimulator
-from naosprint.kinematics import body_states, quaternions
+from naosim.simspark import BatchSimulator
+from naosim.simspark.kinematics import body_poses, quaternions
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -30,11 +30,11 @@ def test_bodies_are_where_the_engine_has_them(robot_type: int) -> None:
     # perceived angles are those before the last cycle
     angles = engine.perceptors.joint_angles
     assert np.abs(angles).max() > 10.0
-    states = body_states(engine.model, before[:, 0, :3], rotation, angles)
-    np.testing.assert_allclose(states[..., :3], before[..., :3], rtol=0, atol=2e-3)
-    same = np.abs((states[..., 3:7] * before[..., 3:7]).sum(axis=-1))
+    poses = body_poses(engine.model, before[:, 0, :3], rotation, angles)
+    np.testing.assert_allclose(poses[..., :3], before[..., :3], rtol=0, atol=2e-3)
+    same = np.abs((poses[..., 3:7] * before[..., 3:7]).sum(axis=-1))
     np.testing.assert_allclose(same, 1.0, atol=1e-5)
-    assert np.isnan(states[..., 7:]).all()
+    assert poses.shape == (3, len(engine.model.bodies), 7)
 
 
 def test_quaternions_turn_as_their_matrices_do() -> None:

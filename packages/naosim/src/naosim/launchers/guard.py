@@ -1,8 +1,8 @@
-"""Run one command and take it down when the standard input ends, that is, when whoever started this has died.
+"""A guard that runs one command and kills it when the standard input ends, that is, when its owner has died.
 
-Run as a file, with nothing but the standard library: `python launcher_guard.py HOME COMMAND...`. The command inherits
-the guard's process group; the guard kills that whole group at the end, once it has removed the folder HOME, and the
-kernel kills the command if the guard dies.
+Run as a file, with nothing but the standard library: `python guard.py HOME SIGNAL COMMAND...`. The command inherits the
+guard's process group; the guard kills that whole group at the end, once it has removed the folder HOME, and the kernel
+kills the command if the guard dies. SIGTERM to the guard is SIGNAL to the command.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ def main() -> int:
     signal.set_wakeup_fd(wake)
     for number in (signal.SIGCHLD, signal.SIGTERM):
         signal.signal(number, lambda *_: None)
-    home, *command = sys.argv[1:]
+    home, stop_signal, *command = sys.argv[1:]
     child = subprocess.Popen(command, stdin=subprocess.DEVNULL, preexec_fn=_die_with_parent)
     poll = select.poll()
     poll.register(0, select.POLLIN | select.POLLHUP)
     poll.register(woken, select.POLLIN)
     owner = os.getppid()
     while child.poll() is None:
-        # a process that was forked from the owner may keep the input open, so look after the owner itself, too
+        # a process forked from the owner may keep the input open, so check the owner itself, too
         if os.getppid() != owner:
             _take_down(child, home)
         for fd, _ in poll.poll(_LOOK_MS):
             if fd == 0 and not os.read(0, 4096):
                 _take_down(child, home)
             if fd == woken and signal.SIGTERM in os.read(woken, 4096):
-                child.terminate()
+                child.send_signal(int(stop_signal))
     return child.returncode if child.returncode >= 0 else 128 - child.returncode
 
 

@@ -22,10 +22,12 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from naosim import _core, robots
-from naosim.batch import Flags, Floats, Perceptors
-from naosim.launcher import Address, Launcher, ServerHandle
-from naosim.robots import RobotModel
+from naosim.launchers import Address, Launcher, ServerHandle
+from naosim.robots import nao_model
+from naosim.robots.nao_model import RobotModel
+from naosim.simspark import _core
+from naosim.simspark.batch import Flags, Floats, Perceptors
+from naosim.simulator import ServerLostError
 
 logger = logging.getLogger(__name__)
 
@@ -60,10 +62,6 @@ _PARKED_BALL = (0.0, 9.5, 0.042)
 
 Act = Iterator[Floats]
 """What one environment does in the cycles to come: (joints,) speeds of the next one, rad/s, each time it is asked."""
-
-
-class ServerLostError(RuntimeError):
-    """More servers were lost than are allowed."""
 
 
 class RemoteTruth:
@@ -127,7 +125,7 @@ class RemoteBatch:
         if not 1 <= uniform_number <= 11:
             raise ValueError(f"uniform_number: must be from 1 to 11, not {uniform_number}")
         self.n = n
-        self.model: RobotModel = robots.model(robot_type)
+        self.model: RobotModel = nao_model.model(robot_type)
         self.robot_type = robot_type
         self.restarts = 0
         """How many servers have been replaced."""

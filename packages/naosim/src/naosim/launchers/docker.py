@@ -1,11 +1,11 @@
-"""Start servers as containers beside a worker, and remove those whose owner has died.
+"""Servers as containers beside a worker, and the removal of those whose owner has died.
 
-Every container carries labels that say whose it is: the owner's host, process and the moment that process started, for
-a process number alone is used again, and the container that the owner runs in, if any. Only what is provably an orphan
-is removed: its owner was a process of this host and is gone, or the owner's whole container no longer runs.
+Labels of every container identify its owner: host, process and the moment that process started, because process ids are
+reused, and the container that the owner runs in, if any. Only proven orphans are removed: the owner was a process of
+this host and is gone, or the owner's whole container no longer runs.
 
-The engine is spoken to by names, and all names begin with PREFIX, so that a filter in front of it can keep everything
-else out of reach (deploy/docker-proxy).
+Requests to the engine use names, and all names begin with PREFIX, so that a filter in front of the engine can refuse
+everything else (deploy/docker-proxy).
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from naosim import protocol
-from naosim.launcher import Address, ServerHandle
+from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
 logger = logging.getLogger(__name__)
 
@@ -42,7 +41,7 @@ _STOP_S = 2
 
 @dataclass(frozen=True)
 class ContainerSettings:
-    """Hold what every server's container gets."""
+    """Limits, labels and network of every server's container."""
 
     image: str
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -64,7 +63,7 @@ class ContainerSettings:
 
 
 def owner_labels() -> dict[str, str]:
-    """Return labels that name this process beyond doubt."""
+    """Return labels that identify this process."""
     labels = {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
     container = own_container()
     return labels if container is None else {**labels, OWNER_CONTAINER: container}
@@ -103,11 +102,11 @@ def is_orphan(labels: Mapping[str, str]) -> bool:
     return pid.isdecimal() and bool(start) and process_start(int(pid)) != start
 
 
-def container_options(settings: ContainerSettings) -> dict[str, Any]:
-    """Return how a server's container is run, as the Docker SDK's `containers.run` takes it."""
+def container_options(program: ServerProgram, settings: ContainerSettings) -> dict[str, Any]:
+    """Return the options of a server's container for the Docker SDK's `containers.run`."""
     options: dict[str, Any] = {
         "image": settings.image,
-        "command": ["--agent-port", str(protocol.AGENT_PORT), "--server-port", str(protocol.MONITOR_PORT)],
+        "command": program.container_command(),
         "detach": True,
         "init": True,
         "labels": {**settings.labels, LABEL: "1", **owner_labels()},
@@ -124,15 +123,16 @@ def container_options(settings: ContainerSettings) -> dict[str, Any]:
     if settings.network is not None:
         options["network"] = settings.network
     else:
-        ports = (protocol.AGENT_PORT, protocol.MONITOR_PORT)
+        ports = (program.agent_port, program.monitor_port)
         options["ports"] = {f"{port}/tcp": ("127.0.0.1", None) for port in ports}
     return options
 
 
 class DockerLauncher:
-    """Start servers as containers.
+    """Launcher of servers that are containers.
 
     Args:
+        program: the kind of server.
         settings: image, labels, limits.
         client: a `docker.DockerClient`; default: one from the environment.
 
@@ -140,7 +140,8 @@ class DockerLauncher:
         OSError: the Docker SDK is not installed, no engine answers, or an own network is asked for outside a container.
     """
 
-    def __init__(self, settings: ContainerSettings, client: Any = None) -> None:
+    def __init__(self, program: ServerProgram, settings: ContainerSettings, client: Any = None) -> None:
+        self._program = program
         self._settings = settings
         self._api: Any = (client if client is not None else connect()).api
         self._network = None
@@ -163,10 +164,11 @@ class DockerLauncher:
         name = PREFIX + secrets.token_hex(6)
         try:
             with _engine_errors():
-                _create(self._api, name, replace(self._settings, network=network))
+                _create(self._api, name, self._program, replace(self._settings, network=network))
                 try:
                     self._api.start(name)
-                    return _ServerContainer(self._api, name, _address(self._api, name, network), self._network)
+                    address = _address(self._api, name, self._program, network)
+                    return _ServerContainer(self._api, name, address, self._network)
                 except BaseException:
                     with contextlib.suppress(OSError), _engine_errors():
                         self._api.remove_container(name, force=True, v=True)
@@ -177,12 +179,12 @@ class DockerLauncher:
             raise
 
     def reap(self, min_age_s: float = 30.0) -> int:
-        """Remove containers, and their networks, whose owner has died; return how many. What goes wrong is logged."""
+        """Remove containers, and their networks, whose owner has died; return how many. Errors are logged."""
         return Reaper(self._api).sweep(min_age_s)
 
 
 class Reaper:
-    """Remove what servers' owners have left behind.
+    """Removal of containers and networks whose owner has died.
 
     Args:
         api: a `docker.APIClient`; default: one from the environment.
@@ -195,7 +197,7 @@ class Reaper:
         self._api: Any = api if api is not None else connect().api
 
     def sweep(self, min_age_s: float = 30.0) -> int:
-        """Remove containers, and their networks, whose owner has died; return how many. What goes wrong is logged."""
+        """Remove containers, and their networks, whose owner has died; return how many. Errors are logged."""
         ours = {"label": f"{LABEL}=1"}
         try:
             with _engine_errors():
@@ -228,7 +230,7 @@ class Reaper:
 
 
 class _OwnNetwork:
-    """A network of one launcher, without a way out; it lasts as long as there is a server on it."""
+    """Internal network of one launcher; it lasts as long as a server is on it."""
 
     def __init__(self, api: Any, settings: ContainerSettings, container: str) -> None:
         self._api = api
@@ -268,7 +270,7 @@ class _OwnNetwork:
 
 
 def _remove_network(api: Any, name: str, owner: str | None) -> None:
-    """Remove a network from under whoever is still on it; ``owner`` is the container that made it."""
+    """Disconnect all containers from a network and remove it; ``owner`` is the container that created it."""
     found = api.inspect_network(name)
     # a container that has stopped is not listed, but would not start again without the network
     for container in {*(found.get("Containers") or {}), *((owner,) if owner else ())}:
@@ -286,8 +288,8 @@ def _is_left(labels: Mapping[str, str], running: Collection[str]) -> bool:
     return bool(container) and labels.get(OWNER_HOST) != host_name() and container not in running
 
 
-def _create(api: Any, name: str, settings: ContainerSettings) -> None:
-    options = container_options(settings)
+def _create(api: Any, name: str, program: ServerProgram, settings: ContainerSettings) -> None:
+    options = container_options(program, settings)
     image, command, labels = options.pop("image"), options.pop("command"), options.pop("labels")
     network, ports = options.pop("network", None), options.pop("ports", None)
     options.pop("detach")
@@ -302,7 +304,7 @@ def _create(api: Any, name: str, settings: ContainerSettings) -> None:
 
 
 class _ServerContainer:
-    """Hold on to one container."""
+    """One server's container."""
 
     def __init__(self, api: Any, name: str, address: Address, network: _OwnNetwork | None) -> None:
         self.address = address
@@ -360,14 +362,14 @@ def connect() -> Any:
         return client
 
 
-def _address(api: Any, name: str, network: str | None) -> Address:
+def _address(api: Any, name: str, program: ServerProgram, network: str | None) -> Address:
     if network is not None:
-        return Address(name, protocol.AGENT_PORT, protocol.MONITOR_PORT)
+        return Address(name, program.agent_port, program.monitor_port)
     status = ""
     for _ in range(50):
         found = api.inspect_container(name)
         published, status = found["NetworkSettings"]["Ports"] or {}, found["State"]["Status"]
-        ports: list[Any] = [published.get(f"{port}/tcp") for port in (protocol.AGENT_PORT, protocol.MONITOR_PORT)]
+        ports: list[Any] = [published.get(f"{port}/tcp") for port in (program.agent_port, program.monitor_port)]
         if all(ports):
             agent, monitor = (int(bindings[0]["HostPort"]) for bindings in ports)
             return Address("127.0.0.1", agent, monitor)
@@ -378,7 +380,7 @@ def _address(api: Any, name: str, network: str | None) -> Address:
 
 
 def _age_s(network: Mapping[str, Any]) -> float:
-    """Return a network's age in seconds; 0 where the engine does not tell."""
+    """Return a network's age in seconds; 0 if the engine does not report it."""
     created = str(network.get("Created", ""))
     with contextlib.suppress(ValueError):
         # nanoseconds are more than Python's fractions

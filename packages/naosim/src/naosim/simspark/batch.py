@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from naosim import _core, robots
-from naosim.robots import RobotModel, Vector
+from naosim.robots import nao_model
+from naosim.robots.nao_model import RobotModel, Vector
+from naosim.simspark import _core
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -118,7 +119,7 @@ class BatchSimulator:
                 raise ValueError(f"{name}: must be a whole number from 1 to {top}, not {value!r}")
         if digits not in DIGITS:
             raise ValueError(f"digits: must be 2, 3 or None, not {digits!r}")
-        self.model: RobotModel = robots.model(robot_type)
+        self.model: RobotModel = nao_model.model(robot_type)
         self.n = int(n)
         self.robot_type = self.model.robot_type
         self.threads = int(threads)
@@ -291,9 +292,11 @@ def centre_of_mass(robot_type: int, joint_angles_deg: ArrayLike) -> Floats:
     """
     kinematics = _KINEMATICS.get(robot_type)
     if kinematics is None:
-        kinematics = _KINEMATICS[robot_type] = _core.Batch(engine_table(robots.model(robot_type)), 1, 1, -1, False, "")
+        kinematics = _KINEMATICS[robot_type] = _core.Batch(
+            engine_table(nao_model.model(robot_type)), 1, 1, -1, False, ""
+        )
     angles = np.ascontiguousarray(_finite("joint_angles_deg", joint_angles_deg))
-    joints = len(robots.model(robot_type).joints)
+    joints = len(nao_model.model(robot_type).joints)
     if angles.ndim != 2 or angles.shape[1] != joints:
         raise ValueError(f"joint_angles_deg: must have shape (n, {joints}), not {angles.shape}")
     out = np.empty((len(angles), 3))

@@ -23,11 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from naosim import _core, protocol, robots
-from naosim.protocol import ProtocolError
-from naosim.server_game import Game
-from naosim.server_robot import EFFECTORS, Point, Robot
-from naosim.server_scene import describe
+from naosim.robots import nao_model
+from naosim.simspark import _core, protocol
+from naosim.simspark.protocol import ProtocolError
+from naosim.simspark.server_game import Game
+from naosim.simspark.server_robot import EFFECTORS, Point, Robot
+from naosim.simspark.server_scene import describe
 
 logger = logging.getLogger(__name__)
 
@@ -271,7 +272,7 @@ class Agent(Connection):
         if len(expression) not in (2, 3) or not str(expression[1]).startswith("rsg/agent/nao/nao"):
             raise ProtocolError("scene: use rsg/agent/nao/nao.rsg or rsg/agent/nao/nao_hetero.rsg with a type, 0 to 4")
         if len(expression) == 3:
-            kind = next((k for k in robots.ROBOT_TYPES if str(k) == expression[2]), -1)
+            kind = next((k for k in nao_model.ROBOT_TYPES if str(k) == expression[2]), -1)
             if kind < 0:
                 raise ProtocolError(f"scene: robot type {str(expression[2])[:20]!r} is unknown; use 0 to 4")
         self.robot = self.server.build(kind)
@@ -664,7 +665,7 @@ class Server:
         next_at = loop.time()
         checked_at = next_at
         while True:
-            next_at = max(next_at + robots.CYCLE_S, loop.time() - 10 * robots.CYCLE_S)
+            next_at = max(next_at + nao_model.CYCLE_S, loop.time() - 10 * nao_model.CYCLE_S)
             await asyncio.sleep(next_at - loop.time())
             if self.settings.realtime:
                 for agent in self.agents():

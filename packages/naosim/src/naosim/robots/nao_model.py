@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,10 @@ CYCLE_S = 0.02
 
 @dataclass(frozen=True)
 class Shape:
-    """Describe a body's geometry; `collides` tells whether it can touch the ground."""
+    """Geometry of a body; `collides` is whether it can touch the ground."""
 
-    kind: str
-    """`box`, `sphere` or `capsule` (along z)."""
+    kind: Literal["box", "sphere", "capsule"]
+    """A capsule lies along z."""
     size: Vector
     """Box: full lengths. Sphere: (radius, 0, 0). Capsule: (radius, length of the cylinder, 0)."""
     collides: bool = True
@@ -40,7 +41,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Joint:
-    """Describe a hinge: `body` turns about `axis` relative to `parent`."""
+    """Hinge: `body` turns about `axis` relative to `parent`."""
 
     name: str
     """Perceptor name, e.g. `llj3`."""
@@ -60,7 +61,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Body:
-    """Describe a rigid part."""
+    """Rigid part."""
 
     name: str
     mass: float
@@ -86,7 +87,7 @@ class Body:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Describe one robot type."""
+    """Bodies, joints and sensors of one robot type."""
 
     robot_type: int
     title: str

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from naosim.batch import BatchSimulator
-from naosim.motion import stepping_speeds
+from naosim.simspark.batch import BatchSimulator
+from naosim.simspark.motion import stepping_speeds
 
 WARM_UP = 100
 

@@ -1,15 +1,14 @@
-"""Start rcssserver3d servers as sidecars: local processes here, containers in `naosim.launcher_docker`.
+"""Servers as local processes.
 
-Ports are reserved by locks that other launchers on this machine respect, and a server counts as started only once it is
-this very process that answers on them. A local server runs in a session and a home directory of its own, under a guard
-that kills it when the process that started it dies, however it dies.
+Ports are reserved by locks that other launchers on this machine respect, and a server counts as started only once this
+very process answers on them. A server runs in a session and a home directory of its own, under a guard that kills it
+when the process that started it ends in any way.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import logging
 import os
 import shutil
 import signal
@@ -18,79 +17,23 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO
 
-logger = logging.getLogger(__name__)
+from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
-_GUARD = Path(__file__).with_name("launcher_guard.py")
+_GUARD = Path(__file__).with_name("guard.py")
 _GRACE_S = 2.0
 _ENDING_S = 0.5
 _LOG_TAIL = 400
-
-SERVER_SCRIPT = """\
-# Headless and as fast as its agent: one trainer, one robot, no log files, no window.
-$recordLogfile = false
-$enableInternalMonitor = false
-$enableRealTimeMode = false
-$useRealTime = false
-$agentSyncMode = true
-$agentStep = 0.02
-$monitorStep = 0.02
-$serverMultiThreadedMode = false
-$threadedAgentControl = false
-sparkSetupServer()
-sparkResetLogging()
-sparkLogErrorToCerr()
-run "scripts/materials.rb"
-run "naosoccersim.rb"
-"""
-"""What a trainer's rcssserver3d is told with `--script-path`."""
-
-
-@dataclass(frozen=True)
-class Address:
-    """Say where a server listens."""
-
-    host: str
-    agent_port: int
-    monitor_port: int
-
-
-class ServerHandle(Protocol):
-    """Hold on to one started server."""
-
-    @property
-    def address(self) -> Address:
-        """Where it listens."""
-
-    def alive(self) -> bool:
-        """Return whether it still runs."""
-
-    def owns(self, port: int) -> bool:
-        """Return whether it is this server that listens on a port."""
-
-    def describe(self) -> str:
-        """Return who it is, how it ended and its last words."""
-
-    def stop(self) -> None:
-        """End it and everything it started; give its ports back."""
-
-
-class Launcher(Protocol):
-    """Start servers."""
-
-    def start(self) -> ServerHandle:
-        """Start a server; it may not listen yet.
-
-        Raises:
-            OSError: it cannot be started.
-        """
+_PASSED_VARIABLES = (
+    *("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "PYTHONPATH"),
+    *("RCSS_BUNDLE_PATH", "RCSS_FIND_SCRIPT_PATH"),
+)
 
 
 class PortLease:
-    """Reserve free TCP ports of this machine among all launchers, for as long as the lease lives."""
+    """Free TCP ports of this machine, reserved among all launchers while the lease lives."""
 
     def __init__(self, count: int, host: str = "127.0.0.1") -> None:
         self.ports: list[int] = []
@@ -120,7 +63,7 @@ class PortLease:
                 probe.close()
 
     def release(self) -> None:
-        """Give the ports back."""
+        """Release the ports."""
         for lock in self._locks:
             with contextlib.suppress(OSError):
                 os.unlink(lock.name)
@@ -129,61 +72,50 @@ class PortLease:
 
 
 class ProcessLauncher:
-    """Start servers as processes of this machine.
+    """Launcher of servers that are processes of this machine.
 
     Args:
-        command: the program and its first arguments; `--agent-port`, `--server-port` and, unless it is `naosim`,
-            `--script-path` are added. Default: `rcssserver3d` of the search path.
+        program: the kind of server.
+        command: the program and its first arguments. Default: the program's name.
         environment: variables to set besides a few that are passed on.
 
     Raises:
-        FileNotFoundError: there is no such program.
+        FileNotFoundError: if there is no such program.
     """
 
     def __init__(
-        self, command: Sequence[str] = ("rcssserver3d",), environment: Mapping[str, str] | None = None
+        self,
+        program: ServerProgram,
+        command: Sequence[str] | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
-        program = shutil.which(command[0])
-        if program is None:
-            raise FileNotFoundError(f"{command[0]}: no such program; install rcssserver3d or give its path")
-        self._command = [program, *command[1:]]
+        first, *others = command or (program.name,)
+        path = shutil.which(first)
+        if path is None:
+            raise FileNotFoundError(f"{first}: no such program; install {program.name} or give its path")
+        self.program = program
+        self.command = (path, *others)
         self._environment = dict(environment or {})
-
-    @classmethod
-    def embedded(cls, *arguments: str) -> ProcessLauncher:
-        """Return a launcher of `naosim serve` with more arguments, if any."""
-        return cls((sys.executable, "-m", "naosim", "serve", "--quiet", *arguments))
 
     def start(self) -> ServerHandle:
         """Start a server; it may not listen yet.
 
         Raises:
-            OSError: it cannot be started.
+            OSError: if it cannot be started.
         """
         lease = PortLease(2)
         home = Path(tempfile.mkdtemp(prefix="naosim-server-"))
         try:
-            script = home / "trainer.rb"
-            script.write_text(SERVER_SCRIPT)
-            agent_port, monitor_port = lease.ports
-            command = [
-                *self._command,
-                *("--agent-port", str(agent_port), "--server-port", str(monitor_port), "--script-path", str(script)),
-            ]
-            passed = (
-                "PATH",
-                "LD_LIBRARY_PATH",
-                "LANG",
-                "LC_ALL",
-                "PYTHONPATH",
-                "RCSS_BUNDLE_PATH",
-                "RCSS_FIND_SCRIPT_PATH",
-            )
-            environment = {key: os.environ[key] for key in passed if key in os.environ}
+            for name, content in self.program.files.items():
+                (home / name).write_text(content)
+            address = Address("127.0.0.1", *lease.ports)
+            arguments = self.program.process_command(address.agent_port, address.monitor_port, str(home))
+            environment = {key: os.environ[key] for key in _PASSED_VARIABLES if key in os.environ}
             environment |= {"HOME": str(home), "SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"} | self._environment
+            guard = (sys.executable, "-I", "-S", str(_GUARD), str(home), str(int(self.program.stop_signal)))
             with (home / "server.log").open("wb") as log:
                 process = subprocess.Popen(
-                    [sys.executable, "-I", "-S", str(_GUARD), str(home), *command],
+                    [*guard, *self.command, *arguments],
                     stdin=subprocess.PIPE,
                     stdout=log,
                     stderr=subprocess.STDOUT,
@@ -195,11 +127,11 @@ class ProcessLauncher:
             lease.release()
             shutil.rmtree(home, ignore_errors=True)
             raise
-        return _ServerProcess(process, home, lease, Address("127.0.0.1", agent_port, monitor_port))
+        return _ServerProcess(process, home, lease, address)
 
 
 class _ServerProcess:
-    """Hold on to one local server and its guard."""
+    """One local server and its guard."""
 
     def __init__(self, process: subprocess.Popen[bytes], home: Path, lease: PortLease, address: Address) -> None:
         self.address = address
@@ -226,7 +158,7 @@ class _ServerProcess:
         return False
 
     def describe(self) -> str:
-        # asked about when its connections break, which they do a moment before the process is gone
+        # callers ask when its connections break, a moment before the process is gone
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_ENDING_S)
         code = self._process.returncode

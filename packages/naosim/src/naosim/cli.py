@@ -13,7 +13,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from naosim import __version__, bench, robots, traces
+from naosim import __version__
+from naosim.robots import nao_model
+from naosim.simspark import bench, traces
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -48,12 +50,12 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 
 def _robot(arguments: argparse.Namespace) -> int:
-    _print(json.dumps(asdict(robots.model(arguments.robot_type)), indent=2))
+    _print(json.dumps(asdict(nao_model.model(arguments.robot_type)), indent=2))
     return 0
 
 
 def _serve(arguments: argparse.Namespace) -> int:
-    from naosim import server  # the other commands need no network
+    from naosim.simspark import server  # the other commands need no network
 
     settings = server.ServerSettings(
         host=arguments.host,
@@ -77,11 +79,11 @@ def _serve(arguments: argparse.Namespace) -> int:
 
 
 def _reap(arguments: argparse.Namespace) -> int:
-    from naosim import launcher_docker  # the other commands need no engine
+    from naosim.launchers import Reaper  # the other commands need no engine
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     try:
-        reaper = launcher_docker.Reaper()
+        reaper = Reaper()
     except OSError as error:
         sys.stderr.write(f"naosim: {error}\n")
         return 1
@@ -141,9 +143,9 @@ def _parser() -> argparse.ArgumentParser:
     reap = commands.add_parser(
         "reap", help="remove server containers and networks on this Docker engine whose owner has died"
     )
-    reap.add_argument("--every", type=_seconds, metavar="SECONDS", help="go on doing so (default: once)")
+    reap.add_argument("--every", type=_seconds, metavar="SECONDS", help="repeat at this interval (default: once)")
     reap.add_argument(
-        "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="leave younger ones alone (default: 30)"
+        "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="keep younger ones (default: 30)"
     )
     reap.set_defaults(run=_reap)
     return parser

@@ -1,4 +1,4 @@
-"""Compute where a robot's bodies are from its torso's pose and its joint angles."""
+"""Poses of a NAO's bodies from its torso's pose and its joint angles."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from naosim.robots import RobotModel
+    from naosim.robots.nao_model import RobotModel
+    from naosim.simulator import Floats
 
-    from naosprint.arrays import FloatArray
 
-
-def body_states(
-    model: RobotModel, torso_position: FloatArray, torso_rotation: FloatArray, joint_angles_deg: FloatArray
-) -> FloatArray:
-    """Return the states of all bodies by forward kinematics.
+def body_poses(model: RobotModel, torso_position: Floats, torso_rotation: Floats, joint_angles_deg: Floats) -> Floats:
+    """Return the poses of all bodies by forward kinematics.
 
     Args:
         model: the robot.
@@ -24,15 +21,14 @@ def body_states(
         joint_angles_deg: (n, J) degrees, in the robot's joint order.
 
     Returns:
-        (n, B, 13): position in metres and quaternion w x y z in the world frame; velocities are not known from one
-        pose and are NaN.
+        (n, B, 7): position in metres and quaternion w, x, y, z, world frame.
     """
     n = len(torso_position)
-    place = model.body_index
+    index = model.body_index
     moved_by = {joint.body: (k, joint) for k, joint in enumerate(model.joints)}
     offsets = {body.name: np.array(body.offset) for body in model.bodies}
-    states = np.full((n, len(model.bodies), 13), np.nan)
-    poses: dict[str, tuple[FloatArray, FloatArray]] = {}
+    bodies = np.empty((n, len(model.bodies), 7))
+    poses: dict[str, tuple[Floats, Floats]] = {}
     for body in model.bodies:  # parents come before their children
         if body.name not in moved_by:
             position, rotation = torso_position, torso_rotation
@@ -45,12 +41,12 @@ def body_states(
             rotation = parent_rotation @ _turns(np.array(joint.axis), np.deg2rad(joint_angles_deg[:, k]))
             position = pivot - rotation @ anchor
         poses[body.name] = position, rotation
-        states[:, place[body.name], :3] = position
-        states[:, place[body.name], 3:7] = quaternions(rotation)
-    return states
+        bodies[:, index[body.name], :3] = position
+        bodies[:, index[body.name], 3:7] = quaternions(rotation)
+    return bodies
 
 
-def quaternions(rotations: FloatArray) -> FloatArray:
+def quaternions(rotations: Floats) -> Floats:
     """Return the (n, 4) unit quaternions w x y z, w >= 0, of (n, 3, 3) rotations.
 
     Each component's magnitude comes from the diagonal, and the signs from the largest one's row of products, so nothing
@@ -78,7 +74,7 @@ def quaternions(rotations: FloatArray) -> FloatArray:
     return np.asarray(np.where(rows[:, :1] < 0.0, -rows, rows))
 
 
-def _turns(axis: FloatArray, angles_rad: FloatArray) -> FloatArray:
+def _turns(axis: Floats, angles_rad: Floats) -> Floats:
     """Return the (n, 3, 3) rotations about a unit axis, by Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from naosim.batch import Floats
-from naosim.robots import RobotModel
-
-GAIN = 7.0
-"""Proportional gain from joint error (rad) to speed (rad/s)."""
+from naosim.robots.nao_model import RobotModel
+from naosim.simspark.batch import Floats
+from naosim.simspark.control import motor_speeds
 
 _KNEES_BENT = (("lj3", 0.5), ("lj4", -1.0), ("lj5", 0.5))
 
@@ -32,5 +30,4 @@ def stepping_targets(model: RobotModel, cycle: int, n: int) -> Floats:
 
 def stepping_speeds(model: RobotModel, cycle: int, joint_angles_deg: Floats) -> Floats:
     """Return the speeds that follow `stepping_targets`, shape (n, joints), rad/s."""
-    error = stepping_targets(model, cycle, len(joint_angles_deg)) - np.deg2rad(joint_angles_deg)
-    return np.clip(GAIN * error, -model.max_speed, model.max_speed)
+    return motor_speeds(stepping_targets(model, cycle, len(joint_angles_deg)), joint_angles_deg, model.max_speed)

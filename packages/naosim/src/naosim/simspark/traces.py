@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim import robots
-from naosim.batch import BODY_STATE, BatchSimulator, Floats
+from naosim.robots import nao_model
+from naosim.simspark.batch import BODY_STATE, BatchSimulator, Floats
 
 DIGIT = 1e-3
 """The recording server printed three decimals."""
@@ -74,7 +74,7 @@ def load(path: Path) -> Trace:
         meta: dict[str, Any] = json.loads(str(data["meta"]))
         robot_type = int(meta.get("robot_type", 0))
         beam = tuple(float(x) for x in meta.get("beam", (0, 0, 0.4, 0)))
-        model = robots.model(robot_type)
+        model = nao_model.model(robot_type)
     except (ValueError, TypeError, AttributeError) as error:
         raise TraceError(f"{path}: field 'meta' is not usable ({error})") from error
     if len(beam) != 4 or not np.isfinite(beam).all():

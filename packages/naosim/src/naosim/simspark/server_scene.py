@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from naosim import protocol
-from naosim.robots import RobotModel
+from naosim.robots.nao_model import RobotModel
+from naosim.simspark import protocol
 
 Step = tuple[str, str, int]
 """Text of a full frame, text of an incremental one, and a row of the poses, `STILL` or `CLOSE`."""

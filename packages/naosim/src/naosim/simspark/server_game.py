@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from naosim import protocol
-from naosim.robots import CYCLE_S
+from naosim.robots.nao_model import CYCLE_S
+from naosim.simspark import protocol
 
 _MASS, _DRAG = 0.026, 0.01
 _GRAVITY = 9.81

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim import _core, protocol, robots
-from naosim.batch import BatchSimulator
-from naosim.server_scene import Actor
+from naosim.robots import nao_model
+from naosim.simspark import _core, protocol
+from naosim.simspark.batch import BatchSimulator
+from naosim.simspark.server_scene import Actor
 
 Point = tuple[float, float, float]
 
-EFFECTORS = frozenset(joint.effector for kind in robots.ROBOT_TYPES for joint in robots.model(kind).joints)
+EFFECTORS = frozenset(joint.effector for kind in nao_model.ROBOT_TYPES for joint in nao_model.model(kind).joints)
 """Hinge effectors of any robot type."""
 
 SPAWN = (0.0, -1.0, 1.5)
@@ -126,7 +127,7 @@ class Robot:
         head = f"(time (now {now}))".encode() + news
         message = self._writer.write(head, see, p.gyro[0], p.accel[0], p.joint_angles[0], self._touch)
         if play_mode not in ("BeforeKickOff", "GameOver"):
-            self.game_time += robots.CYCLE_S
+            self.game_time += nao_model.CYCLE_S
         # perceived at the end of this cycle, told in the next message
         self._news = self._game_state(play_mode, scores) + self._hear()
         return message

@@ -1,4 +1,4 @@
-"""The compiled engine; `naosim.batch` checks what goes in."""
+"""The compiled engine; `naosim.simspark.batch` checks what goes in."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim.robots import RobotModel
+from naosim.robots.nao_model import RobotModel
 
 AGENT_PORT = 3100
 MONITOR_PORT = 3200

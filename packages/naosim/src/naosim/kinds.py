@@ -1,0 +1,96 @@
+"""Simulators, found by name among the entry points of the group ``naosim.simulators``.
+
+The two that come with naosim, ``embedded`` and ``server``, run robots of several families. A family is one line of
+:data:`FAMILIES`: a module with two attributes, ``EMBEDDED`` and ``SERVER``, each a SimulatorKind for its robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, ClassVar
+
+from naosim.launchers import most_servers
+from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+
+FAMILIES: Mapping[str, str] = {
+    "nao": "naosim.simspark.kinds",
+    "booster": "naosim.mujoco.kinds",
+}
+"""Module of each family's simulators; imported when one of its robots is used."""
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all simulators that installed packages offer, sorted."""
+    from naospec import plugins
+
+    return plugins.names(plugins.SIMULATORS)
+
+
+def get(name: str) -> SimulatorKind:
+    """Return the simulator of this name.
+
+    Raises:
+        naospec.plugins.UnknownPluginError: if no package offers it; the message lists what there is.
+        naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a SimulatorKind of that name.
+    """
+    from naospec import plugins
+
+    kind = plugins.load(plugins.SIMULATORS, name)
+    if not isinstance(kind, SimulatorKind) or kind.name != name:
+        raise plugins.BrokenPluginError(f"{name}: the entry point must be a SimulatorKind of that name")
+    return kind
+
+
+class _FamilyKind(SimulatorKind):
+    """A simulator that each family of robots implements in a module of its own."""
+
+    _attribute: ClassVar[str]
+
+    def supports(self, robot: Robot) -> bool:
+        """Return whether the robot's family has a simulator of this kind."""
+        return robot.family in FAMILIES and self._of(robot).supports(robot)
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings that the family's simulator takes."""
+        return self._of(robot).parameters(robot)
+
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+    ) -> Simulator:
+        """Open the family's simulator for n robots."""
+        return self._of(robot).open(robot, n, parameters, options)
+
+    def _of(self, robot: Robot) -> SimulatorKind:
+        module = FAMILIES.get(robot.family)
+        if module is None:
+            raise ValueError(f"simulator: {self.name!r} cannot run {robot.name}; use a simulator that supports it")
+        kind: SimulatorKind = getattr(import_module(module), self._attribute)
+        return kind
+
+
+class EmbeddedKind(_FamilyKind):
+    """Simulators that compute in this process."""
+
+    name: ClassVar[str] = "embedded"
+    summary: ClassVar[str] = "In this process: the robot's physics without a server."
+    _attribute: ClassVar[str] = "EMBEDDED"
+
+
+class ServerKind(_FamilyKind):
+    """Simulators that drive the league's servers over the network."""
+
+    name: ClassVar[str] = "server"
+    summary: ClassVar[str] = "The league's server over the network, one server for each robot."
+    _attribute: ClassVar[str] = "SERVER"
+
+    def max_robots(self) -> int:
+        """Return the most servers that this machine runs."""
+        return most_servers()
+
+
+EMBEDDED = EmbeddedKind()
+SERVER = ServerKind()

@@ -1,0 +1,75 @@
+"""Actions of policies as target angles, and perceived angles as policies see them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from naosim.robots.description import Floats, Robot
+
+
+class Actuation:
+    """Mapping between a robot's joints and the actions of a policy.
+
+    An action of -1 or 1 is an end of the joint's range, or, for a robot with ``action_range_rad``, so far from the
+    nominal angle. Angles of policies are in the policy convention (:mod:`naosim.robots.description`).
+
+    Attributes:
+        robot: the robot.
+        names: joints that a policy moves, in action order, which is the order of ``robot.joints``.
+        n_actions: number of them, A.
+        n_joints: number of all joints, J.
+        index: (A,) their indices among all joints.
+        sign: (A,) factor between the simulator's angle and the policy's.
+        low_rad, high_rad: (A,) ends of the joints' ranges, policy convention.
+        nominal: (A,) nominal angles, policy convention.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        moved = [(index, joint) for index, joint in enumerate(robot.joints) if joint.actuated]
+        self.robot = robot
+        self.names = tuple(joint.name for _, joint in moved)
+        self.n_actions, self.n_joints = len(moved), len(robot.joints)
+        self.index = np.array([index for index, _ in moved], dtype=np.int64)
+        self.sign: Floats = np.array([joint.sign for _, joint in moved])
+        ends = np.array([[joint.low_rad, joint.high_rad] for _, joint in moved]) * self.sign[:, None]
+        self.low_rad: Floats = ends.min(axis=1)
+        self.high_rad: Floats = ends.max(axis=1)
+        self.nominal: Floats = robot.nominal[self.index] * self.sign
+        self._half_range = (self.high_rad - self.low_rad) / 2.0
+        self._range: Floats | None = None
+        if robot.action_range_rad is not None:
+            self._range = np.array([robot.action_range_rad[name] for name in self.names])
+
+    @property
+    def rest(self) -> Floats:
+        """(A,) actions that stand for angle 0 of every joint, or the nearest that an action reaches."""
+        unit = -self.low_rad / self._half_range - 1.0 if self._range is None else -self.nominal / self._range
+        rest: Floats = np.clip(unit, -1.0, 1.0)
+        return rest
+
+    def targets(self, actions: Floats) -> Floats:
+        """Map actions onto joint angles.
+
+        Args:
+            actions: (n, A); clipped to [-1, 1].
+
+        Returns:
+            (n, J) target angles in radians, simulator order and signs; joints that no action moves are at their nominal
+            angle.
+        """
+        targets = np.repeat(self.robot.nominal[None], len(actions), axis=0)
+        unit = np.clip(actions, -1.0, 1.0)
+        if self._range is None:
+            angles = (unit + 1.0) * self._half_range + self.low_rad
+        else:
+            angles = np.clip(self.nominal + unit * self._range, self.low_rad, self.high_rad)
+        targets[:, self.index] = angles * self.sign
+        return targets
+
+    def angles(self, angles_deg: Floats) -> Floats:
+        """Return (n, A) angles in radians, policy convention, from (n, J) perceived angles in degrees."""
+        seen: Floats = np.deg2rad(angles_deg[:, self.index]) * self.sign
+        return seen

@@ -1,0 +1,109 @@
+"""NAOs in the embedded engine, in this process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosim.robots.nao import model_of
+from naosim.simspark.batch import BatchSimulator
+from naosim.simspark.control import motor_speeds, settle
+from naosim.simulator import Simulator, Truth
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+    from naosim.simulator import Bytes, Flags, Floats, Ints, Starts
+
+
+class EmbeddedSimulator(Simulator):
+    """NAOs in the embedded engine.
+
+    Starts are simulated once, by letting the robot down with straight joints and driving it into the start's pose for
+    60 cycles, and restored from a snapshot after that.
+
+    Args:
+        robot: a NAO.
+        n: number of robots.
+        sensor_digits: decimals of the perceptors: 2, 3, or None for all.
+        threads: threads of the engine.
+    """
+
+    # a reply describes the state before the cycle that its command starts
+    latency_steps = 2
+
+    def __init__(self, robot: Robot, n: int, *, sensor_digits: int | None = 2, threads: int = 1) -> None:
+        super().__init__(robot, n)
+        model = model_of(robot)
+        self._type, self._max_speed = model.robot_type, model.max_speed
+        self._threads, self._digits = threads, sensor_digits
+        self._engine = BatchSimulator(n, self._type, threads=threads, digits=sensor_digits)
+        perceptors, truth = self._engine.perceptors, self._engine.truth
+        self.perceptors = {each.name: getattr(perceptors, each.name) for each in robot.perceptors}
+        self.truth = Truth(truth.torso_position, truth.torso_rotation)
+        self._pending: tuple[Floats, Flags | None] | None = None
+        self._starts: Bytes | None = None
+
+    def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
+        """Compute the joint speeds of a step, which :meth:`step_wait` takes: there is one group, all robots."""
+        self.require_open()
+        self.require_group(rows)
+        self._pending = motor_speeds(targets_rad, self.perceptors["joint_angles"], self._max_speed), active
+
+    def step_wait(self, rows: slice) -> None:
+        """Take the step that :meth:`step_async` began."""
+        self.require_open()
+        self.require_group(rows)
+        if self._pending is not None:
+            speeds, active = self._pending
+            self._pending = None
+            self._engine.step(speeds, active)
+
+    def load_starts(self, starts: Starts) -> None:
+        """Simulate the starts and keep snapshots of the settled robots.
+
+        Raises:
+            ValueError: if starts are not upright.
+        """
+        self.require_open()
+        if starts.orientations is not None:
+            raise ValueError("starts: the NAO's simulators have upright starts only; leave orientations out")
+        engine = BatchSimulator(len(starts), self._type, threads=self._threads, digits=self._digits)
+        settle(engine, starts.poses_rad, starts.position_m, starts.heading_rad)
+        self._starts = np.array(engine.snapshot())
+
+    def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
+        """Put robots into starts; ``following`` needs no preparation."""
+        del following
+        self.require_open()
+        self.require_starts(starts, 0 if self._starts is None else len(self._starts))
+        assert self._starts is not None
+        mask = np.zeros(self.n, dtype=np.bool_)
+        mask[rows] = True
+        # restore fills the masked robots in ascending order
+        order = np.argsort(rows, kind="stable")
+        self._engine.restore(self._starts[starts[order]], mask=mask)
+
+    def bodies(self) -> Floats:
+        """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
+        self.require_open()
+        return self._engine.truth.bodies[..., :7]
+
+    def foot_forces(self) -> Floats:
+        """Return the (n, 2) upward forces on left and right foot in newtons, zero without contact."""
+        return upward_forces(self.perceptors["foot_left"], self.perceptors["foot_right"])
+
+    def snapshot(self) -> Bytes:
+        """Return the complete state of every robot as (n, S) bytes."""
+        self.require_open()
+        return np.array(self._engine.snapshot())
+
+    def restore(self, state: Bytes) -> None:
+        """Return to a snapshot."""
+        self.require_open()
+        self._engine.restore(state)
+
+
+def upward_forces(left: Floats, right: Floats) -> Floats:
+    """Return the (n, 2) upward forces of two (n, 6) foot perceptors, zero without contact."""
+    return np.nan_to_num(np.stack([left[:, 5], right[:, 5]], axis=1), nan=0.0)

@@ -1,0 +1,108 @@
+"""The simulators of the NAO family as specifications name them; the engine is imported when one is opened."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field
+
+from naosim.launchers import most_servers, require_servers
+from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+
+_DIGITS_TITLE = "Sensor digits"
+
+
+class EmbeddedParameters(SimulatorParameters):
+    """Settings of NAOs in the embedded engine."""
+
+    sensor_digits: Literal[2, 3] | None = Field(
+        default=2,
+        title=_DIGITS_TITLE,
+        description="Decimals that perceptors carry: 2 as in the league, 3 as some servers do, null for all.",
+    )
+
+
+class ServerParameters(SimulatorParameters):
+    """Settings of NAOs on servers."""
+
+    sensor_digits: Literal[2, 3] = Field(
+        default=2,
+        title=_DIGITS_TITLE,
+        description="Decimals that `naosim serve` prints: 2 as in the league, 3 as some servers do.",
+    )
+
+
+class EmbeddedKind(SimulatorKind):
+    """NAOs in the embedded engine."""
+
+    name: ClassVar[str] = "embedded"
+    summary: ClassVar[str] = "The exact embedded engine of rcssserver3d's physics."
+
+    def supports(self, robot: Robot) -> bool:
+        """Return whether the robot is a NAO."""
+        return robot.family == "nao"
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings."""
+        del robot
+        return EmbeddedParameters
+
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+    ) -> Simulator:
+        """Open the engine for n robots."""
+        from naosim.simspark.embedded import EmbeddedSimulator
+
+        assert isinstance(parameters, EmbeddedParameters)
+        return EmbeddedSimulator(robot, n, sensor_digits=parameters.sensor_digits, threads=options.threads)
+
+
+class ServerKind(SimulatorKind):
+    """NAOs on rcssserver3d servers, which the environment variable ``NAOSPRINT_SIMSERVER`` names."""
+
+    name: ClassVar[str] = "server"
+    summary: ClassVar[str] = "rcssserver3d over the network, one server for each robot."
+
+    def supports(self, robot: Robot) -> bool:
+        """Return whether the robot is a NAO."""
+        return robot.family == "nao"
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings."""
+        del robot
+        return ServerParameters
+
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+    ) -> Simulator:
+        """Start n servers, or twice as many with standby servers.
+
+        Raises:
+            ValueError: if this machine cannot run so many servers.
+            FileNotFoundError: if the server's program is missing.
+            OSError: if containers are asked for and no Docker engine answers.
+            naosim.simulator.ServerLostError: if a server does not start.
+        """
+        from naosim.simspark.program import server_launcher
+        from naosim.simspark.remote import RemoteSimulator
+
+        assert isinstance(parameters, ServerParameters)
+        require_servers(n)
+        return RemoteSimulator(
+            server_launcher(parameters.sensor_digits),
+            robot,
+            n,
+            max_failures=options.max_server_failures,
+            standby_servers=options.standby_servers,
+        )
+
+    def max_robots(self) -> int:
+        """Return the most servers that this machine runs."""
+        return most_servers()
+
+
+EMBEDDED = EmbeddedKind()
+SERVER = ServerKind()
