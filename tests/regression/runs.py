@@ -75,18 +75,16 @@ def evaluations() -> dict[str, Any]:
     """Evaluate each bundled policy on the task that it was trained for."""
     import naopolicies
     from naospec import EvaluationSpec
-    from naosprint.evaluation import evaluate
-    from naosprint.policy import load_policy
+    from naosprint.analysis.evaluation import evaluate
+    from naosprint.rl.policy import load_policy
 
     found = {}
     for name in naopolicies.names():
         folder = naopolicies.folder(name)
         trained = load_policy(folder)[1].spec
-        spec = EvaluationSpec(task=trained.task, episodes=EPISODES, seed=0, simulator="embedded")
+        spec = EvaluationSpec(task=trained.task.name, episodes=EPISODES, seed=0)
         evaluation = evaluate(folder, spec)
-        # the specifications within the summary are not results
-        summary = {key: value for key, value in evaluation.summary.items() if key not in ("training", "evaluation")}
-        summary["checkpoint"] = {key: value for key, value in summary["checkpoint"].items() if key != "spec_sha256"}
+        summary = recorded_form(evaluation.summary)
         replay = evaluation.replay
         found[name] = {
             "summary": summary,
@@ -102,11 +100,59 @@ def evaluations() -> dict[str, Any]:
     return found
 
 
+def recorded_form(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the results of an evaluation of a sprint in the form in which they were recorded."""
+    results = {result["name"]: result for result in summary["results"]}
+
+    def spread(result: Mapping[str, Any]) -> dict[str, Any]:
+        old = {"mean": "value", "sd": "sd", "min": "low", "max": "high", "ci": "interval"}
+        return {"episodes": result["episodes"], **{name: result[new] for name, new in old.items()}}
+
+    def share(name: str) -> dict[str, Any]:
+        result = results[name]
+        return {"count": result["count"], "rate": result["value"], "ci": result["interval"]}
+
+    table = summary["tables"][0]
+    paper, everyone = (column["results"] for column in table["columns"])
+    return {
+        "checkpoint": {"step": summary["checkpoint"]["step"]},
+        "server_failures": summary["server_failures"],
+        "episodes": summary["episodes"],
+        "distance_m": spread(results["distance_m"]),
+        "speed_mps": spread(results["speed_mps"]),
+        "steps": spread(results["episode_length"]),
+        "falls": share("fall_rate"),
+        "arrivals": share("arrival_rate"),
+        "time_limits": share("time_limit_rate"),
+        "paper": {
+            "top_speed_mps": results["top_speed_mps"]["value"],
+            "top_speed_sd_mps": results["top_speed_mps"]["sd"],
+            "fastest_episode_mps": results["fastest_mps"]["value"],
+            "deviation_deg": {
+                "mean": results["deviation_deg"]["value"],
+                "sd": results["deviation_deg"]["sd"],
+            },
+            "low_at_end": share("low_at_end"),
+        },
+        "speed_by_line": [
+            {"line_m": line, "paper": spread(first), "all": spread(second)}
+            for line, first, second in zip(table["at"], paper, everyone, strict=True)
+        ],
+        "both_feet_off_ground": spread(results["flight_share"]),
+        "run_challenge": {
+            "score": spread(results["run_challenge_score"]),
+            "speed_mps": spread(results["run_challenge_speed_mps"]),
+            "off_ground": spread(results["run_challenge_flight_share"]),
+            "falls": share("run_challenge_fall_rate"),
+        },
+    }
+
+
 def training(preset: str) -> dict[str, Any]:
     """Train briefly with one preset."""
     from naospec import TrainingSpec
-    from naosprint.checkpoint import read_arrays
-    from naosprint.training import train
+    from naosprint.rl.checkpoint import read_arrays
+    from naosprint.rl.runner import train
 
     class LastRow:
         """Reporter that keeps the last row of metrics."""
@@ -124,12 +170,10 @@ def training(preset: str) -> dict[str, Any]:
 
     spec = TrainingSpec.model_validate(
         {
-            "preset": preset,
+            "algorithm": {"preset": preset},
             "total_steps": TOTAL_STEPS,
             "seed": 0,
-            "simulator": "embedded",
-            "simulator_threads": 1,
-            "torch_threads": 1,
+            "runtime": {"simulator_threads": 1, "learner_threads": 1},
         }
     )
     reporter = LastRow()

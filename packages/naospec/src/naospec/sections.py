@@ -25,7 +25,7 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
 
-    name: str = Field(title="Name", description="Which plug-in the section configures.")
+    name: str = Field(default="", title="Name", description="Which plug-in the section configures.")
 
 
 def section_models(group: str, name: str, robot: Any = None) -> type[Section]:

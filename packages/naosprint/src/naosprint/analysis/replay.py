@@ -1,6 +1,6 @@
-"""Keep an episode as it looked: where every body was in every cycle.
+"""Replays: an episode as it looked, the pose of every body in every step.
 
-A replay is one JSON file, so that a web page can play it, and an ``.npz`` file for those who compute with it.
+A replay is one JSON file, which a web page can play, and an ``.npz`` file for computing with it.
 """
 
 from __future__ import annotations
@@ -10,86 +10,71 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from naosim.robots import nao_model
-
-from naosprint.actuation import CYCLE_S
+from naosim import robots
+from naosim.simulator import STEP_S
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from naosprint.arrays import Float32Array, FloatArray
+    from naosim.robots import Robot
 
-FORMAT = 1
+    from naosprint.arrays import Float32Array
+
+FORMAT = 2
 """Version of the replay format."""
 
 _MAX_BYTES = 64_000_000
 
 
 class ReplayError(ValueError):
-    """Say what is wrong with a replay, and where."""
+    """Replay that is missing, damaged, or of another version."""
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Hold one episode, sampled every cycle of 20 ms from its start.
+    """One episode, sampled every 20 ms from its start.
 
     Attributes:
-        robot_type: the robot that ran.
-        positions: (T, B, 3) centre of each body, metres, world frame; bodies in the order of the robot's table.
-        rotations: (T, B, 4) unit quaternions w, x, y, z that turn a body's frame into the world's.
+        robot: the robot.
+        positions: (T, B, 3) centre of each of ``robot.shapes``, metres, world frame.
+        rotations: (T, B, 4) unit quaternions w, x, y, z from a shape's frame into the world's.
         foot_forces: (T, 2) upward force on left and right foot, newtons; 0 without contact.
-        fallen: whether it ended with a fall.
-        arrived: whether it ended at the finish line.
+        end: title of the end that the episode reached; empty for a time limit.
+        failed: whether that was a failure.
     """
 
-    robot_type: int
+    robot: Robot
     positions: Float32Array
     rotations: Float32Array
     foot_forces: Float32Array
-    fallen: bool
-    arrived: bool
-
-    @classmethod
-    def from_bodies(
-        cls, robot_type: int, bodies: FloatArray, foot_forces: FloatArray, *, fallen: bool, arrived: bool
-    ) -> Replay:
-        """Build a replay from (T, B, 13) body states of the simulator and (T, 2) foot forces."""
-        return cls(
-            robot_type=robot_type,
-            positions=bodies[:, :, :3].astype(np.float32),
-            rotations=bodies[:, :, 3:7].astype(np.float32),
-            foot_forces=foot_forces.astype(np.float32),
-            fallen=fallen,
-            arrived=arrived,
-        )
+    end: str
+    failed: bool
 
     @property
     def duration_s(self) -> float:
         """Length of the episode in seconds."""
-        return (len(self.positions) - 1) * CYCLE_S
+        return (len(self.positions) - 1) * STEP_S
 
     @property
-    def distance_m(self) -> float:
-        """Forward displacement of the torso in metres."""
-        return float(self.positions[-1, 0, 0] - self.positions[0, 0, 0])
+    def displacement_m(self) -> tuple[float, float]:
+        """Displacement of the torso in x and y in metres."""
+        moved = self.positions[-1, 0] - self.positions[0, 0]
+        return float(moved[0]), float(moved[1])
 
     def to_json(self) -> str:
-        """Return the replay as one JSON object.
-
-        Positions are in millimetre tenths, quaternions in four decimals: finer than a screen shows.
-        """
-        model = nao_model.model(self.robot_type)
+        """Return the replay as one JSON object: positions to 0.1 mm, quaternions to four decimals."""
         frames = len(self.positions)
         document: dict[str, Any] = {
             "format": FORMAT,
-            "robot_type": self.robot_type,
-            "dt_s": CYCLE_S,
+            "robot": self.robot.name,
+            "dt_s": STEP_S,
             "frames": frames,
-            "distance_m": round(self.distance_m, 4),
-            "fallen": self.fallen,
-            "arrived": self.arrived,
+            "displacement_m": [round(value, 4) for value in self.displacement_m],
+            "end": self.end,
+            "failed": self.failed,
             "bodies": [
-                {"name": body.name, "shape": body.shape.kind, "size_m": list(body.shape.size)} for body in model.bodies
+                {"name": shape.name, "shape": shape.kind, "size_m": list(shape.size_m), "side": shape.side}
+                for shape in self.robot.shapes
             ],
             "position_m": _rounded(self.positions.reshape(frames, -1), 4),
             "rotation_wxyz": _rounded(self.rotations.reshape(frames, -1), 4),
@@ -103,9 +88,9 @@ class Replay:
         text.write_text(self.to_json())
         np.savez_compressed(
             arrays,
-            robot_type=np.array(self.robot_type),
-            cycle_s=np.array(CYCLE_S),
-            body_names=np.array(nao_model.model(self.robot_type).body_names),
+            robot=np.array(self.robot.name),
+            cycle_s=np.array(STEP_S),
+            body_names=np.array([shape.name for shape in self.robot.shapes]),
             positions=self.positions,
             rotations=self.rotations,
             foot_forces=self.foot_forces,
@@ -125,17 +110,17 @@ def load_replay(path: Path) -> Replay:
         document = json.loads(path.read_bytes())
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ReplayError(f"{path}: not a replay of format {FORMAT}")
-        robot_type, frames = int(document["robot_type"]), int(document["frames"])
-        n_bodies = len(nao_model.model(robot_type).bodies)
-        if [body["name"] for body in document["bodies"]] != list(nao_model.model(robot_type).body_names):
-            raise ReplayError(f"{path}: bodies: not those of robot type {robot_type}")
+        robot, frames = robots.get(str(document["robot"])), int(document["frames"])
+        names = [shape.name for shape in robot.shapes]
+        if [body["name"] for body in document["bodies"]] != names:
+            raise ReplayError(f"{path}: bodies: not those of robot {robot.name}")
         replay = Replay(
-            robot_type=robot_type,
-            positions=np.array(document["position_m"], dtype=np.float32).reshape(frames, n_bodies, 3),
-            rotations=np.array(document["rotation_wxyz"], dtype=np.float32).reshape(frames, n_bodies, 4),
+            robot=robot,
+            positions=np.array(document["position_m"], dtype=np.float32).reshape(frames, len(names), 3),
+            rotations=np.array(document["rotation_wxyz"], dtype=np.float32).reshape(frames, len(names), 4),
             foot_forces=np.array(document["foot_force_n"], dtype=np.float32).reshape(frames, 2),
-            fallen=bool(document["fallen"]),
-            arrived=bool(document["arrived"]),
+            end=str(document["end"]),
+            failed=bool(document["failed"]),
         )
     except ReplayError:
         raise
@@ -145,7 +130,7 @@ def load_replay(path: Path) -> Replay:
         raise ReplayError(f"{path}: unreadable: {error}") from error
     for name in ("positions", "rotations", "foot_forces"):
         if not np.isfinite(getattr(replay, name)).all():
-            raise ReplayError(f"{path}: {name}: holds numbers that are not finite")
+            raise ReplayError(f"{path}: {name}: contains numbers that are not finite")
     return replay
 
 

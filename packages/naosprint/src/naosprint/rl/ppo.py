@@ -17,6 +17,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
+from naosprint.mirror import Mirror
 from naosprint.rl import schedules
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, linear_layers, run_network
@@ -339,7 +340,8 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> Actor
             _initialize_unit_norm(policy)
         if settings.symmetric_policy:
             inner = environment.environment
-            tie_weights(policy, inner.observer.mirror, inner.actuation.mirror)
+            actions = Mirror.of_names(inner.actuation.names, *inner.actuation.mirror)
+            tie_weights(policy, inner.observer.mirror, actions)
     if settings.final_log_std is not None:
         policy.log_std.requires_grad_(False)
     return policy

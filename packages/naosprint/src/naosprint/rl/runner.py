@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
-from naosim.errors import ServerLostError
+from naosim.simulator import ServerLostError
 from naospec import plugins
 
 from naosprint.rl.checkpoint import (
@@ -94,7 +94,7 @@ def train(
     Raises:
         CheckpointError: if a checkpoint is damaged or does not fit the specification.
         TrainingDivergedError: if a number is no longer finite; the checkpoints so far remain.
-        naosim.errors.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start; the
+        naosim.simulator.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start; the
             last complete update is saved.
         FileNotFoundError: if the simulator's program is missing.
         ValueError: if the specification is impossible on this machine.

@@ -279,19 +279,22 @@ def _accel(world: World) -> ObservationBlock:
     )
 
 
-def _foot(side: str, other: str) -> Callable[[World], ObservationBlock]:
-    def block(world: World) -> ObservationBlock:
-        """Centre of pressure in metres in the foot's frame and force in newtons, zero without contact, with rates."""
+def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBlock]:
+    columns = slice(0, 3) if kind == "origin" else slice(3, 6)
 
-        def names(side: str) -> tuple[str, ...]:
-            return tuple(f"{side}_foot_{kind}_{axis}" for kind in ("origin", "force") for axis in _AXES)
+    def block(world: World) -> ObservationBlock:
+        """Centre of pressure in metres in the foot's frame, or force in newtons; zero without contact; with rates."""
 
         def measure(rows: slice | IntArray) -> FloatArray:
-            values = world.perceptors[f"foot_{side}"][rows]
+            values = world.perceptors[f"foot_{side}"][rows, columns]
             return np.where(np.isnan(values), 0.0, values)
 
         return ObservationBlock(
-            names(side), measure, partners=names(other), signs=_vector_signs(world) * 2, rates=True
+            tuple(f"{side}_foot_{kind}_{axis}" for axis in _AXES),
+            measure,
+            partners=tuple(f"{other}_foot_{kind}_{axis}" for axis in _AXES),
+            signs=_vector_signs(world),
+            rates=True,
         )
 
     return block
@@ -392,8 +395,10 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "centre_of_mass": _centre_of_mass,
     "gyro": _gyro,
     "accel": _accel,
-    "left_foot": _foot("left", "right"),
-    "right_foot": _foot("right", "left"),
+    "left_foot_origin": _foot("left", "right", "origin"),
+    "left_foot_force": _foot("left", "right", "force"),
+    "right_foot_origin": _foot("right", "left", "origin"),
+    "right_foot_force": _foot("right", "left", "force"),
     "foot_counters": _foot_counters,
     "gravity": _gravity,
     "velocity": _velocity,
