@@ -7,15 +7,15 @@ subclass of :class:`Section` that the plug-in provides.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SerializeAsAny, ValidationInfo
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationInfo
+from pydantic_core import PydanticCustomError, core_schema
 
 from naospec import plugins
 
 if TYPE_CHECKING:
-    from pydantic import GetJsonSchemaHandler
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic.json_schema import JsonSchemaValue
     from pydantic_core import CoreSchema
 
@@ -76,8 +76,12 @@ def as_mapping(value: Any) -> Any:
     return value
 
 
-class _PluginSection:
-    """Validation and JSON schema of a section whose model its ``name`` decides."""
+def _dump(section: Any, info: SerializationInfo) -> Any:
+    return section.model_dump(mode=info.mode, exclude_none=info.exclude_none)
+
+
+class PluginSection:
+    """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema."""
 
     def __init__(self, group: str) -> None:
         self.group = group
@@ -111,6 +115,13 @@ class _PluginSection:
                 )
         return section_models(self.group, name, robot).model_validate(dict(value))
 
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a value that :meth:`validate` turns into a section."""
+        del source, handler
+        return core_schema.with_info_plain_validator_function(
+            self.validate, serialization=core_schema.plain_serializer_function_ser_schema(_dump, info_arg=True)
+        )
+
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         """Return the union of the schemas of all installed plug-ins, told apart by ``name``."""
         del schema
@@ -124,9 +135,3 @@ class _PluginSection:
                 option["x-robots"] = list(robots)
             options.append(option)
         return {"oneOf": options, "x-plugin-group": self.group}
-
-
-def plugin_section(group: str) -> Any:
-    """Return the annotation of a section that a plug-in of ``group`` defines."""
-    handler = _PluginSection(group)
-    return Annotated[SerializeAsAny[Section], handler, BeforeValidator(handler.validate)]

@@ -6,22 +6,17 @@ import hashlib
 import json
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import plugins, presets
 from naospec.flat import GROUPS, MOVED
-from naospec.sections import Section, as_mapping, plugin_section
+from naospec.sections import PluginSection, Section, as_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-TaskSection = plugin_section(plugins.TASKS)
-RobotSection = plugin_section(plugins.ROBOTS)
-SimulatorSection = plugin_section(plugins.SIMULATORS)
-AlgorithmSection = plugin_section(plugins.LEARNERS)
 
 DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
 """What a specification that leaves a section out trains."""
@@ -186,12 +181,16 @@ class TrainingSpec(_Specification):
     plug-in alone: ``TrainingSpec(robot="t1")``.
     """
 
-    task: TaskSection = Field(default=None, validate_default=True, title="Task", description="What to learn.")
-    robot: RobotSection = Field(default=None, validate_default=True, title="Robot", description="The robot.")
-    simulator: SimulatorSection = Field(
+    task: Annotated[Any, PluginSection(plugins.TASKS)] = Field(
+        default=None, validate_default=True, title="Task", description="What to learn."
+    )
+    robot: Annotated[Any, PluginSection(plugins.ROBOTS)] = Field(
+        default=None, validate_default=True, title="Robot", description="The robot."
+    )
+    simulator: Annotated[Any, PluginSection(plugins.SIMULATORS)] = Field(
         default=None, validate_default=True, title="Simulator", description="Where the robot runs."
     )
-    algorithm: AlgorithmSection = Field(
+    algorithm: Annotated[Any, PluginSection(plugins.LEARNERS)] = Field(
         default=None, validate_default=True, title="Algorithm", description="How the robot learns."
     )
     total_steps: int = Field(
@@ -374,7 +373,7 @@ class EvaluationSpec(_Specification):
     seed: int = Field(
         default=0, ge=0, le=2**31 - 1, title="Seed", description="Seed of the starts and of the bootstrap intervals."
     )
-    task: TaskSection | None = Field(
+    task: Annotated[Any, PluginSection(plugins.TASKS)] | None = Field(
         default=None,
         title="Task",
         description="Task to run, with its settings; left out: the training's.",
@@ -480,7 +479,7 @@ def _at(place: tuple[str | int, ...], error: ValidationError) -> ValidationError
     """Return the same errors, further inside."""
     lines: list[InitErrorDetails] = [
         {
-            "type": PydanticCustomError(item["type"], item["msg"].replace("{", "(").replace("}", ")")),  # type: ignore[arg-type]
+            "type": PydanticCustomError(item["type"], item["msg"].replace("{", "(").replace("}", ")")),
             "loc": (*place, *item["loc"]),
             "input": item["input"],
         }
@@ -497,5 +496,3 @@ def validation_words(errors: Iterable[Any]) -> str:
         message = item["msg"].removeprefix("Value error, ")
         words.append(f"{place}: {message}" if place else message)
     return "; ".join(words)
-
-

@@ -141,7 +141,7 @@ def evaluate(
     setting = spec.applied_to(manifest.spec)
     n = min(spec.n_envs, spec.episodes)
     most = plugins.load(plugins.SIMULATORS, setting.simulator.name).max_robots()
-    environment = open_environment(setting, n if most is None else min(n, most), threads=threads)
+    environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)
     try:
         _require_fit(environment, manifest.observations)
         starts = environment.task.starts(spec.episodes, spec.seed, setting.task.start_noise_deg)
@@ -171,7 +171,9 @@ def evaluate(
         "headline": list(task.presentation.headline),
         "tables": [table.to_json() for table in tables],
     }
-    return Evaluation(summary, _trajectories(recorder, episodes, spec.trajectories), _replay(recorder, episodes, setting))
+    return Evaluation(
+        summary, _trajectories(recorder, episodes, spec.trajectories), _replay(recorder, episodes, setting)
+    )
 
 
 def _require_fit(environment: Environment, observations: tuple[str, ...]) -> None:

@@ -21,7 +21,9 @@ PROGRESS: tuple[Metric, ...] = (
 """How far the training is."""
 
 PACE: tuple[Metric, ...] = (
-    Metric("steps_per_s", "Steps per second", "1/s", "Environment steps a second in this update, learning included.", 0),
+    Metric(
+        "steps_per_s", "Steps per second", "1/s", "Environment steps a second in this update, learning included.", 0
+    ),
     Metric("collect_s", "Collection time", "s", "Time that collecting the rollout took.", 3),
     Metric("learn_s", "Update time", "s", "Time that updating the policy took.", 3),
     Metric("eta_s", "Time left", "s", "Time that the rest of the training takes at the mean pace of this attempt.", 0),

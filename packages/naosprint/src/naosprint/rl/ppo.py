@@ -210,12 +210,14 @@ class PPO(Learner):
                     # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
                     kls.append(float(((ratio - 1.0) - log_ratio).mean()))
                     clipped = float(((ratio - 1.0).abs() > settings.clip_range).float().mean())
-                losses.append((float(policy_loss.detach()), float(value_loss.detach()), float(entropy.detach()), clipped))
+                losses.append(
+                    (float(policy_loss.detach()), float(value_loss.detach()), float(entropy.detach()), clipped)
+                )
                 self._require_finite(losses[-1], kls[-1])
                 if target_kl is not None and kls[-1] > 1.5 * target_kl:
                     break
                 policy.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
+                loss.backward()
                 if settings.max_grad_norm is not None:
                     nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
                 policy.optimizer.step()

@@ -65,7 +65,9 @@ class TrainingEnvironment:
         self.n = environment.n
         self.n_actions = environment.actuation.n_actions
         self.n_observations = len(environment.observer.names)
-        self.window = EpisodeWindow([metric.name for metric in (*EPISODE_METRICS, *environment.task.metrics) if metric.live])
+        self.window = EpisodeWindow(
+            [metric.name for metric in (*EPISODE_METRICS, *environment.task.metrics) if metric.live]
+        )
         self.on_loss: Callable[[int, str], None] = lambda row, reason: None
         self.groups = environment.simulator.groups
         self._bootstrap_at_end = bootstrap_at_end

@@ -108,7 +108,9 @@ def train(
         _require_same_training(resume, manifest.spec, spec)
         stage = manifest.stage
         if stage >= len(spec.stage_specs):
-            raise CheckpointError(f"{resume}: it is of stage {stage + 1}, the specification has {len(spec.stage_specs)}")
+            raise CheckpointError(
+                f"{resume}: it is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
+            )
         if manifest.steps >= spec.stage_ends[stage] and stage + 1 < len(spec.stage_specs):
             # the stage is complete: the next one starts from its policy
             stage, resume, initial_policy = stage + 1, None, resume
@@ -179,7 +181,7 @@ class _Session:
     @property
     def steps(self) -> int:
         """Environment steps of all stages so far."""
-        return self.first_step + self.learner.steps
+        return self.first_step + int(self.learner.steps)
 
     @property
     def episodes(self) -> int:

@@ -218,7 +218,11 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric("clip_fraction", "Clip fraction", "%", "Fraction of samples whose probability ratio was clipped.", 1),
     Metric(
-        "explained_variance", "Explained variance", "", "Fraction of the returns' variance that the critic predicted.", 3
+        "explained_variance",
+        "Explained variance",
+        "",
+        "Fraction of the returns' variance that the critic predicted.",
+        3,
     ),
     Metric("action_std", "Action std", "", "Standard deviation of the exploration noise, mean of all joints.", 3),
     Metric("entropy", "Entropy", "nat", "Entropy of the policy's action distribution.", 2),

@@ -7,7 +7,6 @@ docs/how-to/own-task.md takes you through it.
 
 from __future__ import annotations
 
-from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -111,7 +110,7 @@ class World:
         return np.asarray(np.arctan2(rotation[:, 1, front], rotation[:, 0, front]))
 
 
-class Task(ABC):
+class Task:
     """A task for n robots.
 
     Subclasses declare the class attributes and override the methods that differ. Whatever a task remembers of each robot
@@ -164,8 +163,9 @@ class Task(ABC):
 
     # one run
 
-    def __init__(self, parameters: Any, world: World) -> None:
+    def __init__(self, parameters: Any, world: World, seed: int = 0) -> None:
         self.parameters = parameters
+        self.seed = seed
         self.world = world
         self.robot = world.robot
         self.n = world.n

@@ -44,13 +44,13 @@ class Environment:
         short: (n,) environments whose episodes are truncated after ``SHORT_EPISODE_STEPS``.
     """
 
-    def __init__(self, simulator: Simulator, task_class: type[Task], parameters: Any) -> None:
+    def __init__(self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0) -> None:
         n = simulator.n
         self.n = n
         self.simulator = simulator
         self.world = World(simulator)
         self.actuation = self.world.actuation
-        self.task = task_class(parameters, self.world)
+        self.task = task_class(parameters, self.world, seed)
         self.observer = Observer(n, self.task.observation_blocks())
         self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
@@ -203,8 +203,17 @@ class Environment:
         self.simulator.close()
 
 
-def open_environment(spec: TrainingSpec, n: int, *, threads: int, standby_servers: bool = False) -> Environment:
+def open_environment(
+    spec: TrainingSpec, n: int, *, threads: int, standby_servers: bool = False, seed: int | None = None
+) -> Environment:
     """Open n environments with the task, robot and simulator of ``spec``, and no starts yet.
+
+    Args:
+        spec: what to run.
+        n: number of robots.
+        threads: threads of an embedded simulator.
+        standby_servers: whether each robot on a server has a second one that prepares its next start.
+        seed: seed of what the task draws; the specification's by default.
 
     Raises:
         ValueError: if this machine cannot run so many robots; the message says what to change.
@@ -216,7 +225,7 @@ def open_environment(spec: TrainingSpec, n: int, *, threads: int, standby_server
     )
     simulator = kind.open(spec.robot_description, n, spec.simulator, options)
     try:
-        return Environment(simulator, spec.task_class, spec.task)
+        return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed)
     except BaseException:
         simulator.close()
         raise
@@ -230,9 +239,7 @@ def open_training_environment(spec: TrainingSpec) -> tuple[Environment, int]:
     """
     runtime = spec.runtime
     n = spec.algorithm.n_envs
-    environment = open_environment(
-        spec, n, threads=runtime.simulator_threads, standby_servers=runtime.standby_servers
-    )
+    environment = open_environment(spec, n, threads=runtime.simulator_threads, standby_servers=runtime.standby_servers)
     try:
         environment.short[: round(spec.task.start_episode_fraction * n)] = True
         starts = environment.task.starts(TRAINING_STARTS, spec.seed, spec.task.start_noise_deg)

@@ -185,8 +185,8 @@ def blocks(world: World, names: Sequence[str]) -> list[ObservationBlock]:
 
 
 def _step(world: World) -> ObservationBlock:
-    """Number of steps of the episode."""
-    return ObservationBlock(("step",), lambda rows: world.steps[rows][:, None])
+    """Return the number of steps of the episode."""
+    return ObservationBlock(("step",), lambda rows: world.steps[rows][:, None].astype(np.float64))
 
 
 def _joints(world: World, prefix: str = "") -> dict[str, tuple[str, ...] | tuple[float, ...]]:
@@ -301,7 +301,7 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
 
 
 def _foot_counters(world: World) -> ObservationBlock:
-    """Steps since the right and the left foot last touched down."""
+    """Return the steps since the right and the left foot last touched down."""
     counters: IntArray = np.zeros((world.n, 2), dtype=np.int64)
     loaded_before: BoolArray = np.zeros((world.n, 2), dtype=np.bool_)
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from naosim.simulator import STEP_S
-from naospec import TaskSettings
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Reference, Result, ResultTable
+from naosprint.tasks.penalties import PenaltySettings, penalties
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +66,14 @@ ARRIVAL_RATE = Metric(
     "arrival_rate", "Arrivals", "%", "Fraction of episodes that reached the finish line.", 1, "higher", "rate", False
 )
 TIME_LIMIT_RATE = Metric(
-    "time_limit_rate", "Time limits", "%", "Fraction of episodes that lasted as long as they can.", 1, None, "rate", False
+    "time_limit_rate",
+    "Time limits",
+    "%",
+    "Fraction of episodes that lasted as long as they can.",
+    1,
+    None,
+    "rate",
+    False,
 )
 TOP_SPEED = Metric(
     "top_speed_mps",
@@ -91,10 +98,23 @@ DEVIATION = Metric(
     live=False,
 )
 LOW_AT_END = Metric(
-    "low_at_end", "Low at the end", "%", "Fraction of episodes with the torso below 0.33 m at the end.", 1, "lower", "rate", False
+    "low_at_end",
+    "Low at the end",
+    "%",
+    "Fraction of episodes with the torso below 0.33 m at the end.",
+    1,
+    "lower",
+    "rate",
+    False,
 )
 FLIGHT = Metric(
-    "flight_share", "Both feet off the ground", "%", "Fraction of the time with both feet off the ground.", 1, None, live=False
+    "flight_share",
+    "Both feet off the ground",
+    "%",
+    "Fraction of the time with both feet off the ground.",
+    1,
+    None,
+    live=False,
 )
 CHALLENGE_SCORE = Metric(
     "run_challenge_score",
@@ -106,7 +126,13 @@ CHALLENGE_SCORE = Metric(
     live=False,
 )
 CHALLENGE_SPEED = Metric(
-    "run_challenge_speed_mps", "Run challenge speed", "m/s", "Speed by the rules of the run challenge.", 2, "higher", live=False
+    "run_challenge_speed_mps",
+    "Run challenge speed",
+    "m/s",
+    "Speed by the rules of the run challenge.",
+    2,
+    "higher",
+    live=False,
 )
 CHALLENGE_FLIGHT = Metric(
     "run_challenge_flight_share",
@@ -118,11 +144,18 @@ CHALLENGE_FLIGHT = Metric(
     live=False,
 )
 CHALLENGE_FALLS = Metric(
-    "run_challenge_fall_rate", "Run challenge falls", "%", "Falls by the rules of the run challenge.", 1, "lower", "rate", False
+    "run_challenge_fall_rate",
+    "Run challenge falls",
+    "%",
+    "Falls by the rules of the run challenge.",
+    1,
+    "lower",
+    "rate",
+    False,
 )
 
 
-class SprintSettings(TaskSettings):
+class SprintSettings(PenaltySettings):
     """Settings of the sprint tasks."""
 
     min_height_m: float | None = Field(
@@ -146,24 +179,6 @@ class SprintSettings(TaskSettings):
         title="Fall penalty",
         description="Reward lost at a fall, as that for this many metres forward.",
         json_schema_extra={"unit": "m"},
-    )
-    torque_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        title="Torque penalty",
-        description="Metres lost per step for motors at their torque limit, times the mean square of the share of it.",
-    )
-    smoothness_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        title="Smoothness penalty",
-        description="Metres lost per step for the mean square change of the action.",
-    )
-    action_penalty: float = Field(
-        default=0.0,
-        ge=0.0,
-        title="Action penalty",
-        description="Metres lost per step for the mean square of the action.",
     )
 
 
@@ -205,8 +220,8 @@ class Sprint(Task):
             )
         return parameters.model_copy(update={"min_height_m": height})
 
-    def __init__(self, parameters: SprintSettings, world: World) -> None:
-        super().__init__(parameters, world)
+    def __init__(self, parameters: SprintSettings, world: World, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
         self._x: FloatArray = np.zeros(self.n)
         self._start_x: FloatArray = np.zeros(self.n)
         self._aside: FloatArray = np.zeros(self.n)  # distance from the line straight ahead of the start, metres
@@ -214,7 +229,7 @@ class Sprint(Task):
         self._forward: FloatArray = np.zeros(self.n)
         self._drift: FloatArray = np.zeros(self.n)
         self._fallen: BoolArray = np.zeros(self.n, dtype=np.bool_)
-        self._min_height = float(parameters.min_height_m)  # type: ignore[arg-type] - resolve has filled it in
+        self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations, and the distance from the line if the robot perceives where it is."""
@@ -237,22 +252,12 @@ class Sprint(Task):
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return forward displacement and the penalties, in metres."""
-        parameters, world = self.parameters, self.world
-
-        def square_change(rows: slice) -> FloatArray:
-            return np.asarray(np.square(world.actions[rows] - world.previous_actions[rows]).mean(axis=1))
-
+        parameters = self.parameters
         return (
             RewardTerm("forward", 1.0, lambda rows: self._forward[rows]),
             RewardTerm("drift", -parameters.drift_penalty, lambda rows: self._drift[rows]),
             RewardTerm("fall", -parameters.fall_penalty_m, lambda rows: self._fallen[rows].astype(np.float64)),
-            RewardTerm("torque", -parameters.torque_penalty, lambda rows: world.torque_share(rows)),
-            RewardTerm("smoothness", -parameters.smoothness_penalty, square_change),
-            RewardTerm(
-                "action",
-                -parameters.action_penalty,
-                lambda rows: np.asarray(np.square(world.actions[rows]).mean(axis=1)),
-            ),
+            *penalties(self.world, parameters),
         )
 
     def begin(self, rows: IntArray) -> None:
@@ -304,7 +309,15 @@ class Sprint(Task):
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
             statistics.rate(ARRIVAL_RATE, episodes.ends["arrived"]),
             statistics.rate(TIME_LIMIT_RATE, steps >= episodes.max_steps),
-            Result(TOP_SPEED, top.value, sd=top.sd, interval=top.interval, low=top.low, high=top.high, episodes=top.episodes),
+            Result(
+                TOP_SPEED,
+                top.value,
+                sd=top.sd,
+                interval=top.interval,
+                low=top.low,
+                high=top.high,
+                episodes=top.episodes,
+            ),
             Result(FASTEST, max((result.high or 0.0 for result in paper), default=None), episodes=top.episodes),
             Result(DEVIATION, float(deviation.mean()), sd=float(deviation.std()), episodes=len(deviation)),
             statistics.rate(LOW_AT_END, low_at_end),
@@ -392,9 +405,7 @@ def _challenge(episodes: Episodes, i: int) -> tuple[float, float, float, float]:
     started = np.flatnonzero((x > CHALLENGE_LINE_M) | late)
     first = int(started[0]) if len(started) else len(x) - 1
     last = min(len(x) - 1, first + round(CHALLENGE_RUN_S / STEP_S))
-    down = (episodes.height[i][: last + 1] < CHALLENGE_FALL_HEIGHT_M) | (
-        episodes.up[i][: last + 1] < CHALLENGE_FALL_UP
-    )
+    down = (episodes.height[i][: last + 1] < CHALLENGE_FALL_HEIGHT_M) | (episodes.up[i][: last + 1] < CHALLENGE_FALL_UP)
     fell = bool(down.any()) or (bool(episodes.ends["fallen"][i]) and last == len(x) - 1)
     if down.any():
         last = max(int(np.flatnonzero(down)[0]), first)

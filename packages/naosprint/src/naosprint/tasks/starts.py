@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint.tasks.randomness import hashed
+
 if TYPE_CHECKING:
     from naosim.robots.actuation import Actuation
 
@@ -36,8 +38,8 @@ def draw_start_poses(actuation: Actuation, count: int, noise_deg: float, seed: i
 def choose_starts(seed: int, count: int, environments: IntArray, episodes: IntArray) -> IntArray:
     """Choose a start for each of some environments.
 
-    The choice is a hash of seed, environment and episode number (the finalizer of splitmix64), so there is no generator
-    state to keep, and an environment's starts do not depend on when the others fall.
+    The choice is a hash of seed, environment and episode number, so there is no generator state to keep, and an
+    environment's starts do not depend on when the others fall.
 
     Args:
         seed: any seed.
@@ -48,11 +50,4 @@ def choose_starts(seed: int, count: int, environments: IntArray, episodes: IntAr
     Returns:
         (k,) indices in [0, count).
     """
-    with np.errstate(over="ignore"):
-        key = np.full(len(environments), seed, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-        key = key + environments.astype(np.uint64) * np.uint64(0xD1B54A32D192ED03)
-        key = key + episodes.astype(np.uint64) * np.uint64(0x8CB92BA72F3D8DD7)
-        key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        key = key ^ (key >> np.uint64(31))
-    return (key % np.uint64(count)).astype(np.int64)
+    return (hashed(seed, environments, episodes) % np.uint64(count)).astype(np.int64)
