@@ -51,6 +51,7 @@ docs: $(INSTALLED)  ## the documentation's site, in build/site
 bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/naosim bench
 	$(BIN)/python benchmarks/engine/run.py
+	$(BIN)/python benchmarks/engine/run_mujoco.py
 
 sanitize: $(INSTALLED)  ## the engine's tests under AddressSanitizer and UBSan (some minutes)
 	packages/naosim/sanitize.sh

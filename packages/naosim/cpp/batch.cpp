@@ -7,56 +7,6 @@
 
 namespace naosim {
 
-ThreadPool::ThreadPool(int threads) {
-  for (int k = 1; k < threads; ++k) helpers_.emplace_back([this] { help(); });
-}
-
-ThreadPool::~ThreadPool() {
-  {
-    std::lock_guard<std::mutex> lock(mutex_);
-    stop_ = true;
-  }
-  start_.notify_all();
-  for (auto& helper : helpers_) helper.join();
-}
-
-void ThreadPool::work() {
-  for (int k = next_.fetch_add(1); k < count_; k = next_.fetch_add(1)) (*job_)(k);
-}
-
-void ThreadPool::help() {
-  std::uint64_t seen = 0;
-  std::unique_lock<std::mutex> lock(mutex_);
-  for (;;) {
-    start_.wait(lock, [&] { return stop_ || round_ != seen; });
-    if (stop_) return;
-    seen = round_;
-    lock.unlock();
-    work();
-    lock.lock();
-    if (--busy_ == 0) done_.notify_one();
-  }
-}
-
-void ThreadPool::run(int count, const std::function<void(int)>& job) {
-  if (helpers_.empty() || count < 2) {
-    for (int k = 0; k < count; ++k) job(k);
-    return;
-  }
-  {
-    std::lock_guard<std::mutex> lock(mutex_);
-    job_ = &job;
-    count_ = count;
-    next_ = 0;
-    busy_ = static_cast<int>(helpers_.size());
-    ++round_;
-  }
-  start_.notify_all();
-  work();
-  std::unique_lock<std::mutex> lock(mutex_);
-  done_.wait(lock, [&] { return busy_ == 0; });
-}
-
 Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, const Kernel& kernel)
     : model_(std::move(model)),
       n_(n),

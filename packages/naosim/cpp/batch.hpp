@@ -1,39 +1,14 @@
 // Many independent environments stepped together in groups that share vector registers; groups spread over threads that stay alive.
 #pragma once
 #include <atomic>
-#include <condition_variable>
-#include <functional>
 #include <memory>
-#include <mutex>
 #include <new>
-#include <thread>
 #include <vector>
 
 #include "group.hpp"
+#include "thread_pool.hpp"
 
 namespace naosim {
-
-// Runs a job for every index with the calling thread and `threads - 1` helpers.
-class ThreadPool {
- public:
-  explicit ThreadPool(int threads);
-  ~ThreadPool();
-  ThreadPool(const ThreadPool&) = delete;
-  ThreadPool& operator=(const ThreadPool&) = delete;
-  void run(int count, const std::function<void(int)>& job);
-
- private:
-  void work();
-  void help();
-  std::vector<std::thread> helpers_;
-  std::mutex mutex_;
-  std::condition_variable start_, done_;
-  const std::function<void(int)>* job_ = nullptr;
-  std::atomic<int> next_{0};
-  int count_ = 0, busy_ = 0;
-  std::uint64_t round_ = 0;
-  bool stop_ = false;
-};
 
 // Arrays of one row per environment, overwritten in place by every step.
 struct Published {

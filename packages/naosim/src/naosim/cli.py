@@ -19,10 +19,38 @@ from naosim.simspark import bench, traces
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    results = [traces.check(path) for path in arguments.traces]
+    from naosim.mujoco import traces as mujoco_traces  # the other commands need no MuJoCo
+
+    results = [(mujoco_traces if mujoco_traces.is_recording(path) else traces).check(path) for path in arguments.traces]
     if arguments.json:
         _print(json.dumps(results, indent=2))
         return 0
+    _print_exact([result for result in results if "exact" in result])
+    _print_close([result for result in results if "exact" not in result])
+    return 0
+
+
+def _print_exact(results: list[dict[str, Any]]) -> None:
+    """Print the results of recordings of rcssservermj."""
+    state_keys = ("qpos", "qvel", "qacc_warmstart", "time")
+    if results:
+        _print(
+            f"{'trace':<18}{'robot':>6}{'cycles':>8}{'state':>11}{'sensors':>11}{'perceptors':>12}{'differs at':>12}"
+        )
+    for r in results:
+        difference, first = r["differences"], r["first_difference"]
+        state = max(difference[key] for key in state_keys)
+        perceptors = max(value for key, value in difference.items() if key not in (*state_keys, "sensordata"))
+        _print(
+            f"{r['trace']:<18}{r['robot']:>6}{r['cycles']:>8}{state:>11.1e}{difference['sensordata']:>11.1e}"
+            f"{perceptors:>12.1e}{'never' if first is None else first:>12}"
+        )
+
+
+def _print_close(results: list[dict[str, Any]]) -> None:
+    """Print the results of recordings of rcssserver3d."""
+    if not results:
+        return
     _print(
         f"{'trace':<18}{'type':>5}{'cycles':>8}{'median m':>11}{'p99 m':>11}{'max m':>11}"
         f"{'perceptors':>12}{'off 1 mm':>10}"
@@ -33,7 +61,6 @@ def _check(arguments: argparse.Namespace) -> int:
             f"{r['trace']:<18}{r['robot_type']:>5}{r['cycles']:>8}{error['median']:>11.1e}{error['p99']:>11.1e}"
             f"{error['max']:>11.1e}{r['perceptors_within_digit']:>12.4%}{'never' if off is None else off:>10}"
         )
-    return 0
 
 
 def _bench(arguments: argparse.Namespace) -> int:
@@ -105,7 +132,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="naosim", description=__doc__)
     parser.add_argument("--version", action="version", version=f"naosim {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
-    check = commands.add_parser("check", help="compare the engine with recordings of a running rcssserver3d")
+    check = commands.add_parser(
+        "check", help="compare the engines with recordings of running servers, rcssserver3d or rcssservermj"
+    )
     check.add_argument("traces", nargs="+", type=Path, metavar="TRACE.npz")
     check.add_argument("--json", action="store_true", help="print a list of results as JSON")
     check.set_defaults(run=_check)

@@ -1,0 +1,102 @@
+"""Measure the MuJoCo loop beside a bare loop over ``mj_step`` in C++, in the same worlds on the same core.
+
+    python benchmarks/engine/run_mujoco.py [--json results.json]
+
+Both loops step 64 robots from the same states with the same commands, in turns, and CPU time of the one thread is
+counted, so that other work on the machine disturbs both alike. The bare loop calls ``mj_step`` four times a cycle and
+does nothing else; the other one sets commands, prints perceptors and reads contact forces besides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from naosim.mujoco.batch import MujocoBatch
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.world import MUJOCO_VERSION
+from naosim.robots.booster import ROBOTS
+from naosim.robots.description import Robot
+from naosim.simulator import Starts
+
+ROBOTS_AT_ONCE = 64
+STEPS = 300
+
+
+def targets_of(robot: Robot, motion: str, step: int) -> np.ndarray:
+    """Return the (n, J) targets of a step: standing, or stepping on the spot."""
+    targets = np.repeat(robot.nominal[None], ROBOTS_AT_ONCE, axis=0)
+    if motion == "trot":
+        phase = np.sin(2 * np.pi * (step / 25 + np.arange(ROBOTS_AT_ONCE) / ROBOTS_AT_ONCE))
+        for side, swing in (("left", np.maximum(phase, 0)), ("right", np.maximum(-phase, 0))):
+            for joint, angle in (("hip_pitch", -0.3), ("knee_pitch", 0.6), ("ankle_pitch", -0.3)):
+                targets[:, robot.joint_names.index(f"{side}_{joint}")] += angle * swing
+    return targets
+
+
+def measure(robot: Robot, motion: str, exact: bool) -> dict[str, Any]:
+    """Return cycles per CPU second of both loops."""
+    simulator = MujocoSimulator(robot, ROBOTS_AT_ONCE, EmbeddedParameters(exact=exact, action_delay=0))
+    simulator.load_starts(Starts(robot.nominal[None]))
+    everyone = np.arange(ROBOTS_AT_ONCE)
+    simulator.start(everyone, np.zeros(ROBOTS_AT_ONCE, dtype=np.int64))
+    bare = MujocoBatch(simulator.world, ROBOTS_AT_ONCE, delay=0)
+    seconds: dict[str, list[float]] = {"loop": [], "bare": []}
+    for step in range(STEPS):
+        # a fallen robot costs more
+        down = everyone[simulator.truth.torso_position[:, 2] < robot.fall_height_m]
+        simulator.start(down, np.zeros(len(down), dtype=np.int64))
+        targets = targets_of(robot, motion, step)
+        for row, state in enumerate(simulator.batch.save()):
+            bare.load(row, state)
+            bare.data[row].ctrl[1::3] = targets[row]
+        turns = [("loop", lambda: simulator.step(targets)), ("bare", lambda: bare.step_bare(1))]
+        for name, turn in turns if step % 2 else reversed(turns):
+            began = time.thread_time()
+            turn()
+            seconds[name].append(time.thread_time() - began)
+    medians = {name: float(np.median(values)) for name, values in seconds.items()}
+    return {
+        "robot": robot.name,
+        "motion": motion,
+        "exact": exact,
+        "loop_cycles_per_s": round(ROBOTS_AT_ONCE / medians["loop"]),
+        "bare_cycles_per_s": round(ROBOTS_AT_ONCE / medians["bare"]),
+        "ratio": round(medians["bare"] / medians["loop"], 4),
+    }
+
+
+def main() -> None:
+    """Measure all robots and motions, print a table, write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results_mujoco.json"))
+    arguments = parser.parse_args()
+    results = []
+    print(f"{'robot':<6}{'motion':<8}{'world':<8}{'loop cycles/s':>14}{'bare cycles/s':>14}{'ratio':>8}")
+    for robot in ROBOTS:
+        for motion in ("stand", "trot"):
+            for exact in (True, False):
+                result = measure(robot, motion, exact)
+                results.append(result)
+                print(
+                    f"{result['robot']:<6}{motion:<8}{'exact' if exact else 'no ball':<8}"
+                    f"{result['loop_cycles_per_s']:>14,}{result['bare_cycles_per_s']:>14,}{result['ratio']:>8.1%}"
+                )
+    document = {
+        "measured": time.strftime("%Y-%m-%d"),
+        "mujoco": MUJOCO_VERSION,
+        "processor": platform.processor() or platform.machine(),
+        "robots_at_once": ROBOTS_AT_ONCE,
+        "results": results,
+    }
+    arguments.json.write_text(json.dumps(document, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

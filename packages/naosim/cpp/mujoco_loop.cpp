@@ -1,0 +1,286 @@
+// Many MuJoCo worlds of one model, stepped together; naosim.mujoco.embedded documents what goes in and out.
+//
+// The library is the one that the Python package has loaded: the addresses of its functions and of the worlds' arrays are handed
+// over, so that neither headers nor a library are needed to build this file.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "thread_pool.hpp"
+
+namespace nb = nanobind;
+
+using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Bytes = nb::ndarray<const std::uint8_t, nb::c_contig, nb::device::cpu>;
+using Addresses = nb::ndarray<const std::uint64_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+namespace {
+
+// mujoco.h of 3.5.0
+using Step = void (*)(const void* model, void* data);
+using SetState = void (*)(const void* model, void* data, const double* state, int signature);
+using GetState = void (*)(const void* model, const void* data, double* state, int signature);
+
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;  // numpy.degrees, to the bit
+constexpr double kRadians = 3.14159265358979323846 / 180.0;  // math.radians, to the bit
+constexpr double kCommandUnits = 1e4;                        // the client sends target angles with four decimals of a degree
+constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
+
+// The library's own handling of a warning is a file in the working directory. Here the world keeps the text.
+thread_local std::string* world_warning = nullptr;
+
+void note_warning(const char* text) {
+  if (world_warning != nullptr)
+    *world_warning = text;
+  else
+    std::fprintf(stderr, "MuJoCo: %s\n", text);
+}
+
+void require(bool holds, const char* what) {
+  if (!holds) throw nb::value_error(what);
+}
+
+template <class T>
+T* pointer(std::uint64_t address) {
+  return reinterpret_cast<T*>(static_cast<std::uintptr_t>(address));
+}
+
+// Where things are in qpos, ctrl and sensordata. Sensors: torso quaternion, position, gyro, accelerometer, J angles, J speeds,
+// force on the left foot, on the right foot. Actuators of joint j: motor 3 j, position 3 j + 1, velocity 3 j + 2.
+struct Layout {
+  int joints, positions, torso, state, signature;
+  int sensors() const { return 13 + 2 * joints + 6; }
+  int foot_forces() const { return 13 + 2 * joints; }
+  int row() const { return state + sensors() + joints; }
+};
+
+struct World {
+  void* data;
+  double *ctrl, *sensordata, *qpos;
+};
+
+class Worlds {
+ public:
+  Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
+         const Addresses& sensordata, const Addresses& qpos, int substeps, int delay, bool truncate, int threads)
+      : step_(pointer_to<Step>(functions["mj_step"])),
+        set_state_(pointer_to<SetState>(functions["mj_setState"])),
+        get_state_(pointer_to<GetState>(functions["mj_getState"])),
+        model_(pointer<const void>(model)),
+        layout_(layout),
+        substeps_(substeps),
+        delay_(delay),
+        truncate_(truncate),
+        pool_(threads) {
+    for (std::size_t k = 0; k < data.size(); ++k)
+      worlds_.push_back({pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
+                         pointer<double>(qpos.data()[k])});
+    const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
+    pending.assign(n * joints, 0.0);
+    joint_angles.assign(n * joints, 0.0);
+    joint_speeds.assign(n * joints, 0.0);
+    torso_quat.assign(n * 4, 0.0);
+    for (auto* triple : {&torso_pos, &gyro, &accel, &position}) triple->assign(n * 3, 0.0);
+    rotation.assign(n * 9, 0.0);
+    foot_frames.assign(n * 2 * static_cast<std::size_t>(substeps), 0.0);
+    diverged.assign(n, 0);
+    warnings.resize(n);
+    *pointer<void (*)(const char*)>(nb::cast<std::uint64_t>(functions["mju_user_warning"])) = note_warning;
+    for (int row = 0; row < size(); ++row) publish(row);
+  }
+
+  int size() const { return static_cast<int>(worlds_.size()); }
+  int substeps() const { return substeps_; }
+  const Layout& layout() const { return layout_; }
+
+  // Step the rows from `first` on with (count, J) target angles, except those that `active` leaves out and those that have diverged.
+  // Without targets the worlds' present commands stay.
+  void step(const double* targets, int first, int count, const std::uint8_t* active) {
+    pool_.run(count, [&](int k) {
+      const int row = first + k;
+      if ((active != nullptr && !active[k]) || diverged[row]) return;
+      const std::size_t joints = static_cast<std::size_t>(layout_.joints);
+      const World& world = worlds_[row];
+      double* waiting = &pending[row * joints];
+      for (std::size_t j = 0; j < joints && targets != nullptr; ++j) {
+        const double target = std::nearbyint(targets[k * joints + j] * kDegrees * kCommandUnits) / kCommandUnits * kRadians;
+        world.ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
+        waiting[j] = target;
+      }
+      world_warning = &warnings[row];
+      for (int s = 0; s < substeps_; ++s) {
+        step_(model_, world.data);
+        note_feet(row, s);
+      }
+      world_warning = nullptr;
+      publish(row);
+    });
+  }
+
+  // One row of a snapshot: integration state, sensordata, pending command.
+  void save(int row, double* out) const {
+    const World& world = worlds_[row];
+    get_state_(model_, world.data, out, layout_.signature);
+    out += layout_.state;
+    std::memcpy(out, world.sensordata, sizeof(double) * layout_.sensors());
+    std::memcpy(out + layout_.sensors(), &pending[static_cast<std::size_t>(row) * layout_.joints], sizeof(double) * layout_.joints);
+  }
+
+  void load(int row, const double* from) {
+    const World& world = worlds_[row];
+    set_state_(model_, world.data, from, layout_.signature);
+    from += layout_.state;
+    std::memcpy(world.sensordata, from, sizeof(double) * layout_.sensors());
+    std::memcpy(&pending[static_cast<std::size_t>(row) * layout_.joints], from + layout_.sensors(), sizeof(double) * layout_.joints);
+    for (int s = 0; s < substeps_; ++s) note_feet(row, s);
+    warnings[row].clear();
+    publish(row);
+  }
+
+  // Nothing but mj_step, for benchmarks.
+  void step_bare(int cycles) {
+    for (int cycle = 0; cycle < cycles; ++cycle)
+      for (const World& world : worlds_)
+        for (int s = 0; s < substeps_; ++s) step_(model_, world.data);
+  }
+
+  std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
+  std::vector<std::uint8_t> diverged;
+  std::vector<std::string> warnings;
+
+ private:
+  template <class T>
+  static T pointer_to(nb::handle address) {
+    return reinterpret_cast<T>(static_cast<std::uintptr_t>(nb::cast<std::uint64_t>(address)));
+  }
+
+  void note_feet(int row, int substep) {
+    const double* forces = worlds_[row].sensordata + layout_.foot_forces();
+    double* frame = &foot_frames[(static_cast<std::size_t>(row) * substeps_ + substep) * 2];
+    frame[0] = forces[2];
+    frame[1] = forces[5];
+  }
+
+  // The server prints torso pose with three decimals and everything else with two, truncated toward zero.
+  void print(const double* from, int count, double unit, double decimals, double* out) const {
+    for (int k = 0; k < count; ++k) {
+      const double value = from[k] * unit;
+      out[k] = truncate_ ? std::trunc(value * decimals) / decimals : value;
+    }
+  }
+
+  void publish(int row) {
+    const std::size_t r = static_cast<std::size_t>(row), joints = static_cast<std::size_t>(layout_.joints);
+    const double* s = worlds_[row].sensordata;
+    print(s, 4, 1.0, 1000.0, &torso_quat[4 * r]);
+    print(s + 4, 3, 1.0, 1000.0, &torso_pos[3 * r]);
+    print(s + 7, 3, kDegrees, 100.0, &gyro[3 * r]);
+    print(s + 10, 3, 1.0, 100.0, &accel[3 * r]);
+    print(s + 13, layout_.joints, kDegrees, 100.0, &joint_angles[joints * r]);
+    print(s + 13 + joints, layout_.joints, kDegrees, 100.0, &joint_speeds[joints * r]);
+    const double* x = worlds_[row].qpos + layout_.torso;
+    const double* q = x + 3;
+    std::memcpy(&position[3 * r], x, 3 * sizeof(double));
+    const double m[9] = {1 - 2 * (q[2] * q[2] + q[3] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]),     2 * (q[1] * q[3] + q[0] * q[2]),
+                         2 * (q[1] * q[2] + q[0] * q[3]),     1 - 2 * (q[1] * q[1] + q[3] * q[3]), 2 * (q[2] * q[3] - q[0] * q[1]),
+                         2 * (q[1] * q[3] - q[0] * q[2]),     2 * (q[2] * q[3] + q[0] * q[1]),     1 - 2 * (q[1] * q[1] + q[2] * q[2])};
+    std::memcpy(&rotation[9 * r], m, sizeof m);
+    double sum = 0.0;
+    for (int k = 0; k < layout_.positions; ++k) sum += worlds_[row].qpos[k];
+    diverged[r] = !std::isfinite(sum) || std::fabs(x[0]) + std::fabs(x[1]) + std::fabs(x[2]) > kFarthest;
+  }
+
+  Step step_;
+  SetState set_state_;
+  GetState get_state_;
+  const void* model_;
+  Layout layout_;
+  int substeps_, delay_;
+  bool truncate_;
+  std::vector<World> worlds_;
+  naosim::ThreadPool pool_;
+};
+
+int row_of(const Worlds& worlds, int row) {
+  require(row >= 0 && row < worlds.size(), "row: out of range");
+  return row;
+}
+
+}  // namespace
+
+NB_MODULE(_mujoco, m) {
+  nb::class_<Worlds>(m, "Worlds")
+      .def("__init__",
+           [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature,
+              const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos, int substeps, int delay,
+              bool truncate, int threads) {
+             require(data.size() >= 1 && ctrl.size() == data.size() && sensordata.size() == data.size() && qpos.size() == data.size(),
+                     "one address a world is needed");
+             require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1, "layout: out of range");
+             require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
+             new (self) Worlds(functions, model, {joints, positions, torso, state, signature}, data, ctrl, sensordata, qpos, substeps, delay,
+                               truncate, threads);
+           }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
+           nb::arg("state"), nb::arg("signature"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
+           nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
+      .def("step",
+           [](Worlds& self, const Doubles& targets, int first, const std::optional<Bytes>& active) {
+             const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;
+             require(targets.size() == count * joints, "targets: wrong shape");
+             require(first >= 0 && first + static_cast<int>(count) <= self.size(), "rows: out of range");
+             require(!active || active->size() == count, "active: one value a row is needed");
+             const std::uint8_t* mask = active ? active->data() : nullptr;
+             const double* data = targets.data();
+             nb::gil_scoped_release release;
+             self.step(data, first, static_cast<int>(count), mask);
+           }, nb::arg("targets"), nb::arg("first"), nb::arg("active").none())
+      .def("step_unchanged",
+           [](Worlds& self) {
+             nb::gil_scoped_release release;
+             self.step(nullptr, 0, self.size(), nullptr);
+           })
+      .def("step_bare",
+           [](Worlds& self, int cycles) {
+             nb::gil_scoped_release release;
+             self.step_bare(cycles);
+           })
+      .def("save",
+           [](const Worlds& self, int row, Output out) {
+             require(out.size() == static_cast<std::size_t>(self.layout().row()), "out: wrong shape");
+             self.save(row_of(self, row), out.data());
+           })
+      .def("load",
+           [](Worlds& self, int row, const Doubles& from) {
+             require(from.size() == static_cast<std::size_t>(self.layout().row()), "state: wrong shape");
+             self.load(row_of(self, row), from.data());
+           })
+      .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
+      .def_prop_ro("row_size", [](const Worlds& self) { return self.layout().row(); })
+      .def("views", [](nb::handle self) {
+        Worlds& w = nb::cast<Worlds&>(self);
+        const std::size_t n = static_cast<std::size_t>(w.size()), joints = static_cast<std::size_t>(w.layout().joints);
+        const auto view = [&](std::vector<double>& data, std::initializer_list<std::size_t> shape) {
+          return nb::ndarray<nb::numpy, double>(data.data(), shape, self);
+        };
+        nb::dict views;
+        views["joint_angles"] = view(w.joint_angles, {n, joints});
+        views["joint_speeds"] = view(w.joint_speeds, {n, joints});
+        views["torso_quat"] = view(w.torso_quat, {n, 4});
+        views["torso_pos"] = view(w.torso_pos, {n, 3});
+        views["gyro"] = view(w.gyro, {n, 3});
+        views["accel"] = view(w.accel, {n, 3});
+        views["position"] = view(w.position, {n, 3});
+        views["rotation"] = view(w.rotation, {n, 3, 3});
+        views["foot_frames"] = view(w.foot_frames, {n, static_cast<std::size_t>(w.substeps()), 2});
+        views["diverged"] = nb::ndarray<nb::numpy, std::uint8_t>(w.diverged.data(), {n}, self);
+        return views;
+      });
+}

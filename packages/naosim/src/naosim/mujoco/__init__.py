@@ -1,0 +1,1 @@
+"""MuJoCo worlds of rcssservermj with Booster robots: in this process, and on servers."""

@@ -1,0 +1,148 @@
+"""Many worlds of one robot, stepped together by the loop in C++."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from naosim.mujoco.world import SUBSTEPS, World, library
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Floats = NDArray[np.float64]
+
+PERCEPTORS = ("joint_angles", "joint_speeds", "torso_quat", "torso_pos", "gyro", "accel")
+
+
+class MujocoBatch:
+    """n worlds of one model.
+
+    Args:
+        world: the world; all share its model.
+        n: number of worlds.
+        delay: steps by which a command is late, 0 or 1.
+        truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
+        threads: threads that step the worlds.
+        ball_position: where the balls lie, metres.
+
+    Attributes:
+        perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
+        position: (n, 3) torso positions in metres, full precision.
+        rotation: (n, 3, 3) rotations from the torso's frame into the world's.
+        foot_frames: (n, 4, 2) upward force of the ground on left and right foot in newtons, every 5 ms of the step.
+        diverged: (n,) worlds whose state is no longer finite; they are not stepped.
+        data: the ``MjData`` of every world.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        n: int,
+        *,
+        delay: int,
+        truncate: bool = True,
+        threads: int = 1,
+        ball_position: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        from naosim.mujoco._mujoco import Worlds
+
+        mujoco = library()
+        self.n = n
+        self.world = world
+        self.data = [world.new_data(ball_position) for _ in range(n)]
+        signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
+        self._worlds = Worlds(
+            functions=_functions(),
+            model=world.model._address,
+            joints=world.joints,
+            positions=world.model.nq,
+            torso=world.torso,
+            state=mujoco.mj_stateSize(world.model, signature),
+            signature=signature,
+            data=_addresses(data._address for data in self.data),
+            ctrl=_addresses(data.ctrl.ctypes.data for data in self.data),
+            sensordata=_addresses(data.sensordata.ctypes.data for data in self.data),
+            qpos=_addresses(data.qpos.ctypes.data for data in self.data),
+            substeps=SUBSTEPS,
+            delay=delay,
+            truncate=truncate,
+            threads=threads,
+        )
+        views = self._worlds.views()
+        self.perceptors: Mapping[str, Floats] = MappingProxyType({name: views[name] for name in PERCEPTORS})
+        self.position: Floats = views["position"]
+        self.rotation: Floats = views["rotation"]
+        self.foot_frames: Floats = views["foot_frames"]
+        self.diverged: NDArray[np.bool_] = views["diverged"].view(np.bool_)
+
+    def step(self, targets_rad: Floats, first: int = 0, active: NDArray[np.bool_] | None = None) -> None:
+        """Step the worlds from ``first`` on with (k, J) target angles; only those of the (k,) mask, if one is given.
+
+        Raises:
+            ValueError: if a shape is wrong.
+        """
+        mask = None if active is None else np.ascontiguousarray(active, dtype=np.bool_).view(np.uint8)
+        self._worlds.step(np.ascontiguousarray(targets_rad, dtype=np.float64), first, mask)
+
+    def step_unchanged(self) -> None:
+        """Step all worlds with the actuators' controls as they are in :attr:`data`."""
+        self._worlds.step_unchanged()
+
+    def step_bare(self, cycles: int) -> None:
+        """Call ``mj_step`` four times a cycle and do nothing else, one world after the other, in this thread."""
+        self._worlds.step_bare(cycles)
+
+    def warning(self, row: int) -> str:
+        """Return the last warning that MuJoCo gave about a world since it was loaded."""
+        return self._worlds.warning(row)
+
+    @property
+    def row_size(self) -> int:
+        """Numbers in the state of a world: integration state, sensor data, and the command that has yet to act."""
+        return self._worlds.row_size
+
+    def save(self) -> Floats:
+        """Return the (n, row_size) states."""
+        out = np.empty((self.n, self.row_size))
+        for row in range(self.n):
+            self._worlds.save(row, out[row])
+        return out
+
+    def load(self, row: int, state: Floats) -> None:
+        """Restore a world from its (row_size,) state."""
+        self._worlds.load(row, state)
+
+    def place(
+        self, row: int, position: tuple[float, float, float], quaternion: Floats, joints: Floats, targets: Floats
+    ) -> None:
+        """Put a robot somewhere at rest, with (J,) joint angles and (J,) target angles as its pending command."""
+        data, world = self.data[row], self.world
+        state = np.empty(self.row_size)
+        data.qpos[world.torso : world.torso + 3] = position
+        data.qpos[world.torso + 3 : world.torso + 7] = quaternion
+        data.qpos[world.torso + 7 :] = joints
+        data.qvel[:] = data.qacc_warmstart[:] = data.ctrl[:] = 0.0
+        data.ctrl[1::3] = targets
+        data.sensordata[:] = 0.0
+        self._worlds.save(row, state)
+        state[-world.joints :] = targets
+        self._worlds.load(row, state)
+
+
+def _addresses(values: Any) -> NDArray[np.uint64]:
+    return np.fromiter(values, dtype=np.uint64)
+
+
+def _functions() -> dict[str, int]:
+    """Return the addresses of what the loop uses of the library that the Python package has loaded."""
+    mujoco = library()
+    loaded = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))  # loaded already
+    names = ("mj_step", "mj_getState", "mj_setState")
+    functions = {name: ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0 for name in names}
+    return functions | {"mju_user_warning": ctypes.addressof(ctypes.c_void_p.in_dll(loaded, "mju_user_warning"))}

@@ -1,0 +1,229 @@
+"""Booster robots in MuJoCo worlds of this process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosim.mujoco.batch import MujocoBatch
+from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.shapes import body_poses
+from naosim.mujoco.world import World, library, world_of
+from naosim.simulator import Simulator, Truth
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+    from naosim.simulator import Bytes, Flags, Floats, Ints, Starts
+
+_EXACT = EmbeddedParameters()
+
+_SETTLED_TOGETHER = 64
+_LOWEST_STANDING = 0.8
+_LEAST_UPRIGHT = 0.866  # cosine of 30 degrees
+_DROP_M = 0.02
+_BALL_ASIDE_M = 15.0
+
+
+class MujocoSimulator(Simulator):
+    """Booster robots in MuJoCo worlds of this process, one world each.
+
+    Starts are simulated once, as on the server: the robot is put down with straight joints and driven into the start's
+    pose for ``settle_steps``; after that they are restored from the state it has reached. A robot whose physics diverge
+    is :attr:`lost` until it is started again.
+
+    Args:
+        robot: a robot of the family ``booster``, with its gains.
+        n: number of robots.
+        parameters: what is computed.
+        threads: threads that step the worlds.
+
+    Raises:
+        naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
+    """
+
+    def __init__(self, robot: Robot, n: int, parameters: EmbeddedParameters = _EXACT, *, threads: int = 1) -> None:
+        super().__init__(robot, n)
+        self.parameters = parameters
+        self.world: World = world_of(robot, ball=parameters.exact)
+        self._threads = threads
+        self.batch = self._new_batch(n)
+        self.perceptors = self.batch.perceptors
+        self.truth = Truth(self.batch.position, self.batch.rotation)
+        self.latency_steps = 1 + parameters.action_delay
+        self._starts: Floats | None = None
+        self._failures = 0
+        self._pending: tuple[Floats, Flags | None] | None = None
+
+    def _new_batch(self, n: int, ball_position: tuple[float, float] = (0.0, 0.0)) -> MujocoBatch:
+        settings = self.parameters
+        return MujocoBatch(
+            self.world,
+            n,
+            delay=settings.action_delay,
+            truncate=settings.truncate,
+            threads=self._threads,
+            ball_position=ball_position,
+        )
+
+    # steps
+
+    def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
+        """Keep the commands of a step, which :meth:`step_wait` takes: there is one group, all robots.
+
+        Raises:
+            ValueError: if the targets have a wrong shape or are not finite.
+        """
+        self.require_open()
+        self.require_group(rows)
+        targets = np.array(targets_rad, dtype=np.float64)
+        if targets.shape != (self.n, self.world.joints):
+            raise ValueError(f"targets_rad: expected shape {(self.n, self.world.joints)}, got {targets.shape}")
+        if not np.isfinite(targets if active is None else targets[active]).all():
+            raise ValueError("targets_rad: expected finite numbers")
+        self._pending = targets, active
+
+    def step_wait(self, rows: slice) -> None:
+        """Take the step that :meth:`step_async` began."""
+        self.require_open()
+        self.require_group(rows)
+        if self._pending is not None:
+            targets, active = self._pending
+            self._pending = None
+            self.batch.step(targets, active=active)
+
+    # starts
+
+    def load_starts(self, starts: Starts) -> None:
+        """Simulate the starts and keep the states of the settled robots.
+
+        Raises:
+            ValueError: if poses are malformed, or a robot does not stand after settling although its start is upright.
+        """
+        self.require_open()
+        poses = np.asarray(starts.poses_rad, dtype=np.float64)
+        if poses.ndim != 2 or poses.shape[1] != self.world.joints or not np.isfinite(poses).all():
+            raise ValueError(f"starts: expected finite poses of shape (k, {self.world.joints}), got {poses.shape}")
+        chunks = [slice(k, min(k + _SETTLED_TOGETHER, len(poses))) for k in range(0, len(poses), _SETTLED_TOGETHER)]
+        orientations = starts.orientations
+        self._starts = np.concatenate(
+            [
+                self._settled(
+                    replace(
+                        starts,
+                        poses_rad=poses[chunk],
+                        orientations=None if orientations is None else orientations[chunk],
+                    )
+                )
+                for chunk in chunks
+            ]
+        )
+
+    def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
+        """Put robots into starts; ``following`` needs no preparation."""
+        del following
+        self.require_open()
+        self.require_starts(starts, 0 if self._starts is None else len(self._starts))
+        assert self._starts is not None
+        self._failures += int(np.count_nonzero(self.batch.diverged[rows]))
+        for row, start in zip(rows.tolist(), starts.tolist(), strict=True):
+            self.batch.load(row, self._starts[start])
+
+    def _settled(self, starts: Starts) -> Floats:
+        """Return the states of robots that have settled in (at most 64) starts."""
+        x, y = starts.position_m
+        aside = -_BALL_ASIDE_M if y > 0.0 else _BALL_ASIDE_M
+        batch = self._new_batch(len(starts), (x, y + aside))
+        half = starts.heading_rad / 2.0
+        upright = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        straight = np.zeros(self.world.joints)
+        for row, pose in enumerate(starts.poses_rad):
+            quaternion, height = upright, float(self.robot.data["beam_height_m"])
+            if starts.orientations is not None:
+                quaternion = starts.orientations[row] / np.linalg.norm(starts.orientations[row])
+                height = self._height_above_ground(quaternion) + _DROP_M
+            batch.place(row, (x, y, height), quaternion, straight, pose)
+        for _ in range(self.parameters.settle_steps):
+            batch.step(starts.poses_rad)
+        if starts.orientations is None:
+            self._require_standing(batch)
+        return batch.save()
+
+    def _require_standing(self, batch: MujocoBatch) -> None:
+        height, upright = batch.position[:, 2], batch.rotation[:, 2, 2]
+        fallen = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
+        if fallen.any():
+            raise ValueError(
+                f"starts: {self.robot.name} does not stand after {self.parameters.settle_steps} steps in "
+                f"{np.count_nonzero(fallen)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
+                "use stiffer ankles (robot.kp.ankle_pitch: 150), less noise in the poses, or fewer "
+                "simulator.settle_steps"
+            )
+
+    def _height_above_ground(self, quaternion: Floats) -> float:
+        """Return the torso height at which a robot with straight joints touches the ground."""
+        mujoco = library()
+        model, data = self.world.model, self.world.new_data()
+        data.qpos[self.world.torso :] = 0.0
+        data.qpos[self.world.torso + 3 : self.world.torso + 7] = quaternion
+        mujoco.mj_kinematics(model, data)
+        boxes = model.geom_aabb[self.world.geoms]  # centre and half lengths, geom frame
+        down = data.geom_xmat[self.world.geoms].reshape(-1, 3, 3)[:, 2]
+        centres = data.geom_xpos[self.world.geoms, 2] + np.einsum("gi,gi->g", down, boxes[:, :3])
+        return float(-np.min(centres - np.einsum("gi,gi->g", np.abs(down), boxes[:, 3:])))
+
+    # what a viewer needs
+
+    def bodies(self) -> Floats:
+        """Return (n, B, 7) poses of ``robot.shapes``."""
+        self.require_open()
+        first = self.world.torso
+        return body_poses(self.world, np.array([data.qpos[first:] for data in self.batch.data]))
+
+    def foot_forces(self) -> Floats:
+        """Return the (n, 2) upward forces on left and right foot in newtons, 5 ms before the end of the step."""
+        forces: Floats = self.batch.foot_frames[:, -1]
+        return forces
+
+    def foot_frames(self) -> Floats:
+        """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""
+        return self.batch.foot_frames
+
+    # worlds can diverge
+
+    @property
+    def lost(self) -> Flags:
+        """(n,) robots whose physics diverged; they stand still until they are started again."""
+        return self.batch.diverged
+
+    @property
+    def failures(self) -> int:
+        """Number of diverged robots that have been started again."""
+        return self._failures
+
+    def loss_reason(self, row: int) -> str:
+        """Return why the physics of the robot ``row`` diverged; empty if they did not."""
+        if not self.batch.diverged[row]:
+            return ""
+        return f"the physics diverged: {self.batch.warning(row) or 'the state is not finite'}"
+
+    # snapshots
+
+    def snapshot(self) -> Bytes:
+        """Return the complete state of every robot as (n, S) bytes."""
+        self.require_open()
+        return self.batch.save().view(np.uint8)
+
+    def restore(self, state: Bytes) -> None:
+        """Return to a snapshot.
+
+        Raises:
+            ValueError: if it is not a snapshot of so many of these robots.
+        """
+        self.require_open()
+        rows = np.ascontiguousarray(state)
+        if rows.dtype != np.uint8 or rows.shape != (self.n, 8 * self.batch.row_size):
+            raise ValueError(f"state: expected bytes of shape {(self.n, 8 * self.batch.row_size)}, got {rows.shape}")
+        for row, values in enumerate(rows.view(np.float64)):
+            self.batch.load(row, values)

@@ -1,0 +1,76 @@
+"""The simulators of the Booster family as specifications name them; MuJoCo is imported when one is opened."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from pydantic import Field
+
+from naosim.robots.booster import FAMILY
+from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+
+_SETTLE_STEPS = Field(
+    default=40,
+    ge=1,
+    le=500,
+    title="Settling time",
+    description="Steps of 20 ms between the beam and the start of an episode; the motors hold the start pose.",
+)
+
+
+class EmbeddedParameters(SimulatorParameters):
+    """Settings of Booster robots in MuJoCo worlds of this process."""
+
+    exact: bool = Field(
+        default=True,
+        title="Exact world",
+        description="Keep the ball, so that every bit is that of the server; without it the loop is a tenth faster.",
+    )
+    truncate: bool = Field(
+        default=True,
+        title="Truncated perceptors",
+        description="Truncate perceptors to the decimals that the server prints.",
+    )
+    action_delay: int = Field(
+        default=1,
+        ge=0,
+        le=1,
+        title="Action delay",
+        description="Steps by which a command acts late; 1 in the server's parallel loop, which competitions use.",
+    )
+    settle_steps: int = _SETTLE_STEPS
+
+
+class EmbeddedKind(SimulatorKind):
+    """Booster robots in MuJoCo worlds of this process."""
+
+    name: ClassVar[str] = "embedded"
+    summary: ClassVar[str] = "The world of rcssservermj in MuJoCo, in this process."
+
+    def supports(self, robot: Robot) -> bool:
+        """Return whether the robot is of the Booster family."""
+        return robot.family == FAMILY
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings."""
+        del robot
+        return EmbeddedParameters
+
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+    ) -> Simulator:
+        """Open the worlds of n robots.
+
+        Raises:
+            naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
+        """
+        from naosim.mujoco.embedded import MujocoSimulator
+
+        assert isinstance(parameters, EmbeddedParameters)
+        return MujocoSimulator(robot, n, parameters, threads=options.threads)
+
+
+EMBEDDED = EmbeddedKind()

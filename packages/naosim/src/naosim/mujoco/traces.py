@@ -1,0 +1,172 @@
+"""Recordings of a running rcssservermj, and how exactly the embedded world repeats them."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from naosim.mujoco.batch import PERCEPTORS, MujocoBatch
+from naosim.mujoco.world import Floats, set_gains, world_of
+from naosim.robots.booster import ROBOTS
+from naosim.robots.description import Robot
+
+_PERCEPTOR_KEYS = dict(
+    zip(PERCEPTORS, ("p_angle", "p_speed", "p_quat", "p_pos", "p_gyro", "p_acc"), strict=True),
+)
+_STATE_KEYS = ("qpos", "qvel", "qacc_warmstart", "sensordata")
+
+
+class TraceError(ValueError):
+    """A recording that cannot be used; the message names the file and the field."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One recording of T cycles of a robot with J joints.
+
+    Attributes:
+        name: the file's name.
+        robot: the recorded robot.
+        command: (T, J, 5) target deg, target speed deg/s, kp, kd, torque N m.
+        beam: (T, 3) x m, y m, theta deg of a beam before the step; NaN if there is none.
+        move: (T, 4) x, y, z m, theta deg of the monitor's move after the step; NaN if there is none.
+        states: (T + 1, ...) ``qpos``, ``qvel``, ``qacc_warmstart``, ``sensordata`` before every step.
+        time: (T + 1,) simulated seconds.
+        perceptors: (T + 1, width) by name.
+    """
+
+    name: str
+    robot: Robot
+    command: Floats
+    beam: Floats
+    move: Floats
+    states: dict[str, Floats]
+    time: Floats
+    perceptors: dict[str, Floats]
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a file is a recording of rcssservermj rather than of rcssserver3d."""
+    try:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return "qacc_warmstart" in archive.files
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return False
+
+
+def load(path: Path) -> Trace:
+    """Read a recording from an ``.npz`` file.
+
+    Raises:
+        TraceError: if the file is missing, damaged or inconsistent.
+    """
+    try:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            data = {key: archive[key] for key in archive.files if not key.startswith("message")}
+    except FileNotFoundError as error:
+        raise TraceError(f"{path}: no such file") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
+    for key in ("meta", "command", "beam", "move", "time", *_STATE_KEYS, *_PERCEPTOR_KEYS.values()):
+        if key not in data:
+            raise TraceError(f"{path}: field {key!r} is missing")
+    try:
+        meta: dict[str, Any] = json.loads(str(data["meta"]))
+        robot = next(robot for robot in ROBOTS if robot.data["model"] == meta["robot"])
+        effectors = list(meta["effectors"])
+    except (ValueError, TypeError, KeyError, StopIteration) as error:
+        raise TraceError(f"{path}: field 'meta' is not usable ({error!r})") from error
+    if effectors != [joint.effector for joint in robot.joints]:
+        raise TraceError(f"{path}: field 'meta.effectors' is not the order of {robot.name}")
+    joints, cycles = len(robot.joints), len(np.atleast_1d(data["command"]))
+    widths = dict.fromkeys(PERCEPTORS[:2], joints) | {"torso_quat": 4, "torso_pos": 3, "gyro": 3, "accel": 3}
+    shapes = {"command": (cycles, joints, 5), "beam": (cycles, 3), "move": (cycles, 4), "time": (cycles + 1,)}
+    shapes |= {"qpos": (cycles + 1, 14 + joints), "sensordata": (cycles + 1, 13 + 2 * joints)}
+    shapes |= {key: (cycles + 1, 12 + joints) for key in ("qvel", "qacc_warmstart")}
+    shapes |= {key: (cycles + 1, widths[name]) for name, key in _PERCEPTOR_KEYS.items()}
+    for key, shape in shapes.items():
+        values = data[key]
+        if values.shape != shape or values.dtype != np.float64:
+            raise TraceError(
+                f"{path}: field {key!r} must be float64 of shape {shape}, not {values.dtype} of {values.shape}"
+            )
+        if key not in ("beam", "move") and not np.isfinite(values).all():
+            raise TraceError(f"{path}: field {key!r} contains values that are not finite")
+    return Trace(
+        Path(path).stem,
+        robot,
+        data["command"],
+        data["beam"],
+        data["move"],
+        {key: data[key] for key in _STATE_KEYS},
+        data["time"],
+        {name: data[key] for name, key in _PERCEPTOR_KEYS.items()},
+    )
+
+
+def check(path: Path) -> dict[str, Any]:
+    """Replay a recording from its first state without looking at the later ones, and compare all of them.
+
+    Returns:
+        ``trace``, ``robot``, ``cycles``, ``differences``: the largest absolute difference of each array, by name;
+        ``exact``: whether all are 0; ``first_difference``: the first cycle after which something differs, or None.
+
+    Raises:
+        TraceError: if the file cannot be used.
+        naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
+    """
+    trace = load(path)
+    batch = MujocoBatch(world_of(trace.robot), 1, delay=0)
+    data, model, first = batch.data[0], batch.world.model, batch.world.torso
+    recorded = len(trace.states["sensordata"][0])
+    data.qpos[:], data.qvel[:] = trace.states["qpos"][0], trace.states["qvel"][0]
+    data.qacc_warmstart[:], data.time = trace.states["qacc_warmstart"][0], trace.time[0]
+    differences = dict.fromkeys((*_STATE_KEYS, "time", *PERCEPTORS), 0.0)
+    first_difference = None
+    for t, command in enumerate(trace.command):
+        if np.isfinite(trace.beam[t]).all():
+            x, y, theta = trace.beam[t].tolist()
+            _place(data, first, (-abs(x), y, float(trace.robot.data["beam_height_m"])), math.radians(theta))
+        angle, speed, kp, kd, torque = command.T
+        set_gains(model, kp, kd)
+        data.ctrl[0::3], data.ctrl[1::3], data.ctrl[2::3] = torque, np.radians(angle), np.radians(speed)
+        batch.step_unchanged()
+        if np.isfinite(trace.move[t]).all():
+            x, y, z, theta = trace.move[t].tolist()
+            _place(data, first, (x, y, z), math.radians(theta))
+        ours = {
+            "qpos": data.qpos,
+            "qvel": data.qvel,
+            "qacc_warmstart": data.qacc_warmstart,
+            "sensordata": data.sensordata[:recorded],
+            "time": np.array([data.time]),
+            **{name: values[0] for name, values in batch.perceptors.items()},
+        }
+        theirs = trace.states | trace.perceptors | {"time": trace.time}
+        for name, values in ours.items():
+            largest = float(np.max(np.abs(values - theirs[name][t + 1])))
+            differences[name] = max(differences[name], largest if math.isfinite(largest) else math.inf)
+        if first_difference is None and any(differences.values()):
+            first_difference = t
+    return {
+        "trace": trace.name,
+        "robot": trace.robot.name,
+        "cycles": len(trace.command),
+        "differences": differences,
+        "exact": not any(differences.values()),
+        "first_difference": first_difference,
+    }
+
+
+def _place(data: Any, first: int, position: tuple[float, float, float], heading_rad: float) -> None:
+    """Put the robot somewhere as the server does: upright, all joints at 0, at rest."""
+    data.qpos[first : first + 3] = position
+    data.qpos[first + 3 : first + 7] = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
+    data.qpos[first + 7 :] = 0.0
+    data.qvel[max(0, first - 1) :] = 0.0

@@ -1,0 +1,172 @@
+"""The world of rcssservermj with one robot, built from the model files of the package ``rcsssmj``.
+
+The server attaches its robots to a world with a ball, goals, visuals and textures. What cannot touch a lone robot is
+left out here; the ball stays, because it takes part in the same constraint solver as the robot, and without it the last
+bits of the robot's motion differ. The same holds for the order of the bodies, and for the pose in which the robot was
+attached, which enters the weights of the constraints.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+    from naosim.robots.booster import BoosterParameters
+
+Floats = NDArray[np.float64]
+
+MUJOCO_VERSION = "3.5.0"
+RCSSSMJ_VERSION = "0.2.1"
+"""The versions that the league plays with; other versions of MuJoCo compute other bits."""
+
+SUBSTEPS = 4
+"""Physics steps of 5 ms in a step of 20 ms."""
+
+UNIFORM_NUMBER = 2
+"""Number with which the robot enters the field; it decides where it was attached."""
+
+_FIELD_HALF_WIDTH_M, _FIELD_BORDER_M = 18.0, 3.0
+
+FEET = ("left_foot_link", "right_foot_link")
+"""Bodies that touch the ground while the robot runs."""
+
+_PREFIX = "robot-"
+
+
+class MujocoUnavailableError(FileNotFoundError):
+    """MuJoCo or the league's models are not installed, or in another version."""
+
+
+def library() -> Any:
+    """Import MuJoCo and return it.
+
+    Raises:
+        MujocoUnavailableError: if it or ``rcsssmj`` is missing or has another version.
+    """
+    for package, wanted in (("mujoco", MUJOCO_VERSION), ("rcsssmj", RCSSSMJ_VERSION)):
+        try:
+            found = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found = ""
+        if found != wanted:
+            state = f"{found} is installed" if found else "it is not installed"
+            raise MujocoUnavailableError(
+                f"{package}: version {wanted} is needed, {state}; "
+                f"run 'pip install mujoco=={MUJOCO_VERSION} rcsssmj=={RCSSSMJ_VERSION}'"
+            )
+    import mujoco
+
+    return mujoco
+
+
+@dataclass(frozen=True)
+class World:
+    """A compiled world with one robot.
+
+    Attributes:
+        model: the ``MjModel``, with the robot's gains.
+        joints: number of the robot's joints.
+        torso: where the torso's seven coordinates begin in ``qpos``; the joints follow them. The ball's come before, if
+            there is a ball.
+    """
+
+    model: Any
+    joints: int
+    torso: int
+
+    @property
+    def ball(self) -> bool:
+        """Whether there is a ball."""
+        return self.torso > 0
+
+    def with_gains(self, kp: Floats, kd: Floats) -> World:
+        """Return the world with (J,) motor gains in N m/rad and N m s/rad."""
+        model = copy.copy(self.model)
+        set_gains(model, kp, kd)
+        return World(model, self.joints, self.torso)
+
+    def new_data(self, ball_position: tuple[float, float] = (0.0, 0.0)) -> Any:
+        """Return an ``MjData`` with the robot where it was attached and the ball on the ground."""
+        data = library().MjData(self.model)
+        if self.ball:
+            data.qpos[:2] = ball_position
+        return data
+
+    @cached_property
+    def geoms(self) -> NDArray[np.int64]:
+        """Indices of the robot's colliding geoms."""
+        names = (self.model.body(body).name for body in self.model.geom_bodyid)
+        return np.array([geom for geom, name in enumerate(names) if name.startswith(_PREFIX)], dtype=np.int64)
+
+
+def set_gains(model: Any, kp: Floats, kd: Floats) -> None:
+    """Set (J,) motor gains of a model's position and velocity actuators, as the server does."""
+    model.actuator_gainprm[1::3, 0], model.actuator_biasprm[1::3, 1] = kp, -kp
+    model.actuator_gainprm[2::3, 0], model.actuator_biasprm[2::3, 2] = kd, -kd
+
+
+def gains(robot: Robot) -> tuple[Floats, Floats]:
+    """Return (J,) stiffness in N m/rad and (J,) damping in N m s/rad of a robot's joints."""
+    parameters: BoosterParameters = robot.parameters  # type: ignore[assignment]
+    kp, kd = zip(*(parameters.gains(name) for name in robot.joint_names), strict=True)
+    return np.array(kp), np.array(kd)
+
+
+def world_of(robot: Robot, *, ball: bool = True) -> World:
+    """Return the world of a robot with its gains."""
+    world = compiled(robot.data["model"], ball)
+    return world.with_gains(*gains(robot))
+
+
+@cache
+def compiled(robot: str, ball: bool) -> World:
+    """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process."""
+    mujoco = library()
+    resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
+    world = mujoco.MjSpec.from_file(str(resources / "environments/soccer/world.xml"))
+    spec = mujoco.MjSpec.from_file(str(resources / f"robots/{robot}/robot.xml"))
+    meshes = set()
+    for geom in list(spec.geoms):
+        if not geom.contype and not geom.conaffinity:
+            spec.delete(geom)
+        elif geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            meshes.add(geom.meshname)
+    for mesh in list(spec.meshes):
+        if mesh.name not in meshes:
+            spec.delete(mesh)
+    for geom in world.geoms:
+        geom.material = ""
+    for element in (*world.materials, *world.textures):
+        world.delete(element)
+    if not ball:
+        world.delete(world.body("ball"))
+    torso = spec.body("torso")
+    torso.pos[0] = -(2 * UNIFORM_NUMBER + 1)
+    torso.pos[1] = _FIELD_HALF_WIDTH_M + _FIELD_BORDER_M
+    torso.quat[:] = (math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4))
+    world.worldbody.add_frame().attach_body(torso, _PREFIX, "")
+    for foot in FEET:
+        # last in sensordata: the ground's force on the foot, in the world's axes
+        world.add_sensor(
+            name=foot,
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname="pitch",
+            reftype=mujoco.mjtObj.mjOBJ_BODY,
+            refname=_PREFIX + foot,
+            intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3, 1],
+        )
+    model = world.compile()
+    # a world that diverges stays where it is, for the caller to see, instead of starting anew by itself
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    return World(model, model.nu // 3, 7 if ball else 0)

@@ -1,0 +1,247 @@
+"""Booster robots in MuJoCo worlds of this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.traces import load
+from naosim.mujoco.world import MujocoUnavailableError, library, metadata
+from naosim.robots.booster import K1, T1
+from naosim.robots.description import Robot
+from naosim.simulator import Starts
+
+BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+POSES = np.stack([T1.nominal, T1.nominal + 0.03 * (np.arange(23) % 3 - 1)])
+
+
+def opened(n: int = 2, robot: Robot = T1, threads: int = 1, **settings: object) -> MujocoSimulator:
+    simulator = MujocoSimulator(robot, n, EmbeddedParameters.model_validate(settings), threads=threads)
+    simulator.load_starts(Starts(POSES if robot is T1 else robot.nominal[None], (-14.0, 0.0)))
+    simulator.start(np.arange(n), np.arange(n) % (2 if robot is T1 else 1))
+    return simulator
+
+
+def flailing(robot: Robot, n: int, steps: int) -> list[np.ndarray]:
+    """Return targets that make the robots fall."""
+    rng = np.random.default_rng(5)
+    return [robot.nominal + rng.uniform(-0.75, 0.75, (n, len(robot.joints))) for _ in range(steps)]
+
+
+@BOTH
+def test_the_robot_stands_ten_seconds_without_a_policy(robot: Robot) -> None:
+    simulator = MujocoSimulator(robot, 1)
+    simulator.load_starts(Starts(robot.nominal[None]))
+    simulator.start(np.array([0]), np.array([0]))
+    for _ in range(500):
+        simulator.step(robot.nominal[None])
+    assert simulator.truth.torso_position[0, 2] > 0.9 * robot.standing_height_m
+    assert simulator.truth.torso_rotation[0, 2, 2] > 0.99
+    weight = 9.81 * (simulator.world.model.body_mass.sum() - 0.41)
+    assert simulator.foot_forces().sum() == pytest.approx(weight, rel=0.01)
+
+
+def test_the_loop_computes_what_mujoco_in_python_computes() -> None:
+    """The delay, the four decimals of a command and the truncation are all that the loop adds."""
+    mujoco = library()
+    simulator = opened(1)
+    data = mujoco.MjData(simulator.world.model)
+    signature = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.empty(mujoco.mj_stateSize(simulator.world.model, signature))
+    mujoco.mj_getState(simulator.world.model, simulator.batch.data[0], state, signature)
+    mujoco.mj_setState(simulator.world.model, data, state, signature)
+    late = POSES[:1]
+    for targets in flailing(T1, 1, 30):
+        simulator.step(targets)
+        data.ctrl[1::3] = np.radians([round(float(angle), 4) for angle in np.degrees(late[0])])
+        late = targets
+        mujoco.mj_step(simulator.world.model, data, 4)
+        assert np.array_equal(simulator.batch.data[0].qpos, data.qpos)
+        sensed = simulator.perceptors
+        assert np.array_equal(sensed["torso_quat"][0], np.trunc(data.sensordata[:4] * 1000) / 1000.0)
+        assert np.array_equal(sensed["gyro"][0], np.trunc(np.degrees(data.sensordata[7:10]) * 100) / 100.0)
+        assert np.array_equal(sensed["joint_angles"][0], np.trunc(np.degrees(data.sensordata[13:36]) * 100) / 100.0)
+        assert np.array_equal(simulator.truth.torso_position[0], data.qpos[7:10])
+        # the sensor of position is 5 ms old, the truth is not
+        assert not np.array_equal(data.sensordata[4:7], data.qpos[7:10])
+
+
+@BOTH
+def test_threads_and_neighbours_do_not_change_a_bit(robot: Robot) -> None:
+    one, three = opened(1, robot), opened(3, robot, threads=2)
+    for targets in flailing(robot, 3, 25):
+        one.step(targets[:1])
+        three.step(targets)
+    assert np.array_equal(one.snapshot()[0], three.snapshot()[0])
+
+
+def test_a_command_acts_one_step_late_unless_told_otherwise() -> None:
+    for delay in (0, 1):
+        simulator = opened(2, action_delay=delay)
+        simulator.start(np.arange(2), np.zeros(2, dtype=np.int64))
+        targets = np.stack([T1.nominal, T1.nominal + 0.1])
+        differs = []
+        for _ in range(3):
+            simulator.step(targets)
+            differs.append(not np.array_equal(*simulator.perceptors["joint_angles"]))
+        assert differs == [not delay, True, True]
+        assert simulator.latency_steps == 1 + delay
+
+
+def test_without_the_ball_a_robot_on_its_feet_moves_the_same_to_many_digits() -> None:
+    """What ``exact`` changes: rounding of the solver, not the physics."""
+    exact, fast = opened(1), opened(1, exact=False)
+    assert fast.world.model.nv == exact.world.model.nv - 6
+    angle = 0.05 * np.sin(np.arange(100) / 8)
+    for offset in angle:
+        for simulator in (exact, fast):
+            simulator.step((T1.nominal + offset * (np.array(T1.nominal) != 0))[None])
+    difference = np.abs(exact.truth.torso_position - fast.truth.torso_position).max()
+    assert difference < 1e-10
+    assert not np.array_equal(exact.batch.data[0].qpos[7:], fast.batch.data[0].qpos)
+    for name, values in exact.perceptors.items():
+        assert np.abs(values - fast.perceptors[name]).max() <= 0.01, name
+
+
+def test_perceptors_without_truncation_have_all_digits() -> None:
+    cut, full = opened(1), opened(1, truncate=False)
+    for name, values in full.perceptors.items():
+        step = 0.001 if name in ("torso_quat", "torso_pos") else 0.01
+        difference = values - cut.perceptors[name]
+        assert (np.abs(difference) < step).all() and (difference * values >= 0).all() and difference.any(), name
+
+
+def test_robots_start_lying_where_the_caller_says() -> None:
+    simulator = MujocoSimulator(T1, 3)
+    half = np.sqrt(0.5)
+    lying = np.array(
+        [[half, 0.0, half, 0.0], [half, 0.0, -half, 0.0], [half, half, 0.0, 0.0]]
+    )  # prone, supine, on a side
+    simulator.load_starts(Starts(np.repeat(T1.nominal[None], 3, axis=0), (1.0, 2.0), 0.0, lying))
+    simulator.start(np.arange(3), np.arange(3))
+    assert (simulator.truth.torso_position[:, 2] < 0.25).all()
+    assert np.abs(simulator.truth.torso_position[:, :2] - (1.0, 2.0)).max() < 0.3
+    front = simulator.truth.torso_rotation[:, 2, 0]
+    assert front[0] < -0.9 and front[1] > 0.9 and abs(front[2]) < 0.5
+    speeds = simulator.perceptors["joint_speeds"]
+    assert np.abs(speeds).max() < 60.0 and not simulator.lost.any()
+
+
+def test_a_pose_in_which_the_robot_falls_is_refused_with_its_remedy() -> None:
+    simulator = MujocoSimulator(T1, 1)
+    leaning = T1.nominal.copy()
+    leaning[T1.joint_names.index("left_hip_pitch")] = leaning[T1.joint_names.index("right_hip_pitch")] = -1.2
+    with pytest.raises(ValueError, match="t1 does not stand after 40 steps in 1 of 1 start poses"):
+        simulator.load_starts(Starts(leaning[None]))
+    loose = MujocoSimulator(T1.with_parameters({"kp": {"legs": 5}}), 1)
+    with pytest.raises(ValueError, match="stiffer ankles"):
+        loose.load_starts(Starts(T1.nominal[None]))
+
+
+def test_a_robot_whose_physics_diverge_is_lost_until_it_starts_again() -> None:
+    simulator = opened(2)
+    before = simulator.snapshot()[1]
+    simulator.batch.data[0].qvel[10] = 1e12
+    targets = np.repeat(T1.nominal[None], 2, axis=0)
+    simulator.step(targets)
+    assert simulator.lost.tolist() == [True, False]
+    assert "the physics diverged" in simulator.loss_reason(0) and simulator.loss_reason(1) == ""
+    stuck = simulator.snapshot()[0]
+    simulator.step(targets)
+    assert np.array_equal(simulator.snapshot()[0], stuck) and not np.array_equal(simulator.snapshot()[1], before)
+    simulator.start(np.array([0]), np.array([1]))
+    assert not simulator.lost.any() and simulator.failures == 1
+    assert np.array_equal(simulator.snapshot()[0], before)
+
+
+def test_malformed_commands_are_refused() -> None:
+    simulator = opened(2)
+    state = simulator.snapshot()
+    for targets in (np.zeros((2, 22)), np.full((2, 23), np.nan), np.zeros((1, 23))):
+        with pytest.raises(ValueError, match="targets_rad"):
+            simulator.step(targets)
+    halfway = np.stack([np.full(23, np.inf), T1.nominal])
+    simulator.step(halfway, np.array([False, True]))
+    assert np.array_equal(simulator.snapshot()[0], state[0])
+    with pytest.raises(ValueError, match="state: expected bytes"):
+        simulator.restore(state[:1])
+
+
+def test_foot_frames_are_the_contacts_of_every_substep() -> None:
+    mujoco = library()
+    simulator = opened(1)
+    model, data = simulator.world.model, simulator.batch.data[0]
+    feet = [
+        next(g for g in simulator.world.geoms if name in model.body(model.geom_bodyid[g]).name)
+        for name in ("left_foot", "right_foot")
+    ]
+    pitch = model.geom("pitch").id
+    airborne = 0
+    for targets in flailing(T1, 1, 40):
+        simulator.step(targets)
+        forces = np.zeros(2)
+        for index in range(data.ncon):
+            pair = set(data.contact[index].geom.tolist())
+            for side, foot in enumerate(feet):
+                if pair == {pitch, foot}:
+                    force = np.zeros(6)
+                    mujoco.mj_contactForce(model, data, index, force)
+                    forces[side] += force[0]
+        assert simulator.foot_forces()[0] == pytest.approx(forces, abs=1e-9)
+        assert np.array_equal(simulator.foot_frames()[0, -1], simulator.foot_forces()[0])
+        airborne += int((simulator.foot_frames()[0] == 0.0).all(axis=1).sum())
+    assert airborne > 0
+
+
+def test_poses_of_bodies_are_those_of_the_current_state() -> None:
+    mujoco = library()
+    simulator = opened(2)
+    for targets in flailing(T1, 2, 10):
+        simulator.step(targets)
+    poses = simulator.bodies()
+    torso = next(k for k, shape in enumerate(T1.shapes) if shape.name == "torso")
+    offset = np.array((0.06, 0.0, 0.12))  # of the torso's box in its body
+    expected = simulator.truth.torso_position + simulator.truth.torso_rotation @ offset
+    assert poses[:, torso, :3] == pytest.approx(expected, abs=1e-12)
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, poses[0, torso, 3:])
+    assert matrix.reshape(3, 3) == pytest.approx(simulator.truth.torso_rotation[0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("package", "version", "message"),
+    [
+        ("mujoco", "3.4.0", "mujoco: version 3.5.0 is needed, 3.4.0 is installed; run 'pip install mujoco==3.5.0"),
+        ("rcsssmj", None, "rcsssmj: version 0.2.1 is needed, it is not installed"),
+    ],
+)
+def test_a_missing_or_other_mujoco_is_named_with_its_remedy(
+    monkeypatch: pytest.MonkeyPatch, package: str, version: str | None, message: str
+) -> None:
+    installed = metadata.version
+
+    def pretended(name: str) -> str:
+        if name == package and version is None:
+            raise metadata.PackageNotFoundError(name)
+        return str(version) if name == package else installed(name)
+
+    monkeypatch.setattr(metadata, "version", pretended)
+    with pytest.raises(MujocoUnavailableError, match=message):
+        MujocoSimulator(T1, 1)
+
+
+def test_the_recordings_start_is_reached_by_the_simulators_own_start() -> None:
+    """A robot that is held in the recorded pose ends where the recorded one stood."""
+    trace = load(Path(__file__).parent / "traces" / "k1-smooth.npz")
+    held = np.radians(trace.command[0, :, 0])
+    gains = {name: float(gain) for name, gain in zip(K1.joint_names, trace.command[0, :, 2], strict=True)}
+    damping = {name: float(gain) for name, gain in zip(K1.joint_names, trace.command[0, :, 3], strict=True)}
+    robot = K1.with_parameters({"kp": gains, "kd": damping})
+    simulator = MujocoSimulator(robot, 1, EmbeddedParameters(settle_steps=75))
+    simulator.load_starts(Starts(held[None], (-10.0, 0.0)))
+    simulator.start(np.array([0]), np.array([0]))
+    assert np.abs(simulator.perceptors["joint_angles"] - trace.perceptors["joint_angles"][0]).max() < 3.0  # it rocks
+    assert np.abs(simulator.truth.torso_position[0] - trace.states["qpos"][0, 7:10]).max() < 0.03

@@ -1,0 +1,184 @@
+"""The descriptions of T1 and K1 agree with the installed models, and their mirror convention with the physics."""
+
+from __future__ import annotations
+
+import copy
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.mujoco.world import World, library, world_of
+from naosim.robots import Robot
+from naosim.robots.actuation import Actuation
+from naosim.robots.booster import K1, T1
+from pydantic import ValidationError
+
+BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+
+
+@BOTH
+def test_every_number_is_the_models(robot: Robot) -> None:
+    world = world_of(robot)
+    model = world.model
+    assert len(robot.joints) == world.joints == model.njnt - 2
+    for index, joint in enumerate(robot.joints):
+        theirs = model.joint(index + 2)
+        name = theirs.name.split("-", 1)[1].removeprefix("AA").lower()
+        assert name in (joint.name, "a" + joint.name)
+        for kind, actuator in enumerate(("tau", "pos", "vel")):
+            assert model.actuator(3 * index + kind).name.endswith(f"-{joint.effector}_{actuator}")
+            assert model.actuator_trnid[3 * index + kind, 0] == index + 2
+        assert tuple(theirs.range) == (joint.low_rad, joint.high_rad)
+        assert tuple(model.jnt_actfrcrange[index + 2]) == (-joint.max_torque, joint.max_torque)
+        about_y = bool(theirs.axis[1] == 1.0)
+        assert (joint.mirror_sign == -1.0) == (joint.side == "centre" and not about_y)
+        assert (joint.sign == -1.0) == (joint.side == "right" and not about_y)
+        assert joint.low_rad <= robot.nominal[index] <= joint.high_rad
+    assert model.qpos0[world.torso + 2] == robot.data["beam_height_m"]
+    kp, kd = model.actuator_gainprm[1::3, 0], model.actuator_gainprm[2::3, 0]
+    assert [(p, d) for p, d in zip(kp, kd, strict=True)] == [robot.parameters.gains(n) for n in robot.joint_names]  # type: ignore[attr-defined]
+
+
+@BOTH
+def test_standing_height_is_that_of_straight_legs(robot: Robot) -> None:
+    mujoco = library()
+    world = world_of(robot)
+    data = world.new_data()
+    data.qpos[world.torso :] = 0.0
+    data.qpos[world.torso + 3] = 1.0
+    mujoco.mj_kinematics(world.model, data)
+    boxes = [geom for geom in world.geoms if "foot" in world.model.body(world.model.geom_bodyid[geom]).name]
+    assert len(boxes) == 2
+    soles = data.geom_xpos[boxes, 2] - world.model.geom_size[boxes, 2]
+    assert soles == pytest.approx(-robot.standing_height_m, abs=2e-4)
+    assert robot.fall_height_m < robot.erect_height_m < robot.standing_height_m
+
+
+@BOTH
+def test_shapes_are_drawn_on_the_side_where_they_are(robot: Robot) -> None:
+    mujoco = library()
+    world = world_of(robot)
+    data = world.new_data()
+    data.qpos[world.torso :] = 0.0
+    data.qpos[world.torso + 3] = 1.0
+    mujoco.mj_kinematics(world.model, data)
+    assert len(robot.shapes) == len(world.geoms)
+    for shape, geom in zip(robot.shapes, world.geoms, strict=True):
+        expected = {"left": 1, "right": -1, "centre": 0}[shape.side]
+        assert np.sign(round(float(data.geom_xpos[geom, 1]), 2)) == expected, shape
+        assert all(length >= 0.0 for length in shape.size_m) and shape.size_m[0] > 0.0
+
+
+def test_robots_are_listed_without_mujoco() -> None:
+    program = (
+        "import sys; from naosim import kinds, robots; t1 = robots.get('t1');"
+        "parameters = kinds.get('embedded').parameters(t1)(); t1.with_parameters({'kp': {'legs': 100}});"
+        "assert 'mujoco' not in sys.modules and 'naosim.mujoco._mujoco' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+    assert {"t1", "k1"} <= set(robots.names())
+
+
+def test_gains_by_group_kind_and_joint() -> None:
+    changed = T1.with_parameters({"kp": {"legs": 200, "hip_yaw": 90, "left_hip_yaw": 95}, "kd": {"arms": 1}})
+    gains = {name: changed.parameters.gains(name) for name in T1.joint_names}  # type: ignore[attr-defined]
+    assert gains["right_ankle_roll"][0] == 200.0
+    assert (gains["left_hip_yaw"][0], gains["right_hip_yaw"][0]) == (95.0, 90.0)
+    assert gains["left_elbow_yaw"] == (T1.parameters.gains("left_elbow_yaw")[0], 1.0)  # type: ignore[attr-defined]
+    dumped = changed.parameters.model_dump(mode="json")
+    assert set(dumped["kp"]) == {*T1.parameters.model_dump()["kp"], "left_hip_yaw"}
+    assert T1.with_parameters(dumped).parameters == changed.parameters
+    with pytest.raises(ValidationError, match="there is no joint 'hip'"):
+        T1.with_parameters({"kp": {"hip": 1}})
+    with pytest.raises(ValidationError, match="there is no joint 'waist'"):
+        K1.with_parameters({"kp": {"waist": 1}})
+    with pytest.raises(ValidationError, match="knee_pitch must be from 0 to 2000"):
+        T1.with_parameters({"kp": {"knee_pitch": -1}})
+
+
+def test_an_action_of_one_is_three_quarters_of_a_radian() -> None:
+    actuation = Actuation(T1)
+    assert actuation.n_actions == 21 and "head_yaw" not in actuation.names
+    ones = actuation.targets(np.ones((1, 21)))[0]
+    for name, sign in (("left_hip_roll", 1.0), ("right_hip_roll", -1.0)):
+        assert ones[T1.joint_names.index(name)] == sign * 0.75
+
+
+class Mirror:
+    """Reflection of a robot's state at the plane y = 0."""
+
+    def __init__(self, robot: Robot, world: World) -> None:
+        self.first = world.torso
+        self.partner = [robot.joint_names.index(joint.mirror) for joint in robot.joints]
+        # angle of a joint = mirror_sign * sign * sign of the partner * angle of the partner
+        self.sign = np.array(
+            [
+                joint.mirror_sign * joint.sign * robot.joints[k].sign
+                for joint, k in zip(robot.joints, self.partner, strict=True)
+            ]
+        )
+
+    def joints(self, values: np.ndarray) -> np.ndarray:
+        return values[self.partner] * self.sign
+
+    def state(self, data: Any) -> tuple[np.ndarray, np.ndarray]:
+        position, velocity = data.qpos.copy(), data.qvel.copy()
+        for start, flat in ((0, position[: self.first]), (self.first, position[self.first : self.first + 7])):
+            position[start : start + len(flat)] = flat * [1, -1, 1, 1, -1, 1, -1][: len(flat)]
+        for start in (0, 6):
+            velocity[start : start + 6] *= [1, -1, 1, -1, 1, -1]
+        position[self.first + 7 :] = self.joints(position[self.first + 7 :])
+        velocity[12:] = self.joints(velocity[12:])
+        return position, velocity
+
+
+def mirrored_bodies(model: Any) -> Any:
+    """Return the model with each body's inertia taken from its mirror image: real robots are not quite symmetric."""
+    mirrored = copy.copy(model)
+
+    def other(name: str) -> str:
+        for left, right in (("left", "right"), ("Left", "Right"), ("AL", "AR")):
+            if left in name:
+                return name.replace(left, right)
+            if right in name:
+                return name.replace(right, left)
+        return name
+
+    for body in range(model.nbody):
+        name = model.body(body).name
+        source = model.body(other(name)).id
+        mirrored.body_mass[body] = model.body_mass[source]
+        mirrored.body_inertia[body] = model.body_inertia[source]
+        mirrored.body_ipos[body] = model.body_ipos[source] * [1, -1, 1]
+        mirrored.body_iquat[body] = model.body_iquat[source] * [1, -1, 1, -1]
+    library().mj_setConst(mirrored, library().MjData(mirrored))
+    return mirrored
+
+
+@BOTH
+def test_a_mirrored_robot_moves_as_its_mirror_image(robot: Robot) -> None:
+    mujoco = library()
+    world = world_of(robot)
+    mirror = Mirror(robot, world)
+    rng = np.random.default_rng(3)
+    ours = world.new_data((3.0, 4.0))
+    ours.qpos[world.torso : world.torso + 7] = (0.0, 0.4, robot.standing_height_m + 0.02, 1, 0.01, 0.02, 0.1)
+    ours.qpos[world.torso + 7 :] = robot.nominal + rng.uniform(-0.05, 0.05, world.joints)
+    ours.qvel[6:] = rng.uniform(-0.1, 0.1, world.joints + 6)
+    image_model = mirrored_bodies(world.model)
+    image = mujoco.MjData(image_model)
+    image.qpos[:], image.qvel[:] = mirror.state(ours)
+    touched = False
+    for _ in range(15):
+        target = robot.nominal + rng.uniform(-0.2, 0.2, world.joints)
+        ours.ctrl[1::3], image.ctrl[1::3] = target, mirror.joints(target)
+        mujoco.mj_step(world.model, ours, 4)
+        mujoco.mj_step(image_model, image, 4)
+        touched |= bool((ours.sensordata[-6:] != 0.0).any())
+        expected_position, expected_velocity = mirror.state(ours)
+        assert np.abs(image.qpos - expected_position).max() < 1e-9
+        assert np.abs(image.qvel - expected_velocity).max() < 1e-9
+    assert touched
