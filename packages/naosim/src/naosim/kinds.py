@@ -52,7 +52,9 @@ class _FamilyKind(SimulatorKind):
 
     def supports(self, robot: Robot) -> bool:
         """Return whether the robot's family has a simulator of this kind."""
-        return robot.family in FAMILIES and self._of(robot).supports(robot)
+        if robot.family not in FAMILIES or not hasattr(import_module(FAMILIES[robot.family]), self._attribute):
+            return False
+        return self._of(robot).supports(robot)
 
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings that the family's simulator takes."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,10 @@ class ServerLostError(RuntimeError):
 
 class SimulatorParameters(Section):
     """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
+
+    def for_evaluation(self) -> Self:
+        """Return the settings with which policies that were trained with these are evaluated."""
+        return self
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,11 +36,31 @@ MOVED = {
     **{
         name: f"algorithm.{name}"
         for name in (
-            "n_envs n_steps batch_size n_epochs learning_rate learning_rate_schedule clip_range target_kl "
-            "target_kl_final gamma final_gamma gamma_steps gae_lambda entropy_coefficient value_coefficient "
-            "max_grad_norm adam_epsilon hidden_sizes symmetric_policy initial_log_std final_log_std log_std_steps "
-            "observation_clip bootstrap_at_end"
-        ).split()
+            "n_envs",
+            "n_steps",
+            "batch_size",
+            "n_epochs",
+            "learning_rate",
+            "learning_rate_schedule",
+            "clip_range",
+            "target_kl",
+            "target_kl_final",
+            "gamma",
+            "final_gamma",
+            "gamma_steps",
+            "gae_lambda",
+            "entropy_coefficient",
+            "value_coefficient",
+            "max_grad_norm",
+            "adam_epsilon",
+            "hidden_sizes",
+            "symmetric_policy",
+            "initial_log_std",
+            "final_log_std",
+            "log_std_steps",
+            "observation_clip",
+            "bootstrap_at_end",
+        )
     },
 }
 """Fields of the flat form of version 0.1, and where each is now."""

@@ -87,6 +87,7 @@ class PluginSection:
         self.group = group
 
     def validate(self, value: Any, info: ValidationInfo) -> Any:
+        """Return the section that a name or mapping stands for."""
         if isinstance(value, Section):
             return value
         value = as_mapping(value)
@@ -110,7 +111,7 @@ class PluginSection:
                 possible = [n for n in plugins.names(self.group) if plugins.load(self.group, n).supports(robot)]
                 raise PydanticCustomError(
                     "simulator_robot",
-                    "{name!r} cannot run robot {robot!r}: choose one of {names}",
+                    "'{name}' cannot run robot '{robot}': choose one of {names}",
                     {"name": name, "robot": robot.name, "names": ", ".join(possible)},
                 )
         return section_models(self.group, name, robot).model_validate(dict(value))

@@ -258,7 +258,7 @@ class TrainingSpec(_Specification):
         if self.task.version != task.version:
             raise PydanticCustomError(
                 "task_version",
-                "task.version: the specification is for version {wanted} of task {name!r}, installed is version "
+                "task.version: the specification is for version {wanted} of task '{name}', installed is version "
                 "{installed}",
                 {"wanted": self.task.version, "name": self.task.name, "installed": task.version},
             )
@@ -437,7 +437,9 @@ class EvaluationSpec(_Specification):
             content["task"] = self.task.model_dump(exclude_none=True)
         if self.start_noise_deg is not None:
             content["task"] = {**content["task"], "start_noise_deg": self.start_noise_deg}
-        if self.simulator is not None and self.simulator != trained.simulator.name:
+        if self.simulator is None or self.simulator == trained.simulator.name:
+            content["simulator"] = trained.simulator.for_evaluation().model_dump()
+        else:
             content["simulator"] = {"name": self.simulator}
         return TrainingSpec.model_validate(content)
 

@@ -1,4 +1,4 @@
-"""Jobs that are known to work, as YAML files beside this module; each holds what ``POST /jobs`` takes, and a summary."""
+"""Jobs that are known to work, as YAML files beside this module: what ``POST /jobs`` takes, and a summary."""
 
 from __future__ import annotations
 

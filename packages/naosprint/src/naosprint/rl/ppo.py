@@ -1,9 +1,9 @@
 """Proximal policy optimization (Schulman et al., 2017), to be read from top to bottom.
 
 Networks and optimizer are those of stable-baselines3, and one update is that of its ``PPO.train``
-(tests/unit/naosprint/rl/test_ppo.py). The order of work differs: during a rollout only the actor runs, exploration noise
-is drawn once per rollout, values are computed in one pass at its end, and an update works on tensors without copies to
-and from NumPy.
+(tests/unit/naosprint/rl/test_ppo.py). The order of work differs: during a rollout only the actor runs, exploration
+noise is drawn once per rollout, values are computed in one pass at its end, and an update works on tensors without
+copies to and from NumPy.
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ class PPO(Learner):
             )
 
     def _update_average(self) -> None:
-        """Merge the latest weights into their moving average, a plain mean until it is as long as the decay's memory."""
+        """Merge the latest weights into their moving average, which is a plain mean at first."""
         self._averaged += 1
         share = max(1.0 - self.settings.ema_decay, 1.0 / self._averaged)
         for name, tensor in self.policy.state_dict().items():

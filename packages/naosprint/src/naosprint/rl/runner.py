@@ -94,8 +94,8 @@ def train(
     Raises:
         CheckpointError: if a checkpoint is damaged or does not fit the specification.
         TrainingDivergedError: if a number is no longer finite; the checkpoints so far remain.
-        naosim.simulator.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start; the
-            last complete update is saved.
+        naosim.simulator.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start;
+            the last complete update is saved.
         FileNotFoundError: if the simulator's program is missing.
         ValueError: if the specification is impossible on this machine.
     """
@@ -293,8 +293,8 @@ class _Session:
         stages = f", stage {self.stage + 1} of {len(self.whole.stages)}" if self.whole.stages else ""
         return (
             f"training {spec.task.name}, robot {spec.robot.name}, simulator {spec.simulator.name}, "
-            f"{spec.algorithm.name} with preset {spec.algorithm.preset}{stages}: {spec.algorithm.n_envs} environments x "
-            f"{spec.algorithm.n_steps} steps an update, to {self.whole.stage_ends[self.stage]:,} steps"
+            f"{spec.algorithm.name} with preset {spec.algorithm.preset}{stages}: {spec.algorithm.n_envs} environments "
+            f"x {spec.algorithm.n_steps} steps an update, to {self.whole.stage_ends[self.stage]:,} steps"
         )
 
     def _log(self, message: str) -> None:
@@ -304,8 +304,8 @@ class _Session:
         environment = self.environment.environment
         self._reporter.log(
             "warning",
-            f"environment {row}: episode truncated after {environment.steps[row]} steps, its server was lost: {reason}; "
-            f"starting another ({environment.simulator.failures} of {self.spec.runtime.max_server_failures} allowed "
+            f"environment {row}: episode truncated after {environment.steps[row]} steps, its server was lost: "
+            f"{reason}; starting another ({environment.simulator.failures} of {self.spec.runtime.max_server_failures} allowed "
             "so far)",
         )
 

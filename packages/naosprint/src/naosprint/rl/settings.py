@@ -141,7 +141,7 @@ class PPOSettings(LearnerSettings):
         ge=0.0,
         lt=1.0,
         title="EMA decay",
-        description="Decay per update of the moving average of the weights that checkpoints contain; 0: the latest weights.",
+        description="Decay per update of the weights' moving average, which checkpoints contain; 0: no averaging.",
     )
     normalize_observations: bool = Field(
         default=_fast("normalize_observations"),

@@ -1,4 +1,4 @@
-"""Tasks: what robots learn. Importing this package loads no PyTorch, so that API and command line can describe tasks."""
+"""Tasks: what robots learn. Importing this package loads no PyTorch, so API and command line can describe tasks."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """What a task is.
 
-A task is a class: its settings, what the robot observes, what it is rewarded for, where episodes begin and end, and what
-is measured. To add one, subclass :class:`Task` and register the class under the entry-point group ``naosprint.tasks``;
-docs/how-to/own-task.md takes you through it.
+A task is a class: its settings, what the robot observes, what it is rewarded for, where episodes begin and end, and
+what is measured. To add one, subclass :class:`Task` and register the class under the entry-point group
+``naosprint.tasks``; docs/how-to/own-task.md takes you through it.
 """
 
 from __future__ import annotations
@@ -113,9 +113,9 @@ class World:
 class Task:
     """A task for n robots.
 
-    Subclasses declare the class attributes and override the methods that differ. Whatever a task remembers of each robot
-    between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and keep
-    their values for a robot that is lost.
+    Subclasses declare the class attributes and override the methods that differ. Whatever a task remembers of each
+    robot between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and
+    keep their values for a robot that is lost.
 
     Attributes:
         name: how specifications refer to it; equal to the entry point's name.
