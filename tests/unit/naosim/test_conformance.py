@@ -5,19 +5,28 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from types import ModuleType
 
 import numpy as np
 import pytest
-from naosim import conformance, robots
+from naosim import conformance, kinds, robots
 from naosim.conformance import CHECKS, Check, Subject
 from naosim.simspark import EmbeddedSimulator
 from naosim.simulator import Simulator
 
-from .toy_simulator import CRAWLER, CrawlerSimulator
+from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
+
+
+def embedded(name: str) -> Subject:
+    robot, kind = robots.get(name), kinds.get("embedded")
+    return Subject(lambda n: kind.open(robot, n, kind.parameters(robot)()))
+
 
 SUBJECTS = {
-    "nao-0": Subject(lambda n: EmbeddedSimulator(robots.get("nao-0"), n)),
+    "nao-0": embedded("nao-0"),
     "nao-4": Subject(lambda n: EmbeddedSimulator(robots.get("nao-4"), n, sensor_digits=None, threads=2)),
+    "t1": embedded("t1"),
+    "k1": embedded("k1"),
     "crawler": Subject(lambda n: CrawlerSimulator(CRAWLER, n)),
 }
 
@@ -102,6 +111,22 @@ def test_what_does_not_conform_is_named(kind: Callable[..., Simulator], caught: 
 def test_chance_is_noticed() -> None:
     failed = {result.name for result in conformance.check(lambda n: Chaotic(CRAWLER, n)) if not result.passed}
     assert {"steps_are_deterministic", "snapshots_are_complete", "inactive_robots_keep_still"} <= failed
+
+
+def test_simulators_refuse_robots_of_families_that_they_lack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A family may have one of the two simulators, or none."""
+    embedded, server = kinds.get("embedded"), kinds.get("server")
+    assert not embedded.supports(CRAWLER)
+    with pytest.raises(ValueError, match="simulator: 'embedded' cannot run crawler"):
+        embedded.parameters(CRAWLER)
+    module = ModuleType("crawling")
+    module.EMBEDDED = CRAWLING
+    monkeypatch.setitem(sys.modules, "crawling", module)
+    monkeypatch.setattr(kinds, "FAMILIES", {"toy": "crawling"})
+    assert embedded.supports(CRAWLER)
+    assert embedded.open(CRAWLER, 2, embedded.parameters(CRAWLER)()).n == 2
+    assert not server.supports(CRAWLER)
+    assert not server.supports(robots.get("nao-0"))
 
 
 def test_descriptions_and_interface_need_no_simulator() -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from naospec.sections import Section
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from naospec.sections import Section
+from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right", "centre"]
