@@ -56,10 +56,12 @@ def measure(robot: Robot, motion: str, exact: bool) -> dict[str, Any]:
         for row, state in enumerate(simulator.batch.save()):
             bare.load(row, state)
             bare.data[row].ctrl[1::3] = targets[row]
-        turns = [("loop", lambda: simulator.step(targets)), ("bare", lambda: bare.step_bare(1))]
-        for name, turn in turns if step % 2 else reversed(turns):
+        for name in ("loop", "bare") if step % 2 else ("bare", "loop"):
             began = time.thread_time()
-            turn()
+            if name == "loop":
+                simulator.step(targets)
+            else:
+                bare.step_bare(1)
             seconds[name].append(time.thread_time() - began)
     medians = {name: float(np.median(values)) for name, values in seconds.items()}
     return {
