@@ -305,8 +305,8 @@ class _Session:
         self._reporter.log(
             "warning",
             f"environment {row}: episode truncated after {environment.steps[row]} steps, its server was lost: "
-            f"{reason}; starting another ({environment.simulator.failures} of {self.spec.runtime.max_server_failures} allowed "
-            "so far)",
+            f"{reason}; starting another ({environment.simulator.failures} of "
+            f"{self.spec.runtime.max_server_failures} allowed so far)",
         )
 
     def _means(self) -> str:

@@ -400,8 +400,8 @@ class Velocity(Task):
             return float(np.sqrt(np.square(values).sum(axis=1).mean())) if len(values) else float("nan")
 
         def known(values: list[float]) -> FloatArray:
-            array = np.array(values)
-            return array[np.isfinite(array)]
+            array: FloatArray = np.array(values, dtype=np.float64)
+            return np.asarray(array[np.isfinite(array)])
 
         errors = [trace[1:, :2] - trace[1:, 3:5] for trace in episodes.trace]
         late = [trace[settled:] for trace in episodes.trace]
