@@ -142,7 +142,7 @@ class Demo:
         self.context.say("Film", (folder / "replay.mp4").resolve().as_uri())
 
     def _verify(self, checkpoint: Path, evaluation: dict[str, Any]) -> None:
-        """Evaluate the downloaded policy again in a process of its own, without the service, and compare every number."""
+        """Evaluate the downloaded policy again without the service, in another process, and compare every number."""
         self._head("5. The same results again, from the downloaded file alone")
         flags = []
         for field, value in evaluation["spec"].items():

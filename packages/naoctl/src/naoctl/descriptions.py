@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
+from naospec import plugins
 from naosprint.tasks.base import EPISODE_METRICS
 from naosprint.tasks.metrics import Metric, format_value
-from naospec import plugins
 
 if TYPE_CHECKING:
     from naoctl.client import Client
@@ -73,9 +74,10 @@ def value_text(metric: Metric, row: Mapping[str, Any]) -> str:
 
 
 def common(groups: Sequence[Sequence[Metric]]) -> list[Metric]:
-    """Return the metrics of several jobs, each once, in the order of the first that has it."""
+    """Return the metrics of several jobs, each once: the first of each job, then the second of each, and so on."""
     found: dict[str, Metric] = {}
-    for group in groups:
-        for metric in group:
-            found.setdefault(metric.name, metric)
+    for rank in itertools.zip_longest(*groups):
+        for metric in rank:
+            if metric is not None:
+                found.setdefault(metric.name, metric)
     return list(found.values())

@@ -38,6 +38,7 @@ BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.-=+*#%"
 MISSING = "-"
 
+
 def make_console(*, stderr: bool = False) -> Console:
     """Return a console that never wraps or colours what is not shown on a terminal."""
     console = Console(stderr=stderr, highlight=False, soft_wrap=False)
@@ -198,11 +199,13 @@ def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
 
 
 def training_text(spec: Json) -> str:
-    """Return what a stored specification trains, in one line: ``sprint1, robot nao-0, preset fast, seed 0, embedded``."""
+    """Return what a stored specification trains, in one line: task, robot, preset, seed, simulator."""
     algorithm = spec.get("algorithm")
     preset = algorithm.get("preset", MISSING) if isinstance(algorithm, Mapping) else MISSING
     robot, simulator = section_name(spec, "robot"), section_name(spec, "simulator")
-    return f"{section_name(spec, 'task')}, robot {robot}, preset {preset}, seed {spec.get('seed', MISSING)}, {simulator}"
+    return (
+        f"{section_name(spec, 'task')}, robot {robot}, preset {preset}, seed {spec.get('seed', MISSING)}, {simulator}"
+    )
 
 
 def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
@@ -304,8 +307,6 @@ def live_view(
 def progress_line(job: Json, row: Json, metrics: Sequence[Metric]) -> str:
     """Return one line that says how far a job is, for output that is no terminal."""
     step, total = int(row.get("step", job.get("progress_step", 0))), job["total_steps"]
-    values = "  ".join(
-        f"{metric.title.lower()} {value_text(metric, row)}" for metric in metrics if metric.name in row
-    )
+    values = "  ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in metrics if metric.name in row)
     share = min(1.0, step / total) if total else 0.0
     return f"{step:>12,} of {total:,} steps {share:>4.0%}  {values}  ETA {duration(row.get('eta_s'))}"

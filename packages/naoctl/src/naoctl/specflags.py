@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import types
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
@@ -27,8 +28,6 @@ PANELS = {
     "algorithm": "Algorithm (left out: the preset's value)",
     "runtime": "Runtime",
 }
-#: A setting with more plug-ins than this is not labelled with their names.
-MOST_NAMED = 3
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -100,7 +99,7 @@ def spec_parameters(
             help=_help(setting),
             metavar=metavar,
             show_default=False,
-            rich_help_panel=PANELS.get(setting.path[0], panel),
+            rich_help_panel=PANELS.get(setting.path[0], panel) if len(setting.path) > 1 else panel,
             autocompletion=_completion(choices) if choices else None,
         )
         parameters.append(
@@ -150,6 +149,8 @@ def parse_flags(settings: Mapping[str, Setting], flags: Mapping[str, Any], *, pr
             text = raw.strip()
             if type(None) in parts and text.lower() in NULL_WORDS:
                 value = None
+            elif any(_is_mapping(part) for part in parts):
+                value = _json(field, text)
             elif any(get_origin(part) in (tuple, list) for part in parts):
                 value = [item.strip() for item in text.split(",") if item.strip()]
             elif _literal_numbers(parts):
@@ -183,19 +184,19 @@ def build(
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise InvalidInput(explain(model, error, from_flags=from_flags, prefix=prefix, where=where)) from None
+        raise InvalidInput(_explain(model, values, error, from_flags or {}, prefix, where)) from None
 
 
-def explain(
+def _explain(
     model: type[BaseModel],
+    values: Mapping[str, Any],
     error: ValidationError,
-    *,
-    from_flags: Mapping[str, Setting] | None = None,
-    prefix: str = "",
-    where: str = "",
+    from_flags: Mapping[str, Setting],
+    prefix: str,
+    where: str,
 ) -> str:
     """Return a validation error as one line: every wrong field by the name the user gave it."""
-    flags = {setting.path: flag_name(name, prefix) for name, setting in (from_flags or {}).items()}
+    flags = {setting.path: flag_name(name, prefix) for name, setting in from_flags.items()}
     lines = []
     for item in error.errors(include_url=False, include_context=False):
         path = tuple(str(part) for part in item["loc"])
@@ -212,7 +213,7 @@ def explain(
         places = (path, (*path, "name"), path[:2], path[:1])
         name = next((flags[place] for place in places if place in flags), where + ".".join(path))
         if item["type"] == "extra_forbidden":
-            known = ", ".join(_fields_at(model, path[:-1]))
+            known = ", ".join(_fields_at(model, values, path[:-1]))
             lines.append(f"{name}: no such field" + (f"; there are {known}" if known else ""))
         else:
             given = item.get("input")
@@ -221,11 +222,29 @@ def explain(
     return "; ".join(lines)
 
 
-def _fields_at(model: type[BaseModel], path: tuple[str, ...]) -> list[str]:
+def _fields_at(model: type[BaseModel], values: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     """Return the names of the settings beside an unknown one."""
     if not path:
         return list(model.model_fields)
-    return [setting.path[1] for setting in training_settings().values() if setting.path[:-1] == path]
+    section = values.get(path[0])
+    plugin = section.get("name") if isinstance(section, Mapping) else section
+    return [
+        setting.path[1]
+        for setting in training_settings().values()
+        if setting.path[:-1] == path and (not setting.plugins or plugin in (None, *setting.plugins))
+    ]
+
+
+def _is_mapping(annotation: Any) -> bool:
+    origin = get_origin(annotation) or annotation
+    return isinstance(origin, type) and issubclass(origin, Mapping)
+
+
+def _json(field: str, text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        raise InvalidInput(f"{flag_name(field)}: expected a JSON object, got {text!r}") from None
 
 
 def _alternatives(annotation: Any) -> tuple[Any, ...]:
@@ -252,6 +271,8 @@ def _metavar(info: FieldInfo, choices: tuple[str, ...]) -> str:
     for part in parts:
         if get_origin(part) in (tuple, list):
             return "INT,INT,..."
+        if _is_mapping(part):
+            return "JSON"
     word = "INTEGER" if int in parts else "NUMBER" if float in parts else "TEXT"
     return f"{word}|none" if type(None) in parts else word
 
@@ -272,7 +293,7 @@ def _help(setting: Setting) -> str:
     )
     if limits:
         text += f" [{limits}]"
-    if 0 < len(setting.plugins) <= MOST_NAMED:
+    if setting.plugins:
         text += f" ({setting.path[0]} {', '.join(setting.plugins)})"
     return text.replace("[", "\\[")
 

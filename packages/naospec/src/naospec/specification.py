@@ -182,16 +182,32 @@ class TrainingSpec(_Specification):
     """
 
     task: Annotated[Any, PluginSection(plugins.TASKS)] = Field(
-        default=None, validate_default=True, title="Task", description="What to learn."
+        default=None,
+        validate_default=True,
+        title="Task",
+        description="What to learn.",
+        json_schema_extra={"default": {"name": DEFAULTS["task"]}},
     )
     robot: Annotated[Any, PluginSection(plugins.ROBOTS)] = Field(
-        default=None, validate_default=True, title="Robot", description="The robot."
+        default=None,
+        validate_default=True,
+        title="Robot",
+        description="The robot.",
+        json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
     )
     simulator: Annotated[Any, PluginSection(plugins.SIMULATORS)] = Field(
-        default=None, validate_default=True, title="Simulator", description="Where the robot runs."
+        default=None,
+        validate_default=True,
+        title="Simulator",
+        description="Where the robot runs.",
+        json_schema_extra={"default": {"name": DEFAULTS["simulator"]}},
     )
     algorithm: Annotated[Any, PluginSection(plugins.LEARNERS)] = Field(
-        default=None, validate_default=True, title="Algorithm", description="How the robot learns."
+        default=None,
+        validate_default=True,
+        title="Algorithm",
+        description="How the robot learns.",
+        json_schema_extra={"default": {"name": DEFAULTS["algorithm"]}},
     )
     total_steps: int = Field(
         default=10_000_000,

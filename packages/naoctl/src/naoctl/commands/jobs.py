@@ -166,9 +166,8 @@ def compare(
     if len({job["id"] for job in found}) < len(found):
         raise InvalidInput("The same job is named twice", fix="`naoctl list` shows the ids of all.")
     specs = [flattened(job["spec"]) for job in found]
-    differing = [
-        path for path in dict.fromkeys(path for spec in specs for path in spec) if len({str(s.get(path)) for s in specs}) > 1
-    ]
+    paths = dict.fromkeys(path for spec in specs for path in spec)
+    differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
     if as_json:
         context.json(
             [

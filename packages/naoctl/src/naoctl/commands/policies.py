@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import naopolicies
 import typer
-from naosprint.tasks.metrics import format_value
 from naospec import plugins
+from naosprint.tasks.metrics import format_value
 from rich.table import Table
 
 from naoctl.commands.artifacts import run_naosprint
@@ -103,7 +103,15 @@ def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embed
         CliError: when naosprint is not installed here or fails.
     """
     task = section_name(naopolicies.card(name)["evaluation"], "task")
-    words = (*(("--task", task) if task != UNNAMED else ()), "--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
+    words = (
+        *(("--task", task) if task != UNNAMED else ()),
+        "--episodes",
+        str(episodes),
+        "--seed",
+        str(seed),
+        "--simulator",
+        simulator,
+    )
     summary: dict[str, Any] = json.loads(run_naosprint("evaluate", name, *words))
     return summary
 

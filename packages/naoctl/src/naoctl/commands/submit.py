@@ -78,7 +78,8 @@ def submit(
         typer.Option(metavar="FIELD=A,B", help="Make one job per value, as a group; repeat it for all combinations."),
     ] = None,
     evaluate: Annotated[
-        bool | None, typer.Option("--evaluate/--no-evaluate", help="Evaluate the final policy.", show_default="evaluate")
+        bool | None,
+        typer.Option("--evaluate/--no-evaluate", help="Evaluate the final policy.", show_default="evaluate"),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
     key: Annotated[str | None, typer.Option("--idempotency-key", help="The same key never makes a second job.")] = None,
@@ -129,10 +130,8 @@ def submit(
             context.json(job)
             return
         if not as_json:
-            context.out.print(
-                f"Submitted {job['id']} ({plain(job['name'])}): {job['total_steps']:,} steps of {section_name(job['spec'], 'task')}",
-                markup=False,
-            )
+            steps, task = f"{job['total_steps']:,} steps", section_name(job["spec"], "task")
+            context.out.print(f"Submitted {job['id']} ({plain(job['name'])}): {steps} of {task}", markup=False)
         if watch:
             watch_job(context, client, job, as_json=as_json)
         else:
@@ -180,7 +179,8 @@ def make_body(
             below = f"Put it below `{' > '.join(('spec', *place))}:`."
             inside = field in settings or field in TrainingSpec.model_fields
             raise InvalidInput(
-                f"{where}{field}: no such field of a job", fix=below if inside else f"There are {', '.join(JOB_FIELDS)}."
+                f"{where}{field}: no such field of a job",
+                fix=below if inside else f"There are {', '.join(JOB_FIELDS)}.",
             )
     body = dict(file)
     chosen = flat.nest(parse_flags(settings, spec_flags), _table(file, "spec", where))
