@@ -199,9 +199,13 @@ def test_an_evaluation_from_request_to_report(
     lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
     key = f"jobs/{lease.job_id}/evaluations/{evaluation['id']}-1"
     entry = store.put_bytes(f"{key}/report.html", b"<html>")
-    records.finish_evaluation(
+    records.record_result(
         sessions, claim.lease, summary={"speed_mps": {"mean": 1.5}}, key=key, manifest={"files": [entry.model_dump()]}
     )
+    unsettled = client.get(f"/evaluations/{evaluation['id']}").json()
+    assert (unsettled["state"], unsettled["summary"], unsettled["files"]) == ("running", None, [])
+    assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
+    lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
     done = client.get(f"/evaluations/{evaluation['id']}").json()
     assert (done["state"], done["summary"]) == ("succeeded", {"speed_mps": {"mean": 1.5}})
     report = client.get(done["files"][0]["url"])

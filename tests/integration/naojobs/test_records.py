@@ -138,7 +138,8 @@ def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, leas
     assert len(claims) == 1
     lifecycle.heartbeat(sessions, claims[0].lease)
     lifecycle.transition(sessions, claims[0].lease, WorkState.RUNNING)
-    records.finish_evaluation(sessions, claims[0].lease, summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
+    records.record_result(sessions, claims[0].lease, summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
+    lifecycle.transition(sessions, claims[0].lease, WorkState.SUCCEEDED)
     (found,) = rows(sessions, Evaluation, lease.job_id)
     assert (found.state, found.summary, found.lease_owner) == (WorkState.SUCCEEDED, {"speed_mps": 2.0}, None)
     with pytest.raises(LeaseLostError):
@@ -285,7 +286,7 @@ def test_deleting_a_job_ends_the_leases_of_its_evaluations(
     for late in (
         lambda: lifecycle.heartbeat(sessions, claim.lease),
         lambda: lifecycle.lose(sessions, claim.lease, "late"),
-        lambda: records.finish_evaluation(sessions, claim.lease, summary={}, key="k", manifest={}),
+        lambda: records.record_result(sessions, claim.lease, summary={}, key="k", manifest={}),
     ):
         with pytest.raises(LeaseLostError):
             late()

@@ -125,7 +125,7 @@ def test_worker_killed_between_the_evaluation_and_the_end(service: Service, work
 
 def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
-    assert [entry.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
+    assert [entry.row.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
     assert service.health() == (0, "")
     assert worker.terminate() == 0
     status, reason = service.health()

@@ -440,11 +440,11 @@ def transition(
         work = hold(session, lease)
         source = work.state
         if source is not target:
-            settle(session, work, target, message=message, error=error, data=data)
+            _settle(session, work, target, message=message, error=error, data=data)
     return source
 
 
-def settle(
+def _settle(
     session: Session,
     work: Job | Evaluation,
     target: WorkState,
@@ -506,7 +506,7 @@ def _lose(session: Session, work: Job | Evaluation, reason: str) -> WorkState:
         target = WorkState.QUEUED
         message = f"{reason}; queued again after attempt {work.failures} of {work.max_attempts}"
     data = {"reason": reason, "failures": work.failures}
-    settle(session, work, target, message=message, error=error, data=data)
+    _settle(session, work, target, message=message, error=error, data=data)
     return target
 
 

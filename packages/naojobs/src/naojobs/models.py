@@ -245,10 +245,10 @@ class Evaluation(Work, Base):
     checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="CASCADE"), index=True)
     #: Seconds that one attempt may take; the evaluation fails when they are over.
     time_limit_s: Mapped[float] = mapped_column(server_default=text(f"{DEFAULT_TIME_LIMIT_S:.0f}"))
-    #: Metrics over all episodes; null until it has succeeded.
+    #: Metrics over all episodes; they count once it has succeeded.
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     key: Mapped[str | None]
-    #: A `naojobs.store.Manifest`; null until it has succeeded.
+    #: A `naojobs.store.Manifest`.
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
 
     __table_args__ = (*_work_checks(EVALUATION_STATES), _waiting_index("evaluations"), _lease_index("evaluations"))

@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log
 from naojobs.registry import WorkerStatus
+from naojobs.states import WorkState
 from naojobs.store import Manifest
 
 from naosprint_api.schemas import (
@@ -53,7 +54,8 @@ def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
 
 def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -> EvaluationPublic:
     """Return an evaluation with the addresses of its files, and the reason why no worker can take it."""
-    manifest = Manifest.model_validate(evaluation.manifest) if evaluation.manifest is not None else None
+    succeeded = evaluation.state is WorkState.SUCCEEDED
+    manifest = Manifest.model_validate(evaluation.manifest) if succeeded else None
     root = f"/evaluations/{evaluation.id}"
     return EvaluationPublic.model_validate(
         {
@@ -69,7 +71,7 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
             "worker": evaluation.lease_owner,
             "cancel_requested": evaluation.cancel_requested,
             "time_limit_s": evaluation.time_limit_s,
-            "summary": evaluation.summary,
+            "summary": evaluation.summary if succeeded else None,
             "files": _files(manifest, root) if manifest else [],
             "archive_url": f"{root}/archive" if manifest else None,
             "error": evaluation.error,

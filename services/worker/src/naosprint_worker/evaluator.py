@@ -52,7 +52,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
     ).model_dump(mode="json")
     _database(
         services,
-        lambda: records.finish_evaluation(services.sessions, lease, summary=summary, key=key, manifest=manifest),
+        lambda: records.record_result(services.sessions, lease, summary=summary, key=key, manifest=manifest),
     )
     return ExitCode.FINISHED
 

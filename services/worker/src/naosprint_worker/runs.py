@@ -31,6 +31,9 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+#: Seconds that an evaluator has to stop: it has nothing to save.
+EVALUATOR_GRACE_S = 5.0
+
 #: Module of the child process by kind of work.
 _PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
 
@@ -54,6 +57,7 @@ class Run:
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
             time_limit_s=self._time_limit_s,
+            grace_s=context.settings.worker_stop_grace_s if self.kind is WorkKind.JOB else EVALUATOR_GRACE_S,
         )
 
     @property
@@ -116,8 +120,7 @@ class Run:
         if ending.intent is Intent.LEASE_LOST or ending.returncode == ExitCode.FENCED:
             return
         if ending.returncode == ExitCode.FINISHED:
-            if self.kind is WorkKind.JOB:  # an evaluator records its result and its end in one transaction
-                self._transition(WorkState.SUCCEEDED, "done")
+            self._transition(WorkState.SUCCEEDED, "done")
         elif cancelled:
             self._transition(WorkState.CANCELLED, f"cancelled as requested{where}")
         elif ending.intent is Intent.MEMORY:

@@ -70,8 +70,8 @@ class Supervisor:
     """Supervisor of a child that works under a lease.
 
     ``beat`` renews the lease and returns the users' requests; ``look`` only reads them. Both may raise `LeaseLostError`
-    and database errors. Losing the lease kills the child at once; for every other reason it is asked to stop and has
-    ``worker_stop_grace_s`` seconds for it. After ``time_limit_s`` seconds it is asked to stop as well.
+    and database errors. Losing the lease kills the child at once; for every other reason, ``time_limit_s`` among them,
+    it is asked to stop and has ``grace_s`` seconds (``worker_stop_grace_s`` by default) before it is killed.
     """
 
     def __init__(
@@ -84,6 +84,7 @@ class Supervisor:
         workdir: Path,
         log_path: Path,
         time_limit_s: float = math.inf,
+        grace_s: float | None = None,
     ) -> None:
         """Prepare; ``start`` takes a function to call when the child is gone and returns the running child."""
         self._settings = settings
@@ -93,6 +94,7 @@ class Supervisor:
         self._workdir = workdir
         self._log_path = log_path
         self._time_limit_s = time_limit_s
+        self._grace_s = settings.worker_stop_grace_s if grace_s is None else grace_s
         self._wake = threading.Event()
         self._shutdown = False
         self._intent = Intent.NONE
@@ -176,7 +178,7 @@ class Supervisor:
         self._intent = max(self._intent, intent)
         if self._kill_at is None:
             logger.info("stopping child %d: %s", child.pid, intent.name.lower())
-            self._kill_at = time.monotonic() + self._settings.worker_stop_grace_s
+            self._kill_at = time.monotonic() + self._grace_s
             child.terminate()
 
     def _check_memory(self, child: Child) -> None:

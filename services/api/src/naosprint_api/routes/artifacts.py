@@ -8,6 +8,7 @@ from fastapi import APIRouter, BackgroundTasks, Query, Request, Response
 from naojobs import lifecycle, submission
 from naojobs.errors import NotFoundError
 from naojobs.models import Evaluation
+from naojobs.states import WorkState
 from naojobs.store import Manifest
 
 from naosprint_api import queries
@@ -118,7 +119,7 @@ def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service
 
 
 def _finished(row: Evaluation) -> tuple[str, Manifest]:
-    if row.key is None or row.manifest is None:
+    if row.state is not WorkState.SUCCEEDED or row.key is None:
         raise NotFoundError(f"evaluation {row.id} is {row.state}; it has no files")
     return row.key, Manifest.model_validate(row.manifest)
 
