@@ -119,12 +119,17 @@ def add_event(
 
     Events of an evaluation are of kind `evaluation` and contain its id and state.
     """
-    attempt, data = work.attempt, dict(data or {})
     if isinstance(work, Evaluation):
-        attempt = session.get_one(Job, work.job_id).attempt
-        kind, message = "evaluation", f"evaluation {work.id}: {message}"
-        data = {**data, "evaluation_id": work.id, "state": str(work.state)}
-    session.add(Event(job_id=work.job_id, kind=kind, attempt=attempt, message=message, data=data))
+        event = Event(
+            kind="evaluation",
+            attempt=session.get_one(Job, work.job_id).attempt,
+            message=f"evaluation {work.id}: {message}",
+            data={**(data or {}), "evaluation_id": work.id, "state": str(work.state)},
+        )
+    else:
+        event = Event(kind=kind, attempt=work.attempt, message=message, data=dict(data or {}))
+    event.job_id = work.job_id
+    session.add(event)
     notify(session, work.job_id)
 
 
@@ -478,9 +483,13 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
         job.progress_step = step
         job.latest_metrics = newest.values if newest is not None else {}
         job.updated_at = func.now()
-        kind, verb = ("started", "starts at") if resumed_from is None else ("resumed", "resumes from")
-        data = {"step": step, "checkpoint_id": resumed_from, "dropped_metrics": dropped}
-        add_event(session, job, kind, f"{verb} step {step}", data)
+        add_event(
+            session,
+            job,
+            "started" if resumed_from is None else "resumed",
+            f"{'starts at' if resumed_from is None else 'resumes from'} step {step}",
+            {"step": step, "checkpoint_id": resumed_from, "dropped_metrics": dropped},
+        )
 
 
 def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:

@@ -177,8 +177,8 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     )
     if new is None:
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
-    data = {"checkpoint_id": new, "step": stored.step}
-    add_event(session, job, "checkpoint", f"checkpoint at step {stored.step}", data)
+    message = f"checkpoint at step {stored.step}"
+    add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
 
 
