@@ -214,7 +214,7 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
     took = ((finished or datetime.now(UTC)) - started).total_seconds() if started else None
     state = state_text(job["state"])
     requests = [
-        w for w in ("cancel", "pause") if job.get(f"{w}_requested") and job["state"] not in ("cancelled", "paused")
+        r for r in ("cancel", "pause") if job.get(f"{r}_requested") and job["state"] not in ("cancelled", "paused")
     ]
     if requests:
         state.append(f" ({' and '.join(requests)} requested)")
@@ -222,6 +222,7 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
         ("Job", job["id"]),
         ("Name", cell(job["name"])),
         ("State", state),
+        *([("Waiting", cell(job["waiting_reason"]))] if job.get("waiting_reason") else []),
         ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
         ("Training", training_text(job["spec"])),
         ("Owner", cell(job["owner"])),

@@ -363,7 +363,10 @@ class TrainingSpec(_Specification):
         return found
 
     def without_preset(self) -> dict[str, Any]:
-        """Return the sections without what preset, task and robot decide, so that others can decide it."""
+        """Return the sections without what preset, task and robot decide and without defaults.
+
+        Another preset, task, robot or simulator can then decide it.
+        """
         content = self.model_dump(mode="json", exclude_defaults=False)
         changed = self.overrides()
         family = self.robot_description.family
@@ -371,12 +374,17 @@ class TrainingSpec(_Specification):
             for name in presets.values(self.algorithm.preset, section, family):
                 if f"{section}.{name}" not in changed:
                     content[section].pop(name, None)
+        bare = self.task_class.resolve(type(self.task)(name=self.task.name), self.robot_description)
+        for section, default in (
+            ("task", bare),
+            *((name, type(getattr(self, name))()) for name in GROUPS if name != "task"),
+        ):
+            given = presets.values(self.algorithm.preset, section, family) if section in presets.SECTIONS else {}
+            for name in type(default).model_fields:
+                same = getattr(getattr(self, section), name) == getattr(default, name)
+                if name not in ("name", "preset") and same and name not in given:
+                    content[section].pop(name, None)
         content["task"].pop("version", None)
-        bare = type(self.task)(name=self.task.name)
-        resolved = self.task_class.resolve(bare, self.robot_description)
-        for name in type(self.task).model_fields:
-            if name != "name" and getattr(bare, name) != getattr(resolved, name) == getattr(self.task, name):
-                content["task"].pop(name, None)
         if self.stages:
             content.pop("total_steps")
         return content
