@@ -31,7 +31,8 @@ ROLLOUT, INTERVAL = 100, 250
 @pytest.fixture
 def lease(sessions: Sessions) -> Lease:
     """The lease of a running job that saves a checkpoint every 250 steps, that is at 300, 500, 800, 1000 ..."""
-    spec = {"n_envs": 10, "n_steps": 10, "batch_size": 50, "checkpoint_interval_steps": INTERVAL}
+    algorithm = {"n_envs": 10, "n_steps": 10, "batch_size": 50}
+    spec = {"algorithm": algorithm, "runtime": {"checkpoint_interval_steps": INTERVAL}}
     job, _ = submission.submit(sessions, JobRequest(TrainingSpec.model_validate(spec)), owner="alice")
     claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
     assert claim is not None

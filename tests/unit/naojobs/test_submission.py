@@ -9,7 +9,7 @@ from naospec import TrainingSpec
 
 
 def test_a_job_without_a_name_gets_one() -> None:
-    assert JobRequest(TrainingSpec(preset="paper", seed=4)).display_name == "sprint1-paper-4"
+    assert JobRequest(TrainingSpec(algorithm={"preset": "paper"}, seed=4)).display_name == "sprint1-paper-4"
 
 
 def test_the_digest_distinguishes_requests() -> None:
@@ -19,23 +19,45 @@ def test_the_digest_distinguishes_requests() -> None:
 
 
 def test_a_group_varies_only_what_it_names() -> None:
-    base = JobRequest(spec=TrainingSpec.model_validate({"preset": "paper", "clip_range": 0.2}), tags=["t"])
+    algorithm = {"preset": "paper", "clip_range": 0.2}
+    base = JobRequest(spec=TrainingSpec(algorithm=algorithm), tags=["t"])
     jobs = expand_group(GroupRequest(job=base, seeds=[5, 6], grid={"learning_rate": [1e-3]}))
     assert [job.spec.seed for job in jobs] == [5, 6]
     for job in jobs:
-        assert job.spec == base.spec.model_copy(update={"seed": job.spec.seed, "learning_rate": 1e-3})
+        assert job.spec == TrainingSpec(algorithm={**algorithm, "learning_rate": 1e-3}, seed=job.spec.seed)
         assert job.tags == ["t"]
         assert (job.name or "").endswith(f"-seed-{job.spec.seed}")
 
 
 def test_a_preset_in_a_grid_brings_its_own_values() -> None:
     jobs = expand_group(GroupRequest(job=JobRequest(), grid={"preset": ["fast", "paper"]}))
-    assert [job.spec for job in jobs] == [TrainingSpec.from_preset("fast"), TrainingSpec.from_preset("paper")]
+    assert [job.spec for job in jobs] == [TrainingSpec(), TrainingSpec(algorithm={"preset": "paper"})]
 
 
 def test_a_task_in_a_grid_brings_its_own_height() -> None:
     jobs = expand_group(GroupRequest(job=JobRequest(), grid={"task": ["sprint1", "sprint1-erect"]}))
     assert [job.spec for job in jobs] == [TrainingSpec(), TrainingSpec(task="sprint1-erect")]
+
+
+def test_tasks_and_robots_in_a_grid_bring_their_own_settings() -> None:
+    base = JobRequest(TrainingSpec(task={"name": "sprint1", "reward_scale": 50}, algorithm={"n_envs": 64}))
+    grid = {"task.name": ["sprint1-erect", "sprint2"], "robot": ["t1", "nao-4"]}
+    jobs = expand_group(GroupRequest(job=base, grid=grid))
+    assert [job.spec for job in jobs] == [
+        TrainingSpec(task={"name": task, "reward_scale": 50}, robot=robot, algorithm={"n_envs": 64})
+        for task in grid["task.name"]
+        for robot in grid["robot"]
+    ]
+    assert [job.name for job in jobs][:1] == ["sprint1-fast-0-name-sprint1-erect-robot-t1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"), [("speed", [1], "no setting 'speed'"), ("task", ["x"], "choose one")]
+)
+def test_what_cannot_be_varied_is_refused(name: str, values: list[object], words: str) -> None:
+    with pytest.raises(InvalidError, match=words) as caught:
+        expand_group(GroupRequest(job=JobRequest(), grid={name: values}))
+    assert caught.value.field == f"grid.{name}"
 
 
 def test_groups_have_a_largest_size() -> None:

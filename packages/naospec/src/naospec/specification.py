@@ -264,7 +264,7 @@ class TrainingSpec(_Specification):
         stages = filled.get("stages")
         if stages and "total_steps" not in filled:
             steps = [stage.get("steps") if isinstance(stage, dict) else stage.steps for stage in stages]
-            if all(isinstance(count, int) for count in steps):
+            if all(isinstance(count, int) and count > 0 for count in steps):
                 filled["total_steps"] = sum(steps)
         return filled
 

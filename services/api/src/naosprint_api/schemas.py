@@ -75,8 +75,8 @@ class GroupCreate(_Request):
         default_factory=dict,
         max_length=8,
         description=(
-            "Settings of the training, by short name (learning_rate) or by path (algorithm.learning_rate), each with its "
-            "values; one job for each combination."
+            "Settings of the training, by short name (learning_rate) or by path (algorithm.learning_rate), each with "
+            "its values; one job for each combination."
         ),
     )
 
