@@ -14,13 +14,14 @@ from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from sqlalchemy import delete, update
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
 
-ALL = Capabilities({"sprint1": 1, "sprint2": 1}, ["nao-0", "nao-1"], ["embedded", "rcssserver3d"])
-QUEUES = ("embedded", "rcssserver3d")
+ALL = Capabilities({"sprint1": 1, "sprint2": 1}, ["nao-0", "nao-1"], ["embedded", "server"])
+QUEUES = ("embedded", "server")
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +36,7 @@ def empty(sessions: Sessions) -> Iterator[None]:
 @pytest.fixture
 def submit(sessions: Sessions) -> Callable[..., str]:
     def submit(priority: int = 5, **spec: Any) -> str:
-        request = JobRequest(TrainingSpec.model_validate(spec), priority=priority)
+        request = JobRequest(TrainingSpec.model_validate(nest(spec)), priority=priority)
         return submission.submit(sessions, request, owner="alice")[0].id
 
     return submit
@@ -56,14 +57,14 @@ def claimed(sessions: Sessions, capabilities: Capabilities = ALL, **options: Any
         Capabilities({"sprint1": 1}, ["nao-1"], ["embedded"]),
         Capabilities({"sprint2": 2}, ["nao-1"], ["embedded"]),
         Capabilities({"sprint2": 1}, ["nao-0"], ["embedded"]),
-        Capabilities({"sprint2": 1}, ["nao-1"], ["rcssserver3d"]),
+        Capabilities({"sprint2": 1}, ["nao-1"], ["server"]),
         Capabilities({}, [], []),
     ],
 )
 def test_a_worker_that_lacks_something_leaves_the_job_to_others(
     sessions: Sessions, submit: Callable[..., str], less: Capabilities
 ) -> None:
-    job_id = submit(task="sprint2", robot_type=1)
+    job_id = submit(task="sprint2", robot="nao-1")
     assert lifecycle.claim(sessions, Job, job_id, "w", capabilities=less) is None
     assert claimed(sessions, less) is None
     other = submit(task="sprint1") if "sprint1" in less.tasks and "nao-0" in less.robots else None
@@ -84,7 +85,7 @@ def test_a_job_of_another_task_version_waits_for_a_worker_that_has_it(
 def test_work_is_claimed_by_priority_and_waiting_time_in_the_queues_of_a_worker(
     sessions: Sessions, submit: Callable[..., str]
 ) -> None:
-    low, first, second, urgent = submit(1), submit(), submit(), submit(9, simulator="rcssserver3d")
+    low, first, second, urgent = submit(1), submit(), submit(), submit(9, simulator="server")
     assert claimed(sessions, queues=["embedded"]) == first
     assert [claimed(sessions) for _ in range(4)] == [urgent, second, low, None]
 
@@ -117,30 +118,30 @@ def test_many_workers_that_look_at_once_share_the_work(sessions: Sessions, submi
 
 
 def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, submit: Callable[..., str]) -> None:
-    job_id = submit(task="sprint2", robot_type=1, simulator="rcssserver3d")
+    job_id = submit(task="sprint2", robot="nao-1", simulator="server")
 
     def reason(stale_s: float = 30.0) -> str | None:
         with sessions() as session:
             return waiting_reasons(session, [session.get_one(Job, job_id)], stale_s=stale_s).get(job_id)
 
-    def beat(worker: str, *capabilities: Any, queues: tuple[str, ...] = ("rcssserver3d",)) -> None:
+    def beat(worker: str, *capabilities: Any, queues: tuple[str, ...] = ("server",)) -> None:
         has = Capabilities(*capabilities)
         registry.beat(sessions, worker, host="h", pid=1, queues=queues, capabilities=has, version="1")
 
     assert reason() == "no worker is running"
     beat("a", {"sprint1": 1}, ["nao-0"], ["embedded"], queues=("embedded",))
-    assert reason() == "no worker serves queue 'rcssserver3d'"
+    assert reason() == "no worker serves queue 'server'"
     beat("a", {"sprint1": 1}, ["nao-0"], ["embedded"])
-    assert reason() == "no worker has simulator 'rcssserver3d'"
-    beat("a", {"sprint1": 1}, ["nao-0"], ["rcssserver3d"])
+    assert reason() == "no worker has simulator 'server'"
+    beat("a", {"sprint1": 1}, ["nao-0"], ["server"])
     assert reason() == "no worker has robot 'nao-1'"
-    beat("a", {"sprint1": 1}, ["nao-1"], ["rcssserver3d"])
+    beat("a", {"sprint1": 1}, ["nao-1"], ["server"])
     assert reason() == "no worker has task 'sprint2' version 1"
-    beat("a", {"sprint2": 2}, ["nao-1"], ["rcssserver3d"])
+    beat("a", {"sprint2": 2}, ["nao-1"], ["server"])
     assert reason() == "no worker has task 'sprint2' version 1 (workers have version 2)"
-    beat("b", {"sprint2": 1}, ["nao-0"], ["rcssserver3d"])
+    beat("b", {"sprint2": 1}, ["nao-0"], ["server"])
     assert (reason() or "").startswith("no single worker has task 'sprint2' version 1, robot 'nao-1'")
-    beat("b", {"sprint2": 1}, ["nao-1"], ["rcssserver3d"])
+    beat("b", {"sprint2": 1}, ["nao-1"], ["server"])
     assert reason() is None
     assert reason(stale_s=-1) == "no worker is running"
     assert claimed(sessions) == job_id

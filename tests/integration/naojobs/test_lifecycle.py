@@ -312,7 +312,7 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     ("fields", "field"),
     [
         ({"parent_job_id": "job_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id"),
-        ({"spec": TrainingSpec(hidden_sizes=(32,))}, "spec.hidden_sizes"),
+        ({"spec": TrainingSpec(algorithm={"hidden_sizes": (32,)})}, "spec.algorithm.hidden_sizes"),
         ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_checkpoint_id"),
     ],
 )
@@ -327,7 +327,7 @@ def test_a_parent_that_does_not_fit_is_refused_by_field(
 
 def test_a_parent_may_have_trained_a_robot_of_another_type(sessions: Sessions, submit: Callable[..., Job]) -> None:
     parent = submit()
-    request = JobRequest(parent_job_id=parent.id, spec=TrainingSpec(robot_type=4))
+    request = JobRequest(parent_job_id=parent.id, spec=TrainingSpec(robot="nao-4"))
     job, new = submission.submit(sessions, request, owner="alice")
     assert (job.parent_job_id, new) == (parent.id, True)
 

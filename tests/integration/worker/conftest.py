@@ -28,6 +28,7 @@ from naojobs.states import ENDED, WorkState
 from naojobs.store import ArtifactStore
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from naosprint_worker.settings import WorkerSettings
 from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
@@ -69,7 +70,7 @@ TINY: dict[str, Any] = {
     "n_epochs": 1,
     "hidden_sizes": (4,),
     "simulator_threads": 1,
-    "torch_threads": 1,
+    "learner_threads": 1,
 }
 
 #: Steps between two updates of it.
@@ -237,7 +238,7 @@ class Service:
         others = {key: fields.pop(key) for key in names if key in fields}
         evaluation = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
         request = JobRequest(
-            TrainingSpec.model_validate({**TINY, **fields}), evaluation if evaluate else None, **others
+            TrainingSpec.model_validate(nest({**TINY, **fields})), evaluation if evaluate else None, **others
         )
         job, _ = submission.submit(self.sessions, request, owner="tester")
         if announce:

@@ -6,15 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import ColumnElement, and_, func, select, tuple_
 from sqlalchemy.orm import Session
 
 from naojobs.models import Evaluation, Job, Work, Worker
 from naojobs.states import WorkState
-
-#: Version of a task whose definition has none.
-DEFAULT_TASK_VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +26,15 @@ class Requirements:
     @classmethod
     def of_training(cls, spec: TrainingSpec) -> Requirements:
         """Return what a training needs."""
-        return cls(spec.task, DEFAULT_TASK_VERSION, f"nao-{spec.robot_type}", spec.simulator)
+        return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name)
 
     @classmethod
     def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
         """Return what an evaluation of a checkpoint of `job` needs."""
-        version = job.task_version if spec.task == job.task else DEFAULT_TASK_VERSION
-        return cls(spec.task, version, job.robot, spec.simulator or job.simulator)
+        task, version = job.task, job.task_version
+        if spec.task is not None and spec.task.name != job.task:
+            task, version = spec.task.name, plugins.load(plugins.TASKS, spec.task.name).version
+        return cls(task, version, job.robot, spec.simulator or job.simulator)
 
 
 @dataclass(frozen=True, slots=True)

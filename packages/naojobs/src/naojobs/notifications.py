@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 #: Name of the Celery task behind a wake-up message; its argument is the id of the work.
 WAKE_UP = "naosprint_worker.wake_up"
 
-#: The queues, one for each simulator that a worker may have.
-QUEUES = ("embedded", "rcssserver3d")
+#: The queue of messages that name none; each simulator has a queue of its name.
+DEFAULT_QUEUE = "embedded"
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
         task_store_errors_even_if_ignored=False,
         task_serializer="json",
         accept_content=["json"],
-        task_default_queue=QUEUES[0],
+        task_default_queue=DEFAULT_QUEUE,
         task_create_missing_queues=True,
         task_track_started=False,
         broker_connection_retry_on_startup=True,

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from naospec import PRESETS, EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, validation_words
+from naospec.flat import nest
 from pydantic import ValidationError
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
@@ -48,7 +49,7 @@ class JobRequest:
     @property
     def display_name(self) -> str:
         """Name, or one made of task, preset and seed."""
-        return self.name or f"{self.spec.task}-{self.spec.preset}-{self.spec.seed}"
+        return self.name or f"{self.spec.task.name}-{self.spec.algorithm.preset}-{self.spec.seed}"
 
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
@@ -129,34 +130,26 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
     if not axes:
         raise InvalidError("name at least one seed in `seeds` or one field in `grid`", "seeds")
     for name in axes:
-        if name not in TrainingSpec.model_fields:
-            raise InvalidError(f"the training specification has no field {name!r}", f"grid.{name}")
+        try:
+            nest({name: None})
+        except KeyError:
+            raise InvalidError(f"the training specification has no field {name!r}", f"grid.{name}") from None
     size = math.prod(len(values) for values in axes.values())
     if size > MAX_GROUP_SIZE:
         raise InvalidError(f"{size} jobs are more than {MAX_GROUP_SIZE}; give fewer values", "grid")
-    base = _overrides(request.job.spec)
+    base = request.job.spec.without_preset()
     jobs = []
     for values in itertools.product(*axes.values()):
         point = dict(zip(axes, values, strict=True))
         label = ",".join(f"{name}={value}" for name, value in point.items())
         try:
-            spec = TrainingSpec.model_validate({**base, **point})
+            spec = TrainingSpec.model_validate(nest(point, base))
         except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"]) or next(iter(point))
-            raise InvalidError(f"{label}: {first['msg']}", f"grid.{place}") from error
+            raise InvalidError(f"{label}: {validation_words(error.errors())}", f"grid.{next(iter(point))}") from error
         # Without blanks, so that it can be typed as it is.
         suffix = "".join(f"-{name}-{value}" for name, value in point.items()).replace(" ", "")
         jobs.append(replace(request.job, spec=spec, name=f"{request.job.display_name}{suffix}"[:200]))
     return jobs
-
-
-def _overrides(spec: TrainingSpec) -> dict[str, Any]:
-    """Return `spec` without what preset and task decide, so that another preset or task can decide it again."""
-    overrides = spec.model_dump(mode="json", exclude=set(PRESETS[spec.preset]) - set(spec.departures()))
-    if spec.min_height == spec.task_definition.min_height_m:
-        del overrides["min_height"]
-    return overrides
 
 
 def _submit(
@@ -187,7 +180,7 @@ def _submit(
             tags=list(dict.fromkeys(request.tags)),
             spec=request.spec.model_dump(mode="json"),
             evaluation=request.evaluation.model_dump(mode="json") if request.evaluation else None,
-            queue=request.spec.simulator,
+            queue=request.spec.simulator.name,
             **asdict(Requirements.of_training(request.spec)),
             priority=request.priority,
             state=WorkState.QUEUED,
@@ -240,13 +233,13 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
     parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
-    theirs, ours = TrainingSpec.model_validate(parent.spec), request.spec
-    if theirs.hidden_sizes != ours.hidden_sizes:
-        raise InvalidError(
-            f"the parent's policy has hidden_sizes {list(theirs.hidden_sizes)}, this job asks for "
-            f"{list(ours.hidden_sizes)}; they must be the same",
-            "spec.hidden_sizes",
-        )
+    theirs = parent.spec.get("algorithm", {})
+    for name, value in request.spec.algorithm.policy_shape().items():
+        if theirs.get(name) != value:
+            raise InvalidError(
+                f"the parent's policy has {name} {theirs.get(name)}, this job {value}; they must be the same",
+                f"spec.algorithm.{name}",
+            )
     if request.parent_checkpoint_id is not None:
         checkpoint = session.get(Checkpoint, request.parent_checkpoint_id)
         if checkpoint is None or checkpoint.job_id != parent.id:
@@ -285,7 +278,7 @@ def request_evaluation(
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
         if (waiting or 0) >= max_open:
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some end, or cancel some")
-        spec = spec or EvaluationSpec(task=job.task)
+        spec = spec or EvaluationSpec()
         evaluation = Evaluation(
             id=new_id("eval"),
             job_id=job_id,

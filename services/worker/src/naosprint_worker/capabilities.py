@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from naojobs.capabilities import DEFAULT_TASK_VERSION, Capabilities
-from naospec import TASKS
-from naospec.robots import STANDING_HEIGHT_M
+from naojobs.capabilities import Capabilities
+from naospec import plugins
 
 from naosprint_worker.settings import WorkerSettings
 
@@ -12,7 +11,7 @@ from naosprint_worker.settings import WorkerSettings
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return the installed tasks and robots, and the simulators that the settings allow."""
     return Capabilities(
-        tasks=dict.fromkeys(TASKS, DEFAULT_TASK_VERSION),
-        robots=[f"nao-{robot_type}" for robot_type in range(len(STANDING_HEIGHT_M))],
+        tasks={name: plugins.load(plugins.TASKS, name).version for name in plugins.names(plugins.TASKS)},
+        robots=list(plugins.names(plugins.ROBOTS)),
         simulators=list(settings.worker_queues),
     )

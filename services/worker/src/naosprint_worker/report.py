@@ -34,7 +34,7 @@ def add_report(
     folder, metrics = services.workdir / "report", services.workdir / "metrics.jsonl"
     try:
         with services.stop.interruptible():
-            from naosprint.report import write_report  # Matplotlib takes a while to load
+            from naosprint.analysis.report import write_report  # Matplotlib takes a while to load
 
             title = retry(
                 lambda: _write_metrics(services, job_id, step, metrics),

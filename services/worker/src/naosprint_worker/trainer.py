@@ -116,7 +116,7 @@ class Attempt:
         if self._database(lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"):
             return
         folder = services.workdir / "evaluation"
-        threads = self._assignment.spec.simulator_threads
+        threads = self._assignment.spec.runtime.simulator_threads
         summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
         warn = partial(self._recorder.log, "warning")
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
