@@ -14,6 +14,7 @@ from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from sqlalchemy import delete, update
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -35,7 +36,7 @@ def empty(sessions: Sessions) -> Iterator[None]:
 @pytest.fixture
 def submit(sessions: Sessions) -> Callable[..., str]:
     def submit(priority: int = 5, **spec: Any) -> str:
-        request = JobRequest(TrainingSpec.model_validate(spec), priority=priority)
+        request = JobRequest(TrainingSpec.model_validate(nest(spec)), priority=priority)
         return submission.submit(sessions, request, owner="alice")[0].id
 
     return submit

@@ -19,6 +19,7 @@ from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key, evaluation_key
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -31,9 +32,8 @@ ROLLOUT, INTERVAL = 100, 250
 @pytest.fixture
 def lease(sessions: Sessions) -> Lease:
     """The lease of a running job that saves a checkpoint every 250 steps, that is at 300, 500, 800, 1000 ..."""
-    algorithm = {"n_envs": 10, "n_steps": 10, "batch_size": 50}
-    spec = {"algorithm": algorithm, "runtime": {"checkpoint_interval_steps": INTERVAL}}
-    job, _ = submission.submit(sessions, JobRequest(TrainingSpec.model_validate(spec)), owner="alice")
+    spec = {"n_envs": 10, "n_steps": 10, "batch_size": 50, "checkpoint_interval_steps": INTERVAL}
+    job, _ = submission.submit(sessions, JobRequest(TrainingSpec.model_validate(nest(spec))), owner="alice")
     claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
     assert claim is not None
     lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)

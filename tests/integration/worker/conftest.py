@@ -27,7 +27,8 @@ from naojobs.notifications import Notifier, make_celery
 from naojobs.states import ENDED, WorkState
 from naojobs.store import ArtifactStore
 from naojobs.submission import JobRequest
-from naospec import EvaluationSpec, TrainingSpec, flat
+from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from naosprint_worker.settings import WorkerSettings
 from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
@@ -235,9 +236,9 @@ class Service:
         """Submit a tiny job as the API does; return its id."""
         names = ("parent_job_id", "max_attempts", "priority")
         others = {key: fields.pop(key) for key in names if key in fields}
-        evaluation = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
+        evaluation = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
         request = JobRequest(
-            TrainingSpec.model_validate(flat.nest({**TINY, **fields})), evaluation if evaluate else None, **others
+            TrainingSpec.model_validate(nest({**TINY, **fields})), evaluation if evaluate else None, **others
         )
         job, _ = submission.submit(self.sessions, request, owner="tester")
         if announce:

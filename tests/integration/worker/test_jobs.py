@@ -11,7 +11,7 @@ from naojobs.capabilities import waiting_reasons
 from naojobs.models import Evaluation, Job, Worker
 from naojobs.states import WorkState
 from naojobs.store import Manifest, artifact_of
-from naospec import TASKS, EvaluationSpec
+from naospec import EvaluationSpec, plugins
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -264,6 +264,6 @@ def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> 
     with service.sessions() as session:
         worker = session.query(Worker).one()
         reasons = waiting_reasons(session, [job], stale_s=30)
-    assert worker.tasks == dict.fromkeys(TASKS, 1)
-    assert (worker.robots, worker.simulators) == ([f"nao-{number}" for number in range(5)], ["embedded"])
+    assert worker.tasks == dict.fromkeys(plugins.names(plugins.TASKS), 1)
+    assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded"])
     assert reasons == {newer: "no worker has task 'sprint2' version 2 (workers have version 1)"}

@@ -13,6 +13,7 @@ import httpx
 import pytest
 from naojobs.states import ENDED
 from naojobs.tokens import Scope, create_token
+from naospec.flat import nest
 from naosprint_api.__main__ import make_server
 from naosprint_api.settings import ApiSettings
 from naosprint_worker.settings import WorkerSettings
@@ -75,7 +76,7 @@ def test_everything_works_without_the_broker(service: Service, worker: WorkerPro
         return found
 
     service.until(lambda: "is ready" in worker.output(), what="for the worker")
-    spec = {**TINY, "total_steps": 10**9, "checkpoint_interval_steps": ROLLOUT * 20}
+    spec = nest({**TINY, "total_steps": 10**9, "checkpoint_interval_steps": ROLLOUT * 20})
     began = time.monotonic()
     answer = client.post("/jobs", json={"spec": spec, "evaluation": None})
     assert answer.status_code == 201

@@ -31,11 +31,10 @@ class Requirements:
     @classmethod
     def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
         """Return what an evaluation of a checkpoint of `job` needs."""
-        simulator = spec.simulator or job.simulator
-        if spec.task is None:
-            return cls(job.task, job.task_version, job.robot, simulator)
-        version = spec.task.version or plugins.load(plugins.TASKS, spec.task.name).version
-        return cls(spec.task.name, version, job.robot, simulator)
+        task, version = job.task, job.task_version
+        if spec.task is not None and spec.task.name != job.task:
+            task, version = spec.task.name, plugins.load(plugins.TASKS, spec.task.name).version
+        return cls(task, version, job.robot, spec.simulator or job.simulator)
 
 
 @dataclass(frozen=True, slots=True)

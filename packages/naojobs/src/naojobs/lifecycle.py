@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, validation_words
+from pydantic import ValidationError
 from sqlalchemy import ColumnElement, and_, func, select, update
 from sqlalchemy.orm import Session
 
@@ -364,8 +365,22 @@ def _waiting(model: type[Job] | type[Evaluation], capabilities: Capabilities | N
     return waiting if capabilities is None else waiting.where(capabilities.condition(model))
 
 
-def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim:
-    """Lease a locked row to `worker`; the new attempt fences off every earlier worker."""
+def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim | None:
+    """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
+
+    Work whose specification this version cannot read fails, and None is returned.
+    """
+    try:
+        read: type[TrainingSpec] | type[EvaluationSpec] = TrainingSpec if isinstance(work, Job) else EvaluationSpec
+        spec = read.model_validate(work.spec)
+        final = isinstance(work, Job) and work.evaluation
+        evaluation = EvaluationSpec.model_validate(final) if final else None
+    except ValidationError as error:
+        work.error = f"the specification does not fit this version: {validation_words(error.errors())}"
+        _change(work, WorkState.FAILED)
+        if isinstance(work, Job):
+            add_event(session, work, "failed", work.error)
+        return None
     _change(work, WorkState.STARTING)
     work.attempt += 1
     work.lease_owner = worker
@@ -376,7 +391,8 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
     if isinstance(work, Evaluation):
         notify(session, work.job_id)  # no event: the job's row is not locked
         checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
-        return EvaluationClaim(lease, EvaluationSpec.model_validate(work.spec), checkpoint, work.time_limit_s)
+        assert isinstance(spec, EvaluationSpec)
+        return EvaluationClaim(lease, spec, checkpoint, work.time_limit_s)
     add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
     own, parent = newest_checkpoint(session, work.id), None
     if own is None and work.parent_checkpoint_id is not None:
@@ -387,11 +403,12 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         session.execute(select(Job.id).where(Job.id == work.parent_job_id).with_for_update(key_share=True))
         parent = newest_checkpoint(session, work.parent_job_id)
         work.parent_checkpoint_id = parent.id if parent is not None else None
+    assert isinstance(spec, TrainingSpec)
     return JobClaim(
         lease=lease,
         name=work.name,
-        spec=TrainingSpec.model_validate(work.spec),
-        evaluation=EvaluationSpec.model_validate(work.evaluation) if work.evaluation else None,
+        spec=spec,
+        evaluation=evaluation,
         resume_from=CheckpointRef.of(own) if own else None,
         initial_policy=CheckpointRef.of(parent) if parent else None,
     )

@@ -9,14 +9,14 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING
 
-# Celery is imported where it is used: child processes need no broker.
+# Celery is imported where it is used: child processes need the names of the queues, and no broker.
 if TYPE_CHECKING:
     from celery import Celery
 
 #: Name of the Celery task behind a wake-up message; its argument is the id of the work.
 WAKE_UP = "naosprint_worker.wake_up"
 
-#: Queue of work whose simulator is not known; each simulator has a queue of its name.
+#: The queue of messages that name none; each simulator has a queue of its name.
 DEFAULT_QUEUE = "embedded"
 
 _log = logging.getLogger(__name__)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-from naospec import TrainingSpec
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
@@ -53,10 +52,10 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
         ).all()
         candidates = rows[wanted.last :]
         if wanted.every is not None:
-            spec = TrainingSpec.model_validate(job.spec)
-            stride = wanted.every * spec.runtime.checkpoint_interval_steps
+            stride = wanted.every * int(job.spec["runtime"]["checkpoint_interval_steps"])
+            rollout = int(job.spec["algorithm"]["n_envs"]) * int(job.spec["algorithm"]["n_steps"])
             # A checkpoint comes with the first update at or behind a multiple of the interval.
-            candidates = [row for row in candidates if row.step % stride >= spec.rollout_steps]
+            candidates = [row for row in candidates if row.step % stride >= rollout]
         spared = _spared(session, job.id)
         doomed = [row for row in candidates if row.id not in spared]
         if doomed:

@@ -32,7 +32,8 @@ _S = WorkState
 
 #: From each state, the states that may follow. Every change of a state is checked against this table.
 TRANSITIONS: dict[WorkState, frozenset[WorkState]] = {
-    _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.CANCELLED}),
+    # Work whose stored specification cannot be read fails without a worker.
+    _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.FAILED, _S.CANCELLED}),
     _S.STARTING: frozenset({_S.RUNNING, _S.EVALUATING, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
     _S.RUNNING: frozenset({_S.EVALUATING, _S.SUCCEEDED, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
     # A training may reach its last step after a pause was requested: then there is nothing left to pause.

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from naospec import EvaluationSpec, TrainingSpec, flat, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
+from naospec.flat import nest
 from pydantic import ValidationError
 from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
@@ -59,11 +60,11 @@ class JobRequest:
 
 @dataclass(frozen=True, slots=True)
 class GroupRequest:
-    """Trainings to submit that differ in their seed or in other settings."""
+    """Trainings to submit that differ in their seed or in other fields of the specification."""
 
     job: JobRequest
     seeds: Sequence[int] = ()
-    #: Values by short name or by path with dots; one job for each combination.
+    #: Values by field; one job for each combination.
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
 
@@ -128,6 +129,11 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
         axes["seed"] = request.seeds
     if not axes:
         raise InvalidError("name at least one seed in `seeds` or one field in `grid`", "seeds")
+    for name in axes:
+        try:
+            nest({name: None})
+        except KeyError:
+            raise InvalidError(f"the training specification has no field {name!r}", f"grid.{name}") from None
     size = math.prod(len(values) for values in axes.values())
     if size > MAX_GROUP_SIZE:
         raise InvalidError(f"{size} jobs are more than {MAX_GROUP_SIZE}; give fewer values", "grid")
@@ -137,10 +143,7 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
         point = dict(zip(axes, values, strict=True))
         label = ",".join(f"{name}={value}" for name, value in point.items())
         try:
-            spec = TrainingSpec.model_validate(flat.nest(point, base))
-        except KeyError as error:
-            name = str(error.args[0])
-            raise InvalidError(f"the training specification has no setting {name!r}", f"grid.{name}") from None
+            spec = TrainingSpec.model_validate(nest(point, base))
         except ValidationError as error:
             raise InvalidError(f"{label}: {validation_words(error.errors())}", f"grid.{next(iter(point))}") from error
         # Without blanks, so that it can be typed as it is.
@@ -230,33 +233,28 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
     parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
-    _check_fit(parent, request.spec)
+    robot = parent.spec.get("robot", {}).get("name")
+    if robot in plugins.names(plugins.ROBOTS):
+        family = plugins.load(plugins.ROBOTS, robot).family
+        if family != request.spec.robot_description.family:
+            raise InvalidError(
+                f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
+                f"use a robot of family {family}",
+                "spec.robot",
+            )
+    theirs = parent.spec.get("algorithm", {})
+    for name, value in request.spec.algorithm.policy_shape().items():
+        if theirs.get(name) != value:
+            raise InvalidError(
+                f"the parent's policy has {name} {theirs.get(name)}, this job {value}; they must be the same",
+                f"spec.algorithm.{name}",
+            )
     if request.parent_checkpoint_id is not None:
         checkpoint = session.get(Checkpoint, request.parent_checkpoint_id)
         if checkpoint is None or checkpoint.job_id != parent.id:
             raise InvalidError(
                 f"job {parent.id} has no checkpoint {request.parent_checkpoint_id}",
                 "parent_checkpoint_id",
-            )
-
-
-def _check_fit(parent: Job, spec: TrainingSpec) -> None:
-    """Raise InvalidError if the policy of `parent` cannot be the start of a training."""
-    try:
-        theirs = TrainingSpec.model_validate(parent.spec)
-    except ValueError:
-        return  # a plug-in that is no longer installed here: the worker compares the checkpoint itself
-    if theirs.robot_description.family != spec.robot_description.family:
-        raise InvalidError(
-            f"the parent's policy is for robot {theirs.robot.name}, this job is for {spec.robot.name}", "spec.robot"
-        )
-    has, needs = theirs.algorithm.policy_shape(), spec.algorithm.policy_shape()
-    for name in needs:
-        if has.get(name) != needs[name]:
-            raise InvalidError(
-                f"the parent's policy has {name} {has.get(name)}, this job asks for {needs[name]}; "
-                "they must be the same",
-                f"spec.algorithm.{name}",
             )
 
 

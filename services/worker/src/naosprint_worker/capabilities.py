@@ -9,13 +9,16 @@ from naospec import plugins
 
 from naosprint_worker.settings import WorkerSettings
 
+
 logger = logging.getLogger(__name__)
 
 
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return the installed tasks and robots, and the simulators that the settings allow."""
     return Capabilities(
-        tasks=_versions(), robots=list(plugins.names(plugins.ROBOTS)), simulators=list(settings.worker_queues)
+        tasks=_versions(),
+        robots=list(plugins.names(plugins.ROBOTS)),
+        simulators=list(settings.worker_queues),
     )
 
 

@@ -19,7 +19,7 @@ class WorkerSettings(ServiceSettings):
     """Settings of a worker, read from the environment with the prefix `NAOSPRINT_`."""
 
     worker_queues: Annotated[tuple[str, ...], NoDecode] = Field(
-        ("embedded",), description="Simulators that this worker has, comma separated: embedded, server."
+        ("embedded",), description="Simulators that this worker has, comma separated, for example embedded or server."
     )
     worker_concurrency: int = Field(
         1,
@@ -80,7 +80,7 @@ class WorkerSettings(ServiceSettings):
     simserver: str = Field(
         "rcssserver3d",
         min_length=1,
-        description="What each environment of a job on servers runs on: a program, `embedded` for `naosim serve`, "
+        description="What runs a NAO on a server: a program, `embedded` for `naosim serve`, "
         "or `docker:IMAGE` for a container of that image.",
     )
     simserver_network: str | None = Field(
@@ -98,11 +98,11 @@ class WorkerSettings(ServiceSettings):
     @field_validator("worker_queues")
     @classmethod
     def _known_queues(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        installed = plugins.names(plugins.SIMULATORS)
-        unknown = [queue for queue in value if queue not in installed]
+        known = plugins.names(plugins.SIMULATORS)
+        unknown = [queue for queue in value if queue not in known]
         if unknown or not value:
-            wrong = f"unknown simulator {unknown[0]!r}" if unknown else "no simulator given"
-            raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(installed)}")
+            wrong = f"unknown queue {unknown[0]!r}" if unknown else "no queue given"
+            raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(known)}")
         return tuple(dict.fromkeys(value))
 
     @field_validator("worker_report")
