@@ -4,7 +4,7 @@
 
 Every server walks in place under a sine gait, so that poses change and frames are of their usual size. Three clients
 take turns with the same servers: `drained` sends commands, and reads and drops what comes from both ports; `truth` is
-`naosim.RemoteBatch`, every message and frame parsed; `agent only` reads and drops the agent port alone.
+`naosim.simspark.RemoteBatch`, every message and frame parsed; `agent only` reads and drops the agent port alone.
 """
 
 from __future__ import annotations

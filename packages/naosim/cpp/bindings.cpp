@@ -1,4 +1,4 @@
-// Python bindings; naosim.batch checks and documents what goes in and out.
+// Python bindings; naosim.simspark.batch checks and documents what goes in and out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>

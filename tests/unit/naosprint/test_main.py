@@ -82,7 +82,7 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
         ),
         (
             ["train", "x", "--simulator", "rcssserver3d", "--n-envs", "4096"],
-            "n_envs: 4096 environments on rcssserver3d",
+            "n_envs: 4096 robots need as many servers",
         ),
         (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint's folder nor a shipped policy"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),

@@ -1,7 +1,8 @@
 """Simulators, found by name among the entry points of the group ``naosim.simulators``.
 
 The two that come with naosim, ``embedded`` and ``server``, run robots of several families. A family is one line of
-:data:`FAMILIES`: a module with two attributes, ``EMBEDDED`` and ``SERVER``, each a SimulatorKind for its robots.
+:data:`FAMILIES`: a module with the attributes ``EMBEDDED`` and ``SERVER``, each a SimulatorKind for its robots. One that
+a family does not have is left out.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class _FamilyKind(SimulatorKind):
 
     def supports(self, robot: Robot) -> bool:
         """Return whether the robot's family has a simulator of this kind."""
-        return robot.family in FAMILIES and self._of(robot).supports(robot)
+        kind = self._find(robot)
+        return kind is not None and kind.supports(robot)
 
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings that the family's simulator takes."""
@@ -64,11 +66,14 @@ class _FamilyKind(SimulatorKind):
         """Open the family's simulator for n robots."""
         return self._of(robot).open(robot, n, parameters, options)
 
-    def _of(self, robot: Robot) -> SimulatorKind:
+    def _find(self, robot: Robot) -> SimulatorKind | None:
         module = FAMILIES.get(robot.family)
-        if module is None:
+        return None if module is None else getattr(import_module(module), self._attribute, None)
+
+    def _of(self, robot: Robot) -> SimulatorKind:
+        kind = self._find(robot)
+        if kind is None:
             raise ValueError(f"simulator: {self.name!r} cannot run {robot.name}; use a simulator that supports it")
-        kind: SimulatorKind = getattr(import_module(module), self._attribute)
         return kind
 
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
+from naospec.sections import Section
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,6 +32,10 @@ STEP_S = 0.02
 """Simulated time of one step, seconds."""
 
 
+CONTACT_N = 0.01
+"""Force from which a foot counts as on the ground, newtons."""
+
+
 class SimulatorClosedError(RuntimeError):
     """Use of a simulator after it was closed."""
 
@@ -40,10 +44,12 @@ class ServerLostError(RuntimeError):
     """Loss of more servers than ``RuntimeOptions.max_server_failures``, or of one that cannot be replaced."""
 
 
-class SimulatorParameters(BaseModel):
+class SimulatorParameters(Section):
     """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    def for_evaluation(self) -> Self:
+        """Return the settings with which policies that were trained with these are evaluated."""
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,12 +188,29 @@ class Simulator(ABC):
         """Return the (n, 2) upward forces on left and right foot in newtons, zero without contact."""
         return np.zeros((self.n, 2))
 
+    def airborne(self) -> Flags:
+        """Return the (n,) robots of which neither foot touches the ground."""
+        return np.asarray((self.foot_forces() < CONTACT_N).all(axis=1))
+
+    def torque_shares(self, rows: slice | Ints) -> Floats:
+        """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1.
+
+        Raises:
+            ValueError: if the simulator does not report torques.
+        """
+        raise ValueError(f"torque_penalty: {type(self).__name__} does not report motor torques; set it to 0")
+
     # robots can be lost with what runs them
 
     @property
     def lost(self) -> Flags:
         """(n,) robots that lost what runs them; they stand still until they are started again."""
         return self._nothing_lost
+
+    @property
+    def can_fail(self) -> bool:
+        """Whether robots can be lost at all."""
+        return False
 
     @property
     def failures(self) -> int:

@@ -1,24 +1,31 @@
-"""What a sprint training and its evaluation are: specifications, presets and tasks."""
+"""Specifications of trainings and evaluations, presets, recipes, and the plug-ins that they refer to."""
 
 from __future__ import annotations
 
-from naospec.presets import PRESET_SUMMARIES, PRESETS, PresetName
-from naospec.robots import STANDING_HEIGHT_M
-from naospec.specification import EvaluationSpec, SimulatorName, TrainingSpec
-from naospec.tasks import ERECT_MIN_HEIGHT_M, FINISH_X_M, MIN_HEIGHT_M, TASKS, Task, task
+from naospec import plugins, presets, recipes
+from naospec.sections import Section
+from naospec.specification import (
+    EvaluationSpec,
+    LearnerSettings,
+    RuntimeSettings,
+    Stage,
+    TaskSettings,
+    TrainingSpec,
+    needs,
+    validation_words,
+)
 
 __all__ = [
-    "ERECT_MIN_HEIGHT_M",
-    "FINISH_X_M",
-    "MIN_HEIGHT_M",
-    "PRESETS",
-    "PRESET_SUMMARIES",
-    "STANDING_HEIGHT_M",
-    "TASKS",
     "EvaluationSpec",
-    "PresetName",
-    "SimulatorName",
-    "Task",
+    "LearnerSettings",
+    "RuntimeSettings",
+    "Section",
+    "Stage",
+    "TaskSettings",
     "TrainingSpec",
-    "task",
+    "needs",
+    "plugins",
+    "presets",
+    "recipes",
+    "validation_words",
 ]

@@ -1,7 +1,7 @@
-"""The NAO sprint tasks: how a run is learnt and how it is judged.
+"""How simulated robots learn: tasks, PPO, evaluation and reports.
 
 Importing this package is cheap: PyTorch is loaded by the first use of :func:`train`, so that a process can still call
-:func:`naosprint.threads.quiet_openmp` before.
+:func:`naosprint.threads.quiet_openmp` before. It registers its tasks with Gymnasium.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from naosprint.checkpoint import CheckpointError
-    from naosprint.evaluation import Evaluation, evaluate
-    from naosprint.reporter import NullReporter, Reporter
-    from naosprint.training import TrainingDivergedError, TrainResult, train
+    from naosprint.analysis.evaluation import Evaluation, evaluate
+    from naosprint.rl.checkpoint import CheckpointError
+    from naosprint.rl.learner import TrainingDivergedError
+    from naosprint.rl.reporter import NullReporter, Reporter
+    from naosprint.rl.runner import TrainResult, train
 
 __all__ = [
     "CheckpointError",
@@ -26,21 +27,21 @@ __all__ = [
     "train",
 ]
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-_HOME = {
-    "CheckpointError": "naosprint.checkpoint",
-    "Evaluation": "naosprint.evaluation",
-    "NullReporter": "naosprint.reporter",
-    "Reporter": "naosprint.reporter",
-    "TrainResult": "naosprint.training",
-    "TrainingDivergedError": "naosprint.training",
-    "evaluate": "naosprint.evaluation",
-    "train": "naosprint.training",
+_MODULES = {
+    "CheckpointError": "naosprint.rl.checkpoint",
+    "Evaluation": "naosprint.analysis.evaluation",
+    "NullReporter": "naosprint.rl.reporter",
+    "Reporter": "naosprint.rl.reporter",
+    "TrainResult": "naosprint.rl.runner",
+    "TrainingDivergedError": "naosprint.rl.learner",
+    "evaluate": "naosprint.analysis.evaluation",
+    "train": "naosprint.rl.runner",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(_MODULES[name]), name)

@@ -186,6 +186,14 @@ class MujocoSimulator(Simulator):
         forces: Floats = self.batch.foot_frames[:, -1]
         return forces
 
+    def torque_shares(self, rows: slice | Ints) -> Floats:
+        """Return the (k, J) share of its torque limit that each motor applied in the last 5 ms, from -1 to 1."""
+        first = self.world.model.nv - self.world.joints
+        chosen = self.batch.data[rows] if isinstance(rows, slice) else [self.batch.data[row] for row in rows]
+        torques = np.array([data.qfrc_actuator[first:] for data in chosen])
+        shares: Floats = torques / np.array([joint.max_torque for joint in self.robot.joints])
+        return shares
+
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""
         return self.batch.foot_frames

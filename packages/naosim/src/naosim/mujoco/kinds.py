@@ -43,6 +43,10 @@ class EmbeddedParameters(SimulatorParameters):
     )
     settle_steps: int = _SETTLE_STEPS
 
+    def for_evaluation(self) -> EmbeddedParameters:
+        """Return the same settings with the exact world."""
+        return self.model_copy(update={"exact": True})
+
 
 class EmbeddedKind(SimulatorKind):
     """Booster robots in MuJoCo worlds of this process."""

@@ -44,6 +44,12 @@ class Actuation:
             self._range = np.array([robot.action_range_rad[name] for name in self.names])
 
     @property
+    def mirror(self) -> tuple[tuple[str, ...], tuple[float, ...]]:
+        """Joint and sign of each action's mirror image."""
+        moved = [joint for joint in self.robot.joints if joint.actuated]
+        return tuple(joint.mirror for joint in moved), tuple(joint.mirror_sign for joint in moved)
+
+    @property
     def rest(self) -> Floats:
         """(A,) actions that stand for angle 0 of every joint, or the nearest that an action reaches."""
         unit = -self.low_rad / self._half_range - 1.0 if self._range is None else -self.nominal / self._range

@@ -13,18 +13,16 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
+from naospec.sections import Section
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right", "centre"]
 ShapeKind = Literal["box", "sphere", "capsule", "cylinder"]
 
 
-class RobotParameters(BaseModel):
+class RobotParameters(Section):
     """Base of a robot's settings, for example motor gains; they are part of a training's specification."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ _PERCEPTORS = (
 )
 _OBSERVATIONS = (
     *("step", "joint_angles", "yaw", "height", "centre_of_mass", "gyro", "accel"),
-    *("left_foot", "right_foot", "foot_counters"),
+    *("left_foot_origin", "left_foot_force", "right_foot_origin", "right_foot_force", "foot_counters"),
 )
 
 

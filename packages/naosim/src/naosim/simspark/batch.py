@@ -31,7 +31,7 @@ _TABLE_FIELDS = (
 
 @dataclass(frozen=True)
 class Perceptors:
-    """What the reply to the last command carries, with the server's latency and rounding.
+    """Contents of the reply to the last command, with the server's latency and rounding.
 
     Joint angles, gyro and touch describe the state before the cycle that the command started; the accelerometer is one
     cycle older still. Arrays are views that every step overwrites.
@@ -54,7 +54,7 @@ class Perceptors:
 
 
 class Truth:
-    """The present state, as a trainer sees it on the monitor port. Arrays are in world coordinates."""
+    """Present state, as a trainer sees it on the monitor port. Arrays are in world coordinates."""
 
     def __init__(self, core: _core.Batch, views: dict[str, Floats], n: int, bodies: int) -> None:
         self._core = core
@@ -87,7 +87,7 @@ class Truth:
 
 
 class BatchSimulator:
-    """Step `n` independent robots of one type in lockstep, 20 ms a cycle.
+    """`n` independent robots of one type, stepped in lockstep, 20 ms a cycle.
 
     Results do not depend on `n`, on the order of the batch, on the number of threads or on the processor's vector
     width, bit for bit.

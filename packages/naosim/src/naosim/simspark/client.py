@@ -1,9 +1,8 @@
 """Many robots on rcssserver3d servers, one server each, driven from one process as if they were a `BatchSimulator`.
 
 A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side; `send`
-and `receive` do each by itself, so that the caller may think while servers compute. What goes wrong with a server never
-raises from `step`: the environment is marked in `failed`, `reason` says why, and `replace` starts another server in its
-place.
+and `receive` are the two halves, so that the caller can compute while servers do. A server's failure never raises from
+`step`: the environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
 
 The trainer's connection gives the ground truth. Servers send a pose again once it has changed by more than 0.005
 (metres or matrix elements), so a truth is that exact, no more, unless `exact` asks for full frames.
@@ -32,7 +31,7 @@ from naosim.simulator import ServerLostError
 logger = logging.getLogger(__name__)
 
 _QUIET_S = 0.1
-"""A server in sync mode that says nothing for so long is waiting for its agent."""
+"""Silence after which a server in sync mode is waiting for its agent."""
 
 _GREETING_QUIET_S = 0.02
 """The same while a robot is being built, where one cycle more does no harm."""
@@ -49,7 +48,7 @@ _NUDGE = 1e-3
 
 _UNTANGLED_DEG, _BEND_DEG = 1.0, 4.0
 _STOP_DEG, _RESTING_DEG = 0.02, 2.0
-"""A joint so close to its stop rests on it, and is left there if it is so close to where it should be."""
+"""Distance to its stop at which a joint rests on it, and to its target at which it is left there."""
 
 _UNTANGLE_CYCLES = 150
 _FREEZE_CYCLES = 150
@@ -61,7 +60,7 @@ _CLOCK_S = 200.0
 _PARKED_BALL = (0.0, 9.5, 0.042)
 
 Act = Iterator[Floats]
-"""What one environment does in the cycles to come: (joints,) speeds of the next one, rad/s, each time it is asked."""
+"""Motion of one environment over several cycles: yields the (joints,) speeds of each, rad/s."""
 
 
 class RemoteTruth:
@@ -77,7 +76,7 @@ class RemoteTruth:
 
 
 class RemoteBatch:
-    """Step one robot on each of n servers.
+    """One robot on each of n servers.
 
     Args:
         servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
@@ -185,7 +184,7 @@ class RemoteBatch:
             self.receive(mask)
 
     def send(self, speeds: ArrayLike, mask: ArrayLike | None = None) -> None:
-        """Send joint speeds for one cycle and let the servers compute; `receive` fetches what comes of it.
+        """Send joint speeds for one cycle and let the servers compute; `receive` reads their replies.
 
         Meanwhile servers that are not in the mask may be stepped, moved, reset or replaced, but not those in it.
 
@@ -278,7 +277,7 @@ class RemoteBatch:
         return mask
 
     def beaming(self, row: int, where: Floats, yaw_deg: float) -> Act:
-        """Do what `beam` does with one environment: yield the joint speeds of the cycle that is to come."""
+        """Beam one environment as `beam` does: yield the joint speeds of each cycle."""
         self._move(row, where, yaw_deg, show=True)
         for _ in range(_LANDING_CYCLES):
             yield self._nudge[row]
@@ -292,7 +291,7 @@ class RemoteBatch:
         yield self._nudge[row]
 
     def untangling(self, row: int, pose_rad: Floats | None = None) -> Act:
-        """Do what `reset` does with one environment: yield the joint speeds of the cycle that is to come.
+        """Untangle one environment as `reset` does: yield the joint speeds of each cycle.
 
         Args:
             row: which environment.
@@ -308,7 +307,7 @@ class RemoteBatch:
             self._move(row, lifted, -90.0)
             error = np.deg2rad(target - angles_deg)
             yield np.clip(_GAIN * error, -self.model.max_speed, self.model.max_speed)
-            # the server ignores what a joint is told that rests on its stop, until something shakes it
+            # the server ignores commands of a joint that rests on its stop, until something shakes it
             resting = (angles_deg < self.model.low_deg + _STOP_DEG) | (angles_deg > self.model.high_deg - _STOP_DEG)
             near = np.abs(target - angles_deg) < _UNTANGLED_DEG
             near |= resting & (np.abs(pose - angles_deg) < _RESTING_DEG)
@@ -361,7 +360,7 @@ class RemoteBatch:
     def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
         """Step every server once per interval while the caller is busy: servers drop agents silent for 61 s.
 
-        Joints are held still in those cycles; the world's clock goes on by them.
+        Joints are held still in those cycles; the world's clock advances by them.
         """
         done = threading.Event()
 
@@ -433,7 +432,7 @@ class RemoteBatch:
         self._exchange.detach(row)
         deadline = time.monotonic() + self._start_timeout_s
         problem = ""
-        for _ in range(3):  # a port may be taken by somebody else in the meantime
+        for _ in range(3):  # another process may take a port in the meantime
             handle, self._handles[row] = self._handles[row], None
             if handle is not None:
                 handle.stop()

@@ -9,7 +9,7 @@ import numpy as np
 from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
 from naosim.simspark.control import motor_speeds, settle
-from naosim.simulator import Simulator, Truth
+from naosim.simulator import CONTACT_N, Simulator, Truth
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -93,6 +93,10 @@ class EmbeddedSimulator(Simulator):
         """Return the (n, 2) upward forces on left and right foot in newtons, zero without contact."""
         return upward_forces(self.perceptors["foot_left"], self.perceptors["foot_right"])
 
+    def airborne(self) -> Flags:
+        """Return the (n,) robots whose feet both report no force in any direction."""
+        return unloaded(self.perceptors["foot_left"]) & unloaded(self.perceptors["foot_right"])
+
     def snapshot(self) -> Bytes:
         """Return the complete state of every robot as (n, S) bytes."""
         self.require_open()
@@ -107,3 +111,9 @@ class EmbeddedSimulator(Simulator):
 def upward_forces(left: Floats, right: Floats) -> Floats:
     """Return the (n, 2) upward forces of two (n, 6) foot perceptors, zero without contact."""
     return np.nan_to_num(np.stack([left[:, 5], right[:, 5]], axis=1), nan=0.0)
+
+
+def unloaded(foot: Floats) -> Flags:
+    """Return which of (n, 6) foot perceptors report a force below ``CONTACT_N``."""
+    forces = np.nan_to_num(foot[:, 3:], nan=0.0)
+    return np.asarray((forces * forces).sum(axis=1) < CONTACT_N**2)

@@ -79,7 +79,7 @@ LINES = _lines()
 
 
 class ProtocolError(ValueError):
-    """What came over the wire does not follow the protocol; the message says where."""
+    """Message that violates the protocol; the error's message says where."""
 
 
 def frame(payload: bytes) -> bytes:
@@ -88,7 +88,7 @@ def frame(payload: bytes) -> bytes:
 
 
 class Framer:
-    """Cut a stream of bytes into messages of at most `limit` bytes."""
+    """Splitter of a stream of bytes into messages of at most `limit` bytes."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

@@ -13,7 +13,7 @@ from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
 from naosim.simspark.client import RemoteBatch
 from naosim.simspark.control import motor_speeds, settle, yaw_deg
-from naosim.simspark.embedded import upward_forces
+from naosim.simspark.embedded import unloaded, upward_forces
 from naosim.simspark.kinematics import body_poses
 from naosim.simulator import Simulator, Truth
 
@@ -258,12 +258,21 @@ class RemoteSimulator(Simulator):
         """Return the (n, 2) upward forces on left and right foot in newtons, zero without contact."""
         return upward_forces(self._views["foot_left"], self._views["foot_right"])
 
+    def airborne(self) -> Flags:
+        """Return the (n,) robots whose feet both report no force in any direction."""
+        return unloaded(self._views["foot_left"]) & unloaded(self._views["foot_right"])
+
     # servers
 
     @property
     def lost(self) -> Flags:
         """(n,) robots that lost their server; they stand still until they are started again."""
         return self._remote.failed[self._servers]
+
+    @property
+    def can_fail(self) -> bool:
+        """Whether robots can be lost: with their server."""
+        return True
 
     @property
     def failures(self) -> int:

@@ -4,9 +4,9 @@ Every robot runs on an engine of its own, by its own agent's clock: robots neith
 no agent waits for another; they hear each other. There is no referee. In sync mode a robot's cycle runs when its agent
 sends `(syn)` (or `(scene ...)` or `(init ...)`, which are answered too); in real-time mode 50 times a second.
 
-Whoever breaks the protocol is cut off, with the reason in the log; nobody else notices. Memory is bounded: messages and
-connections have a limit, an agent that does not read its replies is not read either, and a monitor that does not read
-misses frames until it does.
+A client that breaks the protocol is disconnected, with the reason in the log; others are not affected. Memory is
+bounded: messages and connections have a limit, an agent that does not read its replies is not read either, and a
+monitor that does not read misses frames until it does.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ Expression = Sequence[Any]
 """An S-expression: words and tuples of them."""
 
 HANDSHAKE_S = 10.0
-"""An agent that has not asked for a robot by then is cut off."""
+"""Time after which an agent is disconnected that has not asked for a robot."""
 
 SILENCE_S = 61.0
-"""An agent that has been silent for so long in sync mode is cut off, as the real server does."""
+"""Time after which a silent agent is disconnected in sync mode, as by the real server."""
 
 _BACKLOG_BYTES = 1 << 20
 _BEAM_NOISE_M, _BEAM_NOISE_DEG = 0.05, 10.0
@@ -48,7 +48,7 @@ _FARTHEST = 1000.0
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Hold what `naosim serve` can be told."""
+    """Settings of `naosim serve`."""
 
     host: str = "127.0.0.1"
     agent_port: int = protocol.AGENT_PORT
@@ -82,7 +82,7 @@ class ServerSettings:
 
 
 class Connection(asyncio.Protocol):
-    """Receive messages of one client; subclasses say what they mean."""
+    """Connection of one client; subclasses interpret its messages."""
 
     kind = "client"
     limit = protocol.MAX_MESSAGE
@@ -196,7 +196,7 @@ class Connection(asyncio.Protocol):
 
 
 class Agent(Connection):
-    """Play one robot."""
+    """Connection of an agent, which plays one robot."""
 
     kind = "agent"
 
@@ -320,7 +320,7 @@ class Agent(Connection):
 
 
 class Monitor(Connection):
-    """Show the scene and carry out a trainer's commands."""
+    """Connection of a monitor: receives the scene and sends a trainer's commands."""
 
     kind = "monitor"
     limit = protocol.MAX_TRAINER_MESSAGE
@@ -350,7 +350,7 @@ class Monitor(Connection):
         self.server.show(self)
 
     def pause_writing(self) -> None:
-        """Go on listening: many trainers never read."""
+        """Keep the connection: many trainers never read."""
 
     def resume_writing(self) -> None:
         """Nothing was paused."""
@@ -470,14 +470,14 @@ class Monitor(Connection):
 
 
 class Server:
-    """Serve agents and monitors until stopped."""
+    """Server of agents and monitors, which runs until it is stopped."""
 
     def __init__(self, settings: ServerSettings | None = None) -> None:
         self.settings = settings or ServerSettings()
         self.game = Game()
         self.random = random.Random(self.settings.seed)  # noqa: S311 - sensor noise
         self.selected: Agent | None = None
-        """Whom a trainer has selected: commands that name nobody are for this one."""
+        """Robot that a trainer has selected; commands without a name are for it."""
         self.agent_port = 0
         self.monitor_port = 0
         self._connections: set[Connection] = set()

@@ -14,7 +14,7 @@ TEAM_SIZE = 11
 
 
 class Ball:
-    """Move a ball that nobody kicks: gravity, drag and bounces on the ground; it passes through robots."""
+    """Ball without a kicker: gravity, drag and bounces on the ground; it passes through robots."""
 
     def __init__(self) -> None:
         self.position = (0.0, 0.0, protocol.BALL_RADIUS)
@@ -39,7 +39,7 @@ class Ball:
 
 
 class Game:
-    """Keep the game's state."""
+    """State of the game."""
 
     def __init__(self) -> None:
         self.play_mode = protocol.PLAY_MODES[0]

@@ -1,4 +1,4 @@
-"""One robot of the server: an engine of its own, what it is told and what it perceives."""
+"""One robot of the server: an engine of its own, its commands and its perceptors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEARING = 2
 
 
 class Robot:
-    """Simulate one robot, alone on its field, and write its agent messages."""
+    """One robot, alone on its field, and the writer of its agent messages."""
 
     def __init__(self, robot_type: int, *, digits: int, seed: int, noise: bool) -> None:
         self.engine = BatchSimulator(1, robot_type, digits=digits)
@@ -128,7 +128,7 @@ class Robot:
         message = self._writer.write(head, see, p.gyro[0], p.accel[0], p.joint_angles[0], self._touch)
         if play_mode not in ("BeforeKickOff", "GameOver"):
             self.game_time += nao_model.CYCLE_S
-        # perceived at the end of this cycle, told in the next message
+        # perceived at the end of this cycle, sent in the next message
         self._news = self._game_state(play_mode, scores) + self._hear()
         return message
 

@@ -20,7 +20,7 @@ _BAR = 0.04
 
 @dataclass(frozen=True)
 class Actor:
-    """Describe a robot of the scene; number 0 has no team yet."""
+    """Robot of the scene; number 0 has no team yet."""
 
     model: RobotModel
     side: int

@@ -22,12 +22,12 @@ OFF_M = 1e-3
 
 
 class TraceError(ValueError):
-    """A trace file cannot be used; the message names the file and the field."""
+    """Unusable trace file; the message names the file and the field."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Hold one recording; see `load`."""
+    """One recording; see `load`."""
 
     name: str
     robot_type: int

@@ -1,0 +1,41 @@
+"""Jobs that are known to work, as YAML files beside this module: what ``POST /jobs`` takes, and a summary."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import yaml
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all recipes."""
+    found = (file.name for file in files(__name__).iterdir())
+    return tuple(sorted(name.removesuffix(".yaml") for name in found if name.endswith(".yaml")))
+
+
+@cache
+def _read(name: str) -> str:
+    if name not in names():
+        raise ValueError(f"unknown recipe {name!r}: choose one of {', '.join(names()) or 'none'}")
+    return (files(__name__) / f"{name}.yaml").read_text(encoding="utf-8")
+
+
+def summary(name: str) -> str:
+    """Return one line for users about a recipe.
+
+    Raises:
+        ValueError: if there is no such recipe; the message lists those that exist.
+    """
+    return str(yaml.safe_load(_read(name))["summary"])
+
+
+def job(name: str) -> dict[str, Any]:
+    """Return the job of a recipe: name, tags, spec and evaluation, nothing of it validated yet.
+
+    Raises:
+        ValueError: if there is no such recipe; the message lists those that exist.
+    """
+    content: dict[str, Any] = yaml.safe_load(_read(name))
+    return {"name": name, **{key: value for key, value in content.items() if key != "summary"}}

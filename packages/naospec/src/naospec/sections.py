@@ -1,0 +1,138 @@
+"""The sections of a specification that plug-ins define.
+
+A section is a mapping with a ``name``, which chooses the plug-in, and that plug-in's own settings. Its model is a
+subclass of :class:`Section` that the plug-in provides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationInfo
+from pydantic_core import PydanticCustomError, core_schema
+
+from naospec import plugins
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+    from pydantic.json_schema import JsonSchemaValue
+    from pydantic_core import CoreSchema
+
+
+class Section(BaseModel):
+    """Base of every section's settings: frozen, without unknown fields, finite numbers only."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
+
+    name: str = Field(default="", title="Name", description="Which plug-in the section configures.")
+
+
+def section_models(group: str, name: str, robot: Any = None) -> type[Section]:
+    """Return the settings model of one plug-in.
+
+    Args:
+        group: entry-point group.
+        name: name of the plug-in.
+        robot: the robot of the training; only simulators need it.
+
+    Raises:
+        UnknownPluginError: if there is no such plug-in.
+    """
+    plugin = plugins.load(group, name)
+    if group == plugins.ROBOTS:
+        model = type(plugin.parameters)
+    elif group == plugins.SIMULATORS:
+        model = plugin.parameters(robot)
+    else:
+        model = plugin.Parameters
+    if not issubclass(model, Section):
+        raise plugins.BrokenPluginError(f"{group}: {name}: its settings must subclass naospec.Section")
+    return model
+
+
+def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]:
+    """Yield every settings model of a group: plug-in, model, and the robots it applies to (empty: all of them)."""
+    for name in plugins.names(group):
+        if group != plugins.SIMULATORS:
+            yield name, section_models(group, name), ()
+            continue
+        kind = plugins.load(group, name)
+        by_model: dict[type[Section], list[str]] = {}
+        for robot_name in plugins.names(plugins.ROBOTS):
+            robot = plugins.load(plugins.ROBOTS, robot_name)
+            if kind.supports(robot):
+                by_model.setdefault(kind.parameters(robot), []).append(robot_name)
+        for model, robots in by_model.items():
+            yield name, model, tuple(robots)
+
+
+def as_mapping(value: Any) -> Any:
+    """Return a section in its long form: a bare name becomes ``{"name": ...}``, anything else stays as it is."""
+    if isinstance(value, str):
+        return {"name": value}
+    if isinstance(value, Section):
+        return value.model_dump()
+    return value
+
+
+def _dump(section: Any, info: SerializationInfo) -> Any:
+    return section.model_dump(mode=info.mode, exclude_none=info.exclude_none)
+
+
+class PluginSection:
+    """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema."""
+
+    def __init__(self, group: str) -> None:
+        self.group = group
+
+    def validate(self, value: Any, info: ValidationInfo) -> Any:
+        """Return the section that a name or mapping stands for."""
+        if isinstance(value, Section):
+            return value
+        value = as_mapping(value)
+        if not isinstance(value, Mapping):
+            raise PydanticCustomError("section_type", "expected a name, or a mapping with `name` and settings")
+        name = value.get("name")
+        if not isinstance(name, str):
+            raise PydanticCustomError(
+                "section_name",
+                "`name` is missing: choose one of {names}",
+                {"names": ", ".join(plugins.names(self.group))},
+            )
+        robot = None
+        if self.group == plugins.SIMULATORS:
+            section = (info.data or {}).get("robot")
+            if section is None:
+                return Section(name=name)  # the robot's own error is enough
+            robot = plugins.load(plugins.ROBOTS, section.name)
+            kind = plugins.load(self.group, name)
+            if not kind.supports(robot):
+                possible = [n for n in plugins.names(self.group) if plugins.load(self.group, n).supports(robot)]
+                raise PydanticCustomError(
+                    "simulator_robot",
+                    "'{name}' cannot run robot '{robot}': choose one of {names}",
+                    {"name": name, "robot": robot.name, "names": ", ".join(possible)},
+                )
+        return section_models(self.group, name, robot).model_validate(dict(value))
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Return the schema of a value that :meth:`validate` turns into a section."""
+        del source, handler
+        return core_schema.with_info_plain_validator_function(
+            self.validate, serialization=core_schema.plain_serializer_function_ser_schema(_dump, info_arg=True)
+        )
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Return the union of the schemas of all installed plug-ins, told apart by ``name``."""
+        del schema
+        options = []
+        for name, model, robots in variants(self.group):
+            option = dict(handler.resolve_ref_schema(handler(model.__pydantic_core_schema__)))
+            title = dict(option["properties"]["name"])
+            option["properties"] = {**option["properties"], "name": {**title, "const": name, "type": "string"}}
+            option["title"] = name
+            if robots:
+                option["x-robots"] = list(robots)
+            options.append(option)
+        return {"oneOf": options, "x-plugin-group": self.group}

@@ -1,0 +1,3 @@
+"""Evaluation, reports, plots, films and replays of policies."""
+
+from __future__ import annotations

@@ -1,0 +1,334 @@
+"""Evaluation of a policy: episodes without exploration, and the results that the task defines.
+
+The document of an evaluation, ``evaluation.json``, describes itself: every result has its title, unit, digits and
+meaning, so that whoever shows it needs to know nothing of the task.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from naosim.simulator import STEP_S
+from naospec import plugins
+
+from naosprint.analysis.replay import Replay
+from naosprint.rl.policy import load_policy
+from naosprint.tasks.environment import open_environment
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from naospec import EvaluationSpec, TrainingSpec
+
+    from naosprint.arrays import BoolArray, Float32Array, FloatArray, IntArray
+    from naosprint.rl.policy import Policy
+    from naosprint.tasks.environment import Environment
+
+logger = logging.getLogger(__name__)
+
+FORMAT = 2
+"""Version of the evaluation's document."""
+
+REPLAY_CANDIDATES = 5
+"""Number of first episodes of which the median one is kept as a replay."""
+
+_DROPPED = -1  # episode number of samples that no longer count
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Paths of episodes, padded with NaN to the longest; the sample at index 0 is the start.
+
+    Attributes:
+        x, y, height: (k, T) torso position in metres.
+        left_foot_force, right_foot_force: (k, T) upward force in newtons; 0 without contact.
+        joint_angles: (T', A) perceived joint angles of the first episode in radians, policy convention.
+    """
+
+    x: Float32Array
+    y: Float32Array
+    height: Float32Array
+    left_foot_force: Float32Array
+    right_foot_force: Float32Array
+    joint_angles: Float32Array
+
+    def save(self, path: Path) -> None:
+        """Write the arrays to an ``.npz`` file."""
+        np.savez_compressed(
+            path,
+            x=self.x,
+            y=self.y,
+            height=self.height,
+            left_foot_force=self.left_foot_force,
+            right_foot_force=self.right_foot_force,
+            joint_angles=self.joint_angles,
+            cycle_s=np.array(STEP_S),
+        )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of an evaluation and some of its trajectories.
+
+    Attributes:
+        summary: all results, ready for JSON; a result that no episode supports has the value None.
+        trajectories: paths of the first episodes.
+        replay: the median one of the first few episodes.
+    """
+
+    summary: dict[str, Any]
+    trajectories: Trajectories
+    replay: Replay
+
+    def to_json(self) -> str:
+        """Return the summary as JSON."""
+        return json.dumps(self.summary, indent=2, allow_nan=False) + "\n"
+
+    def result(self, name: str) -> float | None:
+        """Return the value of a result.
+
+        Raises:
+            KeyError: if there is no result of that name.
+        """
+        values: dict[str, float | None] = {result["name"]: result["value"] for result in self.summary["results"]}
+        return values[name]
+
+    def save(self, directory: Path) -> tuple[Path, ...]:
+        """Write ``evaluation.json``, ``trajectories.npz`` and the replay to ``directory`` and return their paths."""
+        directory.mkdir(parents=True, exist_ok=True)
+        results, paths = directory / "evaluation.json", directory / "trajectories.npz"
+        results.write_text(self.to_json())
+        self.trajectories.save(paths)
+        return (results, paths, *self.replay.save(directory))
+
+
+def evaluate(
+    checkpoint: Path,
+    spec: EvaluationSpec,
+    *,
+    threads: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Evaluation:
+    """Run the policy of a checkpoint and return the results.
+
+    The same checkpoint and specification give the same results on the same machine with an embedded simulator. On
+    servers no more are started than the machine's cores can keep busy, and an episode whose server fails is run again
+    on a new one.
+
+    Args:
+        checkpoint: checkpoint directory.
+        spec: how to evaluate.
+        threads: threads of the embedded simulator; they change no result.
+        progress: called with the episodes done and their total whenever some are done.
+        stop: called between steps; once it returns true, the evaluation ends with :class:`InterruptedError`.
+
+    Raises:
+        CheckpointError: if the checkpoint is damaged.
+        InterruptedError: if ``stop`` returned true.
+        FileNotFoundError: if the simulator's program is missing.
+        naosim.simulator.ServerLostError: if more servers failed than the training's ``max_server_failures``.
+        ValueError: if the policy does not fit the task.
+    """
+    policy, manifest = load_policy(checkpoint)
+    setting = spec.applied_to(manifest.spec)
+    n = min(spec.n_envs, spec.episodes)
+    most = plugins.load(plugins.SIMULATORS, setting.simulator.name).max_robots()
+    environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)
+    try:
+        _require_fit(environment, manifest.observations)
+        starts = environment.task.starts(spec.episodes, spec.seed, setting.task.start_noise_deg)
+        environment.load_starts(starts)
+        rng = None if spec.deterministic else np.random.default_rng([0xAC7, spec.seed])
+        with one_blas_thread():
+            recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng)
+            recorder.run(progress, stop)
+        failures = environment.simulator.failures
+    finally:
+        environment.close()
+    episodes = recorder.episodes()
+    statistics = Statistics(spec.confidence, spec.bootstrap_resamples, spec.seed)
+    results, tables = environment.task.summarize(episodes, statistics)
+    task = setting.task_class
+    summary = {
+        "format": FORMAT,
+        "checkpoint": {"step": manifest.steps, "spec_sha256": manifest.spec_sha256},
+        "training": manifest.spec.model_dump(mode="json"),
+        "evaluation": spec.model_dump(mode="json"),
+        "task": {"name": task.name, "version": task.version, "settings": setting.task.model_dump(mode="json")},
+        "robot": setting.robot.name,
+        "simulator": setting.simulator.name,
+        "episodes": len(episodes),
+        "server_failures": failures,
+        "results": [result.to_json() for result in results],
+        "headline": list(task.presentation.headline),
+        "tables": [table.to_json() for table in tables],
+    }
+    return Evaluation(
+        summary, _trajectories(recorder, episodes, spec.trajectories), _replay(recorder, episodes, setting)
+    )
+
+
+def _require_fit(environment: Environment, observations: tuple[str, ...]) -> None:
+    if environment.observer.names == observations:
+        return
+    differing = sorted(set(observations).symmetric_difference(environment.observer.names))
+    raise ValueError(
+        f"task: the policy was trained with other observations: {', '.join(differing[:8]) or 'the same in another order'}"
+    )
+
+
+class _Recorder:
+    """The episodes of an evaluation, run by handing the next one to whichever environment is free."""
+
+    def __init__(
+        self, environment: Environment, policy: Policy, episodes: int, n_starts: int, rng: np.random.Generator | None
+    ) -> None:
+        self.environment = environment
+        self.policy = policy
+        self.n_episodes = episodes
+        self.n_starts = n_starts
+        self.rng = rng
+        self.ends: dict[str, BoolArray] = {
+            end.name: np.zeros(episodes, dtype=np.bool_) for end in environment.task.ends
+        }
+        self.shown = min(REPLAY_CANDIDATES, episodes)
+        self.bodies: list[list[FloatArray]] = [[] for _ in range(self.shown)]
+        self.angles: list[FloatArray] = []
+        # one entry per sample of every environment, cut into episodes at the end
+        self._owners: list[IntArray] = []
+        self._samples: list[FloatArray] = []
+        self._episode: IntArray = np.arange(environment.n)
+
+    def run(self, progress: Callable[[int, int], None] | None, stop: Callable[[], bool]) -> None:
+        """Run all episodes."""
+        environment, episode = self.environment, self._episode
+        n = environment.n
+        active: BoolArray = np.ones(n, dtype=np.bool_)
+        following, done = n, 0
+        self._begin(np.arange(n))
+        while active.any():
+            if stop():
+                raise InterruptedError(f"stopped after {done} of {self.n_episodes} episodes")
+            actions = self.policy.act(environment.observations, self.rng)
+            environment.step(actions, None if bool(active.all()) else active)
+            lost = np.flatnonzero(active & environment.lost)
+            if len(lost):
+                for row in lost.tolist():
+                    reason = environment.simulator.loss_reason(row)
+                    logger.warning("episode %d is run again, its server was lost: %s", episode[row], reason)
+                self._drop(lost)
+                self._begin(lost)
+            running = np.flatnonzero(active & ~environment.lost)
+            self._record(running)
+            ended = running[(environment.terminated | environment.truncated)[running]]
+            if not len(ended):
+                continue
+            for name, flags in self.ends.items():
+                flags[episode[ended]] = environment.ends[name][ended]
+            done += len(ended)
+            fresh = ended[: max(0, self.n_episodes - following)]
+            active[ended[len(fresh) :]] = False
+            episode[fresh] = np.arange(following, following + len(fresh))
+            following += len(fresh)
+            if len(fresh):
+                self._begin(fresh)
+            if progress is not None:
+                progress(done, self.n_episodes)
+
+    def episodes(self) -> Episodes:
+        """Return every step of every episode."""
+        owner = np.concatenate(self._owners)
+        order = np.argsort(owner, kind="stable")
+        cuts = np.searchsorted(owner[order], np.arange(self.n_episodes))
+        split = np.split(np.concatenate(self._samples)[order], cuts)[1:]
+        return Episodes(
+            x=[run[:, 0] for run in split],
+            y=[run[:, 1] for run in split],
+            height=[run[:, 2] for run in split],
+            up=[run[:, 3] for run in split],
+            feet=[run[:, 4:6] for run in split],
+            airborne=[run[:, 6] > 0.0 for run in split],
+            trace=[run[:, 7:] for run in split],
+            ends=self.ends,
+            max_steps=self.environment.task.max_steps,
+        )
+
+    def _begin(self, rows: IntArray) -> None:
+        self.environment.restart(rows, self._episode[rows] % self.n_starts)
+        self._record(rows)
+
+    def _record(self, rows: IntArray) -> None:
+        environment, episode = self.environment, self._episode
+        simulator, world = environment.simulator, environment.world
+        feet = simulator.foot_forces()[rows]
+        airborne = simulator.airborne()[rows]
+        up = world.rotation(rows)[:, 2, 2]
+        trace = environment.task.trace_row(rows)
+        self._owners.append(episode[rows].copy())
+        self._samples.append(np.column_stack([world.position(rows), up, feet, airborne, trace]))
+        first = np.flatnonzero(episode[rows] == 0)
+        if len(first):
+            row = rows[first[0]]
+            self.angles.append(environment.actuation.angles(world.perceptors["joint_angles"][row : row + 1])[0])
+        watched = rows[episode[rows] < self.shown]
+        if len(watched):
+            poses = simulator.bodies()
+            for row in watched.tolist():
+                self.bodies[int(episode[row])].append(poses[row].copy())
+
+    def _drop(self, rows: IntArray) -> None:
+        """Remove what the unfinished episodes of ``rows`` left."""
+        for number in self._episode[rows].tolist():
+            for owner in self._owners:
+                owner[owner == number] = _DROPPED
+            if number == 0:
+                self.angles.clear()
+            if number < self.shown:
+                self.bodies[number].clear()
+
+
+def _replay(recorder: _Recorder, episodes: Episodes, spec: TrainingSpec) -> Replay:
+    """Return the median one of the first episodes by distance covered, then by length."""
+    # episodes that ended alike differ in their lengths
+    order = sorted(
+        range(recorder.shown),
+        key=lambda i: (round(float(episodes.x[i][-1] - episodes.x[i][0]), 1), -len(episodes.x[i])),
+    )
+    median = order[recorder.shown // 2]
+    reached = [end for end in recorder.environment.task.ends if episodes.ends[end.name][median]]
+    return Replay(
+        robot=spec.robot_description,
+        positions=np.array(recorder.bodies[median])[:, :, :3].astype(np.float32),
+        rotations=np.array(recorder.bodies[median])[:, :, 3:7].astype(np.float32),
+        foot_forces=episodes.feet[median].astype(np.float32),
+        end=reached[0].title if reached else "",
+        failed=any(end.failure for end in reached),
+    )
+
+
+def _trajectories(recorder: _Recorder, episodes: Episodes, count: int) -> Trajectories:
+    kept = range(min(count, len(episodes)))
+    longest = max((len(episodes.x[i]) for i in kept), default=0)
+
+    def padded(rows: list[FloatArray]) -> Float32Array:
+        table = np.full((len(kept), longest), np.nan, dtype=np.float32)
+        for i in kept:
+            table[i, : len(rows[i])] = rows[i]
+        return table
+
+    return Trajectories(
+        x=padded(episodes.x),
+        y=padded(episodes.y),
+        height=padded(episodes.height),
+        left_foot_force=padded([feet[:, 0] for feet in episodes.feet]),
+        right_foot_force=padded([feet[:, 1] for feet in episodes.feet]),
+        joint_angles=np.array(recorder.angles, dtype=np.float32),
+    )

@@ -1,0 +1,287 @@
+"""Checkpoints: directories of plain arrays and one manifest, never pickles.
+
+    checkpoint.json     format, specification, counters, versions, and SHA-256 and size of every file
+    policy.npz          weights and observation statistics: all that acting needs
+    learner.npz         optimiser, generators
+    environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
+
+A directory is written under another name and renamed when it is complete, so one that exists is whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import shutil
+import zipfile
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from naospec import TrainingSpec, validation_words
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naosprint.arrays import AnyArray
+
+MANIFEST = "checkpoint.json"
+POLICY = "policy.npz"
+LEARNER = "learner.npz"
+ENVIRONMENT = "environment.npz"
+
+FORMAT = 2
+"""Version of the checkpoint format that this code writes and reads."""
+
+_MAX_MANIFEST_BYTES = 1_000_000
+_MAX_FILE_BYTES = 4_000_000_000
+_MAX_ARRAYS = 1000
+
+
+class CheckpointError(ValueError):
+    """Checkpoint that is damaged or does not fit."""
+
+
+class FileEntry(BaseModel):
+    """Checksum and size of one file of a checkpoint."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    size: int = Field(ge=0, le=_MAX_FILE_BYTES)
+
+
+class Manifest(BaseModel):
+    """Content of ``checkpoint.json``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    format: int
+    spec: TrainingSpec
+    spec_sha256: str
+    stage: int = Field(ge=0)
+    steps: int = Field(ge=0)
+    updates: int = Field(ge=0)
+    episodes: int = Field(ge=0)
+    training_s: float = Field(ge=0.0)
+    observations: tuple[str, ...]
+    actions: tuple[str, ...]
+    versions: dict[str, str]
+    files: dict[str, FileEntry]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingState:
+    """Everything that a training's future depends on, besides its specification.
+
+    Attributes:
+        stage: number of the stage that it belongs to, from 0.
+        steps: environment steps of all stages so far.
+    """
+
+    stage: int
+    steps: int
+    updates: int
+    episodes: int
+    training_s: float
+    observations: tuple[str, ...]
+    actions: tuple[str, ...]
+    policy: Mapping[str, AnyArray]
+    learner: Mapping[str, AnyArray]
+    environment: Mapping[str, AnyArray] | None
+
+
+def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -> Path:
+    """Write a checkpoint to ``directory``, which appears only when it is complete.
+
+    An existing directory of that name is replaced. Returns ``directory``.
+
+    Raises:
+        OSError: if the files cannot be written.
+    """
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    partial = directory.with_name(f".{directory.name}.{os.getpid()}.partial")
+    if partial.exists():
+        shutil.rmtree(partial)
+    partial.mkdir()
+    try:
+        contents = {POLICY: state.policy, LEARNER: state.learner}
+        if state.environment is not None:
+            contents[ENVIRONMENT] = state.environment
+        files = {name: _write_arrays(partial / name, arrays) for name, arrays in contents.items()}
+        manifest = Manifest(
+            format=FORMAT,
+            spec=spec,
+            spec_sha256=spec.digest(),
+            stage=state.stage,
+            steps=state.steps,
+            updates=state.updates,
+            episodes=state.episodes,
+            training_s=state.training_s,
+            observations=state.observations,
+            actions=state.actions,
+            versions=_versions(),
+            files=files,
+        )
+        text = json.dumps(manifest.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+        _write_bytes(partial / MANIFEST, text.encode())
+        _sync_directory(partial)
+        if directory.exists():
+            shutil.rmtree(directory)
+        partial.rename(directory)
+        _sync_directory(directory.parent)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    return directory
+
+
+def read_manifest(directory: Path) -> Manifest:
+    """Read and check the manifest of the checkpoint in ``directory``.
+
+    Raises:
+        CheckpointError: if there is none, or one that this version cannot read.
+    """
+    path = directory / MANIFEST
+    try:
+        size = path.stat().st_size
+        if size > _MAX_MANIFEST_BYTES:
+            raise CheckpointError(f"{path}: {size} bytes are too many for a manifest")
+        raw = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise CheckpointError(f"{directory}: no checkpoint here ({MANIFEST} is missing)") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, CheckpointError):
+            raise
+        raise CheckpointError(f"{path}: unreadable: {error}") from error
+    found = raw.get("format") if isinstance(raw, dict) else None
+    if found != FORMAT:
+        raise CheckpointError(f"{path}: checkpoint format {found!r}, but this version reads format {FORMAT}")
+    try:
+        manifest = Manifest.model_validate(raw)
+    except ValidationError as error:
+        raise CheckpointError(f"{path}: {validation_words(error.errors())}") from error
+    # of what was written, so that fields added since do not count
+    written = {name: value for name, value in raw["spec"].items() if name != "runtime"}
+    canonical = json.dumps(written, sort_keys=True, separators=(",", ":"))
+    if hashlib.sha256(canonical.encode()).hexdigest() != manifest.spec_sha256:
+        raise CheckpointError(f"{path}: spec: does not match spec_sha256; the file was edited")
+    return manifest
+
+
+def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyArray]:
+    """Read one file of arrays after checking it against the manifest.
+
+    Raises:
+        CheckpointError: if it is missing, changed, or contains anything but plain arrays.
+    """
+    entry = manifest.files.get(name)
+    path = directory / name
+    if entry is None:
+        raise CheckpointError(f"{directory}: the checkpoint has no {name}")
+    try:
+        size = path.stat().st_size
+        if size != entry.size:
+            raise CheckpointError(f"{path}: {size} bytes, but the manifest has {entry.size}; the file is damaged")
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise CheckpointError(f"{path}: unreadable: {error}") from error
+    if digest != entry.sha256:
+        raise CheckpointError(f"{path}: SHA-256 does not match the manifest; the file is damaged")
+    return read_arrays(path)
+
+
+def read_arrays(path: Path) -> dict[str, AnyArray]:
+    """Read a ``.npz`` file of plain numbers without trusting its content.
+
+    Raises:
+        CheckpointError: if it is not such a file, contains objects, or announces more data than it has.
+    """
+    arrays: dict[str, AnyArray] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > _MAX_ARRAYS:
+                raise CheckpointError(f"{path}: {len(members)} arrays are too many")
+            for member in members:
+                if member.compress_type != zipfile.ZIP_STORED or not member.filename.endswith(".npy"):
+                    raise CheckpointError(f"{path}: {member.filename}: not an uncompressed array")
+                with archive.open(member) as stream:
+                    major_minor = np.lib.format.read_magic(stream)
+                    if major_minor != (1, 0):
+                        raise CheckpointError(f"{path}: {member.filename}: unknown array version {major_minor}")
+                    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+                    if dtype.hasobject or dtype.kind not in "fiub" or fortran:
+                        raise CheckpointError(f"{path}: {member.filename}: {dtype} is not a type of plain numbers")
+                    wanted = math.prod(shape) * dtype.itemsize
+                    if wanted > member.file_size:
+                        raise CheckpointError(f"{path}: {member.filename}: announces {wanted} bytes but has fewer")
+                    data = stream.read(wanted)
+                    arrays[member.filename.removesuffix(".npy")] = np.frombuffer(data, dtype).reshape(shape).copy()
+    except CheckpointError:
+        raise
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise CheckpointError(f"{path}: not a file of arrays: {error}") from error
+    return arrays
+
+
+def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[str, AnyArray]) -> None:
+    """Check that ``found`` has the names, shapes and kinds of ``expected`` and nothing but finite numbers.
+
+    Raises:
+        CheckpointError: naming the first array that differs.
+    """
+    for name in sorted(expected.keys() | found.keys()):
+        if name not in found:
+            raise CheckpointError(f"{path}: array {name!r} is missing")
+        if name not in expected:
+            raise CheckpointError(f"{path}: array {name!r} is unknown")
+        ours, theirs = expected[name], found[name]
+        if ours.shape != theirs.shape or ours.dtype != theirs.dtype:
+            raise CheckpointError(
+                f"{path}: array {name!r} is {theirs.dtype}{list(theirs.shape)}, "
+                f"but the specification needs {ours.dtype}{list(ours.shape)}"
+            )
+        if theirs.dtype.kind == "f" and not np.isfinite(theirs).all():
+            raise CheckpointError(f"{path}: array {name!r} contains numbers that are not finite")
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, AnyArray]) -> FileEntry:
+    with path.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **{name: np.asarray(value, order="C") for name, value in arrays.items()})
+        stream.flush()
+        os.fsync(stream.fileno())
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return FileEntry(sha256=digest, size=path.stat().st_size)
+
+
+def _write_bytes(path: Path, data: bytes) -> None:
+    with path.open("wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _sync_directory(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _versions() -> dict[str, str]:
+    found: dict[str, Any] = {}
+    for name in ("naosprint", "naosim", "naospec", "numpy", "torch", "stable-baselines3"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found

@@ -1,0 +1,39 @@
+"""Metrics that every training reports, whatever its task and algorithm."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from naospec import plugins
+
+from naosprint.tasks.base import EPISODE_METRICS
+from naosprint.tasks.metrics import Metric
+
+if TYPE_CHECKING:
+    from naospec import TrainingSpec
+
+PROGRESS: tuple[Metric, ...] = (
+    Metric("step", "Steps", "steps", "Environment steps since the start of the job.", 0),
+    Metric("time_s", "Training time", "s", "Time spent training, over all attempts.", 0),
+    Metric("episodes", "Episodes", "", "Episodes finished since the start of the job.", 0),
+    Metric("stage", "Stage", "", "Number of the stage, from 1; only trainings with several stages.", 0),
+)
+"""How far the training is."""
+
+PACE: tuple[Metric, ...] = (
+    Metric(
+        "steps_per_s", "Steps per second", "1/s", "Environment steps a second in this update, learning included.", 0
+    ),
+    Metric("collect_s", "Collection time", "s", "Time that collecting the rollout took.", 3),
+    Metric("learn_s", "Update time", "s", "Time that updating the policy took.", 3),
+    Metric("eta_s", "Time left", "s", "Time that the rest of the training takes at the mean pace of this attempt.", 0),
+    Metric("server_failures", "Server failures", "", "Servers that failed and were replaced; servers only.", 0),
+)
+"""How fast it is."""
+
+
+def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
+    """Return what a training's rows of metrics contain, in order."""
+    learner = plugins.load(plugins.LEARNERS, spec.algorithm.name)
+    live = [metric for metric in spec.task_class.metrics if metric.live]
+    return (*PROGRESS, *EPISODE_METRICS, *live, *learner.metrics, *PACE)

@@ -1,0 +1,371 @@
+"""Proximal policy optimization (Schulman et al., 2017), to be read from top to bottom.
+
+Networks and optimizer are those of stable-baselines3, and one update is that of its ``PPO.train``
+(tests/unit/naosprint/rl/test_ppo.py). The order of work differs: during a rollout only the actor runs, exploration
+noise is drawn once per rollout, values are computed in one pass at its end, and an update works on tensors without
+copies to and from NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+from naosprint.mirror import Mirror
+from naosprint.rl import schedules
+from naosprint.rl.learner import Learner, TrainingDivergedError
+from naosprint.rl.networks import FEW_ROWS, linear_layers, run_network
+from naosprint.rl.symmetry import tie_weights
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from naospec import TrainingSpec
+    from torch import Tensor
+
+    from naosprint.arrays import AnyArray, BoolArray, Float32Array
+    from naosprint.rl.rollout import TrainingEnvironment
+
+_HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+_ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+class Rollout:
+    """Storage of one rollout: T steps of n environments.
+
+    Attributes:
+        observations: (T, n, D) normalized observations.
+        actions: (T, n, A) actions as drawn, not clipped.
+        rewards: (T, n) normalized rewards, with the discounted value of what would have followed where an episode was
+            cut short.
+        episode_starts: (T, n) whether an observation is the first of its episode.
+        values: (T, n) the critic's values of the observations.
+        log_probs: (T, n) logarithms of the actions' probability densities.
+        advantages: (T, n) estimated advantages.
+        returns: (T, n) estimated returns.
+    """
+
+    def __init__(self, n_steps: int, n_envs: int, n_observations: int, n_actions: int) -> None:
+        self.observations: Float32Array = np.zeros((n_steps, n_envs, n_observations), np.float32)
+        self.actions: Float32Array = np.zeros((n_steps, n_envs, n_actions), np.float32)
+        self.rewards: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.episode_starts: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.values: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.log_probs: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.advantages: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.returns: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+
+    def estimate_advantages(self, last_values: Float32Array, dones: BoolArray, gamma: float, gae_lambda: float) -> None:
+        """Fill in advantages and returns by generalized advantage estimation (Schulman et al., 2016).
+
+        Args:
+            last_values: (n,) values of the observations after the last step.
+            dones: (n,) whether these are the first of an episode.
+            gamma: discount factor.
+            gae_lambda: lambda of the estimate.
+        """
+        follows = 1.0 - dones.astype(np.float32)
+        next_values = last_values
+        estimate: Any = 0
+        for step in reversed(range(len(self.rewards))):
+            delta = self.rewards[step] + gamma * next_values * follows - self.values[step]
+            estimate = delta + gamma * gae_lambda * follows * estimate
+            self.advantages[step] = estimate
+            follows = 1.0 - self.episode_starts[step]
+            next_values = self.values[step]
+        self.returns = self.advantages + self.values
+
+    def flat(self, name: str) -> Tensor:
+        """Return one of the arrays as a tensor with one row per sample."""
+        array = getattr(self, name)
+        return torch.from_numpy(array.reshape(-1, *array.shape[2:]))
+
+
+class PPO(Learner):
+    """PPO for one training.
+
+    Args:
+        spec: the training's specification.
+        environment: its environments.
+    """
+
+    def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
+        settings = spec.algorithm
+        self.spec = spec
+        self.settings = settings
+        self.environment = environment
+        self.policy = _build_policy(spec, environment)
+        self._actor = linear_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
+        self._critic = linear_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
+        self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
+        self.generator = torch.Generator()
+        self.generator.manual_seed(spec.seed)
+        self.steps = 0
+        self.updates = 0
+        self.rate_factor = 1.0
+        self._n_passes = 0
+        self._average = {name: tensor.clone() for name, tensor in self.policy.state_dict().items()}
+        self._averaged = 0
+        self._observations: Float32Array = np.zeros((environment.n, environment.n_observations), np.float32)
+        self._starts: BoolArray = np.ones(environment.n, dtype=np.bool_)
+
+    def begin(self) -> None:
+        """Begin the first episodes."""
+        self._observations = self.environment.reset()
+        self._starts = np.ones(self.environment.n, dtype=np.bool_)
+
+    def act(self, observations: Float32Array) -> Float32Array:
+        """Return the (n, A) mean actions for (n, D) normalized observations."""
+        with torch.no_grad():
+            return np.asarray(run_network(self._actor, torch.from_numpy(observations)).numpy(), dtype=np.float32)
+
+    # --- collection ---------------------------------------------------------------------------------------------------
+
+    def collect(self, stop: Callable[[], bool] = lambda: False) -> bool:
+        """Collect one rollout; see :meth:`Learner.collect`."""
+        environment, rollout, policy = self.environment, self.rollout, self.policy
+        n, n_steps = environment.n, self.settings.n_steps
+        gamma = environment.normalizer.gamma = schedules.discount(self.spec, self.steps)
+        policy.set_training_mode(False)
+        with torch.no_grad():
+            if self.settings.final_log_std is not None:
+                policy.log_std.fill_(schedules.log_std(self.spec, self.steps))
+            log_std = policy.log_std.detach()
+            noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
+            scaled_noise = noise * log_std.exp()
+            actions = torch.from_numpy(rollout.actions)
+            observations, starts = self._observations.copy(), self._starts.copy()
+            fused = n >= FEW_ROWS
+            # while the simulator computes for one group, another is processed here
+            for step in range(n_steps + 1):
+                if step < n_steps and stop():
+                    for group in environment.groups if step else ():
+                        environment.step_wait(group)
+                    return False
+                for group in environment.groups:
+                    if step:
+                        transition = environment.step_wait(group)
+                        if not np.isfinite(transition.observations.sum()):
+                            raise TrainingDivergedError(_locate(environment, transition.observations, group))
+                        observations[group], starts[group] = transition.observations, transition.dones
+                        rewards = rollout.rewards[step - 1, group]
+                        rewards[:] = transition.rewards
+                        if len(transition.bootstrapped):
+                            last = torch.from_numpy(transition.last_observations)
+                            rewards[transition.bootstrapped] += gamma * run_network(self._critic, last).numpy()[:, 0]
+                    if step < n_steps:
+                        rollout.observations[step, group] = observations[group]
+                        rollout.episode_starts[step, group] = starts[group]
+                        mean = run_network(self._actor, torch.from_numpy(observations[group]), fused=fused)
+                        torch.add(mean, scaled_noise[step, group], out=actions[step, group])
+                        environment.step_async(rollout.actions[step, group], group)
+            values = run_network(self._critic, rollout.flat("observations"))
+            rollout.values[:] = values.numpy().reshape(n_steps, n)
+            density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - environment.n_actions * _HALF_LOG_TWO_PI
+            rollout.log_probs[:] = density.numpy()
+            last_values = run_network(self._critic, torch.from_numpy(observations)).numpy()[:, 0]
+        rollout.estimate_advantages(last_values, starts, gamma, self.settings.gae_lambda)
+        self._observations, self._starts = observations, starts
+        self.steps += n * n_steps
+        return True
+
+    # --- update -------------------------------------------------------------------------------------------------------
+
+    def update(self) -> dict[str, float]:
+        """Improve the policy with the rollout; see :meth:`Learner.update`."""
+        policy, settings, rollout = self.policy, self.settings, self.rollout
+        policy.set_training_mode(True)
+        rate = schedules.learning_rate(self.spec, self.steps) * self.rate_factor
+        for group in policy.optimizer.param_groups:
+            group["lr"] = rate
+        target_kl = schedules.target_kl(self.spec, self.steps)
+        observations, actions = rollout.flat("observations"), rollout.flat("actions")
+        old_log_probs, returns, advantages = (rollout.flat(name) for name in ("log_probs", "returns", "advantages"))
+        if settings.advantage_normalization == "rollout":
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        parameters = list(policy.parameters())
+        losses: list[tuple[float, ...]] = []
+        kls: list[float] = []
+        for _ in range(settings.n_epochs):
+            order = torch.randperm(len(observations), generator=self.generator)
+            kls = []
+            for first in range(0, len(observations), settings.batch_size):
+                chosen = order[first : first + settings.batch_size]
+                policy_loss, value_loss, entropy, log_ratio = self._losses(
+                    observations.index_select(0, chosen),
+                    actions.index_select(0, chosen),
+                    old_log_probs.index_select(0, chosen),
+                    advantages.index_select(0, chosen),
+                    returns.index_select(0, chosen),
+                )
+                loss = policy_loss - settings.entropy_coefficient * entropy + settings.value_coefficient * value_loss
+                with torch.no_grad():
+                    ratio = log_ratio.exp()
+                    # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
+                    kls.append(float(((ratio - 1.0) - log_ratio).mean()))
+                    clipped = float(((ratio - 1.0).abs() > settings.clip_range).float().mean())
+                losses.append(
+                    (float(policy_loss.detach()), float(value_loss.detach()), float(entropy.detach()), clipped)
+                )
+                self._require_finite(losses[-1], kls[-1])
+                if target_kl is not None and kls[-1] > 1.5 * target_kl:
+                    break
+                policy.optimizer.zero_grad()
+                loss.backward()
+                if settings.max_grad_norm is not None:
+                    nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
+                policy.optimizer.step()
+            self._n_passes += 1
+            if target_kl is not None and kls[-1] > 1.5 * target_kl:
+                break
+        if not all(bool(torch.isfinite(parameter).all()) for parameter in parameters):
+            raise TrainingDivergedError(f"a weight is no longer finite after {self.steps} steps; lower learning_rate")
+        self._update_average()
+        kl = float(np.mean(kls))
+        if settings.learning_rate_schedule == "adaptive":
+            self.rate_factor = schedules.adapted_factor(self.spec, self.rate_factor, kl, target_kl)
+        self.updates += 1
+        policy_loss_mean, value_loss_mean, entropy_mean, clip_fraction = np.mean(losses, axis=0).tolist()
+        return {
+            "policy_loss": policy_loss_mean,
+            "value_loss": value_loss_mean,
+            "approx_kl": kl,
+            "clip_fraction": clip_fraction,
+            "explained_variance": _explained_variance(rollout.values, rollout.returns),
+            "action_std": float(policy.log_std.detach().exp().mean()),
+            "entropy": entropy_mean,
+            "learning_rate": rate,
+        }
+
+    def _losses(
+        self, observations: Tensor, actions: Tensor, old_log_probs: Tensor, advantages: Tensor, returns: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return a minibatch's policy loss, value loss, entropy, and (k,) logarithms of the probability ratios."""
+        log_std = self.policy.log_std
+        mean = run_network(self._actor, observations)
+        values = run_network(self._critic, observations).squeeze(1)
+        deviation = (actions - mean) * (-log_std).exp()
+        log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
+        if self.settings.advantage_normalization == "minibatch":
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        log_ratio = log_probs - old_log_probs
+        ratio = log_ratio.exp()
+        clip = self.settings.clip_range
+        policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
+        value_loss = (returns - values).square().mean()
+        # of a Gaussian whose spread does not depend on the state
+        entropy = log_std.sum() + log_std.numel() * (0.5 + _HALF_LOG_TWO_PI)
+        return policy_loss, value_loss, entropy, log_ratio.detach()
+
+    def _require_finite(self, losses: tuple[float, ...], kl: float) -> None:
+        if not all(map(math.isfinite, (*losses, kl))):
+            raise TrainingDivergedError(
+                f"the loss is no longer finite after {self.steps} steps "
+                f"(policy {losses[0]}, value {losses[1]}, KL {kl}); lower learning_rate"
+            )
+
+    def _update_average(self) -> None:
+        """Merge the latest weights into their moving average, which is a plain mean at first."""
+        self._averaged += 1
+        share = max(1.0 - self.settings.ema_decay, 1.0 / self._averaged)
+        for name, tensor in self.policy.state_dict().items():
+            self._average[name].lerp_(tensor, share)
+
+    # --- state --------------------------------------------------------------------------------------------------------
+
+    def policy_state(self) -> dict[str, AnyArray]:
+        """Return the moving average of the weights, by stable-baselines3's names."""
+        return {name: tensor.numpy().copy() for name, tensor in self._average.items()}
+
+    def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
+        """Continue with these weights, by stable-baselines3's names, as the latest ones and as their average."""
+        self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in state.items()})
+        self._average = {name: torch.from_numpy(np.array(value)) for name, value in state.items()}
+
+    def state(self) -> dict[str, AnyArray]:
+        """Return optimizer, generator, where the episodes are, and the latest weights."""
+        state: dict[str, AnyArray] = {
+            "generator": self.generator.get_state().numpy().copy(),
+            "episode_starts": self._starts.copy(),
+            "n_updates": np.array([self._n_passes], dtype=np.int64),
+            "rate_factor": np.array([self.rate_factor]),
+            "averaged": np.array([self._averaged], dtype=np.int64),
+            **{f"latest.{name}": tensor.numpy().copy() for name, tensor in self.policy.state_dict().items()},
+        }
+        for name, parameter in self.policy.named_parameters():
+            slots = self.policy.optimizer.state.get(parameter)
+            for slot in _ADAM:
+                value = slots[slot] if slots else torch.zeros_like(parameter if slot != "step" else torch.zeros(()))
+                state[f"adam.{slot}.{name}"] = value.detach().numpy().copy()
+        return state
+
+    def load_state(self, state: Mapping[str, AnyArray], observations: Float32Array) -> None:
+        """Restore what :meth:`state` returned; ``observations`` are those to act on next."""
+        self.generator.set_state(torch.from_numpy(np.array(state["generator"], dtype=np.uint8)))
+        self._starts = np.array(state["episode_starts"], dtype=np.bool_)
+        self._observations = observations
+        self._n_passes = int(np.asarray(state["n_updates"])[0])
+        self.rate_factor = float(np.asarray(state["rate_factor"], dtype=np.float64)[0])
+        self._averaged = int(np.asarray(state["averaged"])[0])
+        prefix = "latest."
+        latest = {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
+        self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in latest.items()})
+        for name, parameter in self.policy.named_parameters():
+            self.policy.optimizer.state[parameter] = {
+                slot: torch.from_numpy(np.array(state[f"adam.{slot}.{name}"], dtype=np.float32)) for slot in _ADAM
+            }
+
+
+def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> ActorCriticPolicy:
+    """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed."""
+    settings = spec.algorithm
+    # without touching the process's generators
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(spec.seed)
+        policy = ActorCriticPolicy(
+            spaces.Box(-np.inf, np.inf, (environment.n_observations,), np.float32),
+            spaces.Box(-1.0, 1.0, (environment.n_actions,), np.float32),
+            lambda _: settings.learning_rate,
+            net_arch=list(settings.hidden_sizes),
+            activation_fn=nn.Tanh,
+            log_std_init=settings.initial_log_std,
+            ortho_init=settings.weight_initialization == "orthogonal",
+            optimizer_kwargs={"eps": settings.adam_epsilon, "fused": True},
+        ).to("cpu")
+        if settings.weight_initialization == "unit_norm":
+            _initialize_unit_norm(policy)
+        if settings.symmetric_policy:
+            inner = environment.environment
+            actions = Mirror.of_names(inner.actuation.names, *inner.actuation.mirror)
+            tie_weights(policy, inner.observer.mirror, actions)
+    if settings.final_log_std is not None:
+        policy.log_std.requires_grad_(False)
+    return policy
+
+
+def _initialize_unit_norm(policy: ActorCriticPolicy) -> None:
+    """Draw Gaussian weights and scale each unit's incoming ones to norm 1, those of the action layer to 0.01."""
+    with torch.no_grad():
+        for module in policy.modules():
+            if isinstance(module, nn.Linear):
+                norm = 0.01 if module is policy.action_net else 1.0
+                module.weight.normal_()
+                module.weight.mul_(norm / module.weight.norm(dim=1, keepdim=True))
+                module.bias.zero_()
+
+
+def _explained_variance(values: Float32Array, returns: Float32Array) -> float:
+    variance = float(np.var(returns))
+    return 1.0 - float(np.var(returns - values)) / variance if variance > 0.0 else 0.0
+
+
+def _locate(environment: TrainingEnvironment, observations: Float32Array, group: slice) -> str:
+    row, column = np.argwhere(~np.isfinite(observations))[0]
+    name = environment.environment.observer.names[column]
+    return f"observation {name!r} of environment {group.start + row} is no longer finite"

@@ -1,0 +1,393 @@
+"""Trainings: from the start, from a checkpoint, or from another policy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal
+
+from naosim.simulator import ServerLostError
+from naospec import plugins
+
+from naosprint.rl.checkpoint import (
+    ENVIRONMENT,
+    LEARNER,
+    POLICY,
+    CheckpointError,
+    TrainingState,
+    read_file,
+    read_manifest,
+    require_like,
+    save_checkpoint,
+)
+from naosprint.rl.learner import TrainingDivergedError
+from naosprint.rl.rollout import TrainingEnvironment
+from naosprint.rl.warm_start import adapt
+from naosprint.tasks.environment import open_training_environment
+from naosprint.tasks.metrics import format_value
+from naosprint.threads import set_learner_threads
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from naospec import TrainingSpec
+
+    from naosprint.arrays import AnyArray
+    from naosprint.rl.reporter import Reporter
+
+__all__ = ["TrainResult", "TrainingDivergedError", "train"]
+
+_STATISTICS = ("observation_mean", "observation_variance", "observation_count")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainResult:
+    """How a training ended.
+
+    Attributes:
+        status: whether all steps were taken, or the training was asked to stop.
+        steps: steps of the last checkpoint.
+        checkpoint: the last checkpoint.
+    """
+
+    status: Literal["finished", "stopped"]
+    steps: int
+    checkpoint: Path
+
+
+@dataclass(slots=True)
+class _Progress:
+    """What a training has done before its present stage, and in all."""
+
+    steps: int = 0
+    updates: int = 0
+    episodes: int = 0
+    training_s: float = 0.0
+
+
+def train(
+    spec: TrainingSpec,
+    *,
+    workdir: Path,
+    reporter: Reporter,
+    resume: Path | None = None,
+    initial_policy: Path | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> TrainResult:
+    """Train a policy and leave checkpoints in ``workdir``.
+
+    Args:
+        spec: what to train and how.
+        workdir: directory for checkpoints, ``step-000000000000`` and so on; made if it is missing.
+        reporter: receives metrics, checkpoints and log lines.
+        resume: checkpoint to continue from; with an embedded simulator and the same numbers of threads the result is
+            that of a training that never stopped, bit for bit. Only total_steps and the runtime settings may differ
+            from its specification.
+        initial_policy: checkpoint whose weights and observation statistics to start from; everything else is new.
+        stop: called between steps; once it returns true, the training saves a checkpoint of the last complete update
+            and returns. What the unfinished rollout had collected is given up.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        CheckpointError: if a checkpoint is damaged or does not fit the specification.
+        TrainingDivergedError: if a number is no longer finite; the checkpoints so far remain.
+        naosim.simulator.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start;
+            the last complete update is saved.
+        FileNotFoundError: if the simulator's program is missing.
+        ValueError: if the specification is impossible on this machine.
+    """
+    if resume is not None and initial_policy is not None:
+        raise ValueError("resume and initial_policy exclude each other: a resumed training has its own policy")
+    set_learner_threads(spec.runtime.learner_threads)
+    stage, progress = 0, _Progress()
+    if resume is not None:
+        manifest = read_manifest(resume)
+        _require_same_training(resume, manifest.spec, spec)
+        stage = manifest.stage
+        if stage >= len(spec.stage_specs):
+            raise CheckpointError(
+                f"{resume}: it is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
+            )
+        if manifest.steps >= spec.stage_ends[stage] and stage + 1 < len(spec.stage_specs):
+            # the stage is complete: the next one starts from its policy
+            stage, resume, initial_policy = stage + 1, None, resume
+            progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
+    result = None
+    while stage < len(spec.stage_specs):
+        result = _train_stage(spec, stage, progress, workdir, reporter, resume, initial_policy, stop)
+        if result.status == "stopped":
+            return result
+        stage, resume, initial_policy = stage + 1, None, result.checkpoint
+    assert result is not None
+    return result
+
+
+def _train_stage(
+    spec: TrainingSpec,
+    stage: int,
+    progress: _Progress,
+    workdir: Path,
+    reporter: Reporter,
+    resume: Path | None,
+    initial_policy: Path | None,
+    stop: Callable[[], bool],
+) -> TrainResult:
+    inner, n_starts = open_training_environment(spec.stage_specs[stage])
+    try:
+        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter)
+        if resume is not None:
+            session.resume(resume)
+        else:
+            if initial_policy is not None:
+                session.warm_start(initial_policy)
+            session.learner.begin()
+        return session.run(stop)
+    finally:
+        inner.close()
+
+
+class _Session:
+    """One stage of a training: rollouts, updates, reports and checkpoints."""
+
+    def __init__(
+        self,
+        whole: TrainingSpec,
+        stage: int,
+        progress: _Progress,
+        environment: Any,
+        n_starts: int,
+        workdir: Path,
+        reporter: Reporter,
+    ) -> None:
+        self.whole = whole
+        self.spec = spec = whole.stage_specs[stage]
+        self.stage = stage
+        self.progress = progress
+        self.first_step = 0 if stage == 0 else whole.stage_ends[stage - 1]
+        self.environment = TrainingEnvironment.from_spec(spec, environment, n_starts)
+        self.learner = plugins.load(plugins.LEARNERS, spec.algorithm.name).open(spec, self.environment)
+        self._listed = [
+            metric for metric in spec.task_class.metrics if metric.name in spec.task_class.presentation.listed
+        ]
+        self._workdir = workdir
+        self._reporter = reporter
+        self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
+        self._saved_step: int | None = None
+        self.environment.on_loss = self._report_loss
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all stages so far."""
+        return self.first_step + int(self.learner.steps)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of all stages so far."""
+        return self._earlier.episodes + self.environment.window.episodes
+
+    def run(self, stop: Callable[[], bool]) -> TrainResult:
+        """Train until the stage's steps are taken or ``stop`` returns true."""
+        spec, learner, progress = self.spec, self.learner, self.progress
+        end = self.whole.stage_ends[self.stage]
+        checkpoint = self._workdir / _name(self.steps)
+        self._log(self._title())
+        began_steps, began_s = self.steps, perf_counter()
+        # a first checkpoint at once shows that saving works before hours depend on it
+        if began_steps == 0:
+            checkpoint = self._save(self._state())
+        while self.steps < end:
+            before = self._state()
+            began = perf_counter()
+            try:
+                complete = learner.collect(stop)
+            except ServerLostError:
+                self._save(before)
+                raise
+            if not complete:
+                checkpoint = self._save(before)
+                self._log(f"stopped at {before.steps:,} steps; the last complete update is saved")
+                return TrainResult("stopped", before.steps, checkpoint)
+            collected = perf_counter()
+            # servers drop robots that are silent for a minute
+            with self.environment.environment.simulator.keep_alive():
+                metrics = learner.update()
+                now = perf_counter()
+                progress.training_s += now - began
+                pace = {
+                    "steps_per_s": spec.rollout_steps / (now - began),
+                    "collect_s": collected - began,
+                    "learn_s": now - collected,
+                    "eta_s": max(self.whole.planned_steps - self.steps, 0)
+                    * (now - began_s)
+                    / (self.steps - began_steps),
+                }
+                self._report(metrics, pace)
+                interval = spec.runtime.checkpoint_interval_steps
+                if self.steps // interval > before.steps // interval or self.steps >= end:
+                    checkpoint = self._save(self._state())
+                    self._log(f"checkpoint at {self.steps:,} steps: {self._means()}")
+        if self._saved_step != self.steps:
+            checkpoint = self._save(self._state())
+        progress.steps, progress.episodes = self.steps, self.episodes
+        progress.updates = self._earlier.updates + learner.updates
+        self._log(f"finished at {self.steps:,} steps after {progress.training_s:.0f} s of training")
+        return TrainResult("finished", self.steps, checkpoint)
+
+    def resume(self, directory: Path) -> None:
+        """Continue from the checkpoint in ``directory``, which belongs to this stage."""
+        manifest = read_manifest(directory)
+        policy = read_file(directory, manifest, POLICY)
+        learner = read_file(directory, manifest, LEARNER)
+        self.learner.begin()
+        expected = self._state()
+        require_like(directory / POLICY, policy, expected.policy)
+        require_like(directory / LEARNER, learner, expected.learner)
+        self.learner.load_policy_state(_weights(policy))
+        if ENVIRONMENT in manifest.files and expected.environment is not None:
+            environment = read_file(directory, manifest, ENVIRONMENT)
+            require_like(directory / ENVIRONMENT, environment, expected.environment)
+            observations = self.environment.load_state(environment)
+        else:
+            # this simulator cannot return to a state: new episodes, everything else continues
+            self._reporter.log("warning", "the simulator's state is not part of the checkpoint; new episodes begin")
+            normalizer = self.environment.normalizer
+            normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
+            observations = normalizer.observations(self.environment.environment.observations)
+        self.learner.load_state(learner, observations)
+        self.learner.steps = manifest.steps - self.first_step
+        self.learner.updates = manifest.updates
+        self._earlier = _Progress(0, 0, manifest.episodes - self.environment.window.episodes)
+        self.progress.training_s = manifest.training_s
+        self._log(f"resumed at {manifest.steps:,} steps from {directory.name}")
+
+    def warm_start(self, directory: Path) -> None:
+        """Start from the weights and observation statistics of the checkpoint in ``directory``."""
+        manifest = read_manifest(directory)
+        environment = self.environment.environment
+        theirs, ours = manifest.spec.algorithm.policy_shape(), self.spec.algorithm.policy_shape()
+        for name, value in ours.items():
+            if theirs.get(name) != value:
+                raise CheckpointError(
+                    f"{directory}: its policy has {name} {theirs.get(name)}, this training has {value}; "
+                    f"set algorithm.{name} to {theirs.get(name)}"
+                )
+        policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
+        if (manifest.observations, manifest.actions) != (environment.observer.names, environment.actuation.names):
+            policy = adapt(
+                policy,
+                observations=(manifest.observations, environment.observer.names),
+                actions=(manifest.actions, environment.actuation.names),
+                rest=environment.actuation.rest,
+            )
+        require_like(directory / POLICY, policy, self._policy_arrays())
+        self.learner.load_policy_state(_weights(policy))
+        normalizer = self.environment.normalizer
+        normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
+        self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
+
+    def _title(self) -> str:
+        spec = self.spec
+        stages = f", stage {self.stage + 1} of {len(self.whole.stages)}" if self.whole.stages else ""
+        return (
+            f"training {spec.task.name}, robot {spec.robot.name}, simulator {spec.simulator.name}, "
+            f"{spec.algorithm.name} with preset {spec.algorithm.preset}{stages}: {spec.algorithm.n_envs} environments "
+            f"x {spec.algorithm.n_steps} steps an update, to {self.whole.stage_ends[self.stage]:,} steps"
+        )
+
+    def _log(self, message: str) -> None:
+        self._reporter.log("info", message)
+
+    def _report_loss(self, row: int, reason: str) -> None:
+        environment = self.environment.environment
+        self._reporter.log(
+            "warning",
+            f"environment {row}: episode truncated after {environment.steps[row]} steps, its server was lost: "
+            f"{reason}; starting another ({environment.simulator.failures} of "
+            f"{self.spec.runtime.max_server_failures} allowed so far)",
+        )
+
+    def _means(self) -> str:
+        means = self.environment.window.means()
+        words = [
+            f"{metric.title.lower()} {format_value(metric, means[metric.name])}"
+            for metric in self._listed
+            if metric.name in means
+        ]
+        return ", ".join(words) or "no episode has ended yet"
+
+    def _policy_arrays(self) -> dict[str, AnyArray]:
+        statistics = self.environment.normalizer.state()
+        return {**self.learner.policy_state(), **{name: statistics[name] for name in _STATISTICS}}
+
+    def _state(self) -> TrainingState:
+        environment = self.environment.state()
+        return TrainingState(
+            stage=self.stage,
+            steps=self.steps,
+            updates=self._earlier.updates + self.learner.updates,
+            episodes=self.episodes,
+            training_s=self.progress.training_s,
+            observations=self.environment.environment.observer.names,
+            actions=self.environment.environment.actuation.names,
+            policy=self._policy_arrays(),
+            learner=self.learner.state(),
+            environment=environment if "environment.simulator" in environment else None,
+        )
+
+    def _save(self, state: TrainingState) -> Path:
+        path = self._workdir / _name(state.steps)
+        if self._saved_step != state.steps:
+            save_checkpoint(path, self.whole, state)
+            self._saved_step = state.steps
+            self._reporter.checkpoint(path, state.steps)
+        return path
+
+    def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> None:
+        row: dict[str, float] = {
+            "step": float(self.steps),
+            "time_s": self.progress.training_s,
+            "episodes": float(self.episodes),
+            **({"stage": float(self.stage + 1)} if self.whole.stages else {}),
+            **self.environment.window.means(),
+            **metrics,
+            **pace,
+        }
+        simulator = self.environment.environment.simulator
+        if simulator.failures or simulator.can_fail:
+            row["server_failures"] = float(simulator.failures)
+        self._reporter.metrics(row)
+
+
+def _name(steps: int) -> str:
+    return f"step-{steps:012d}"
+
+
+def _weights(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    return {name: value for name, value in policy.items() if name not in _STATISTICS}
+
+
+def _statistics(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
+    return {name: policy[name] for name in _STATISTICS}
+
+
+def _require_same_training(directory: Path, theirs: TrainingSpec, ours: TrainingSpec) -> None:
+    old, new = (_flattened(spec.model_dump(mode="json", exclude={"runtime", "total_steps"})) for spec in (theirs, ours))
+    for name in sorted(old.keys() | new.keys()):
+        if old.get(name) != new.get(name):
+            raise CheckpointError(
+                f"{directory}: {name}: the checkpoint was trained with {old.get(name)!r}, the specification has "
+                f"{new.get(name)!r}; use the same specification, or start from its policy instead of resuming"
+            )
+
+
+def _flattened(content: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for section, value in content.items():
+        if isinstance(value, dict):
+            flat.update({f"{section}.{name}": inner for name, inner in value.items()})
+        else:
+            flat[section] = value
+    return flat

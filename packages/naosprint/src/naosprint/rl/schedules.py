@@ -1,0 +1,67 @@
+"""Settings that change over a training, each a function of its steps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from naospec import TrainingSpec
+
+RATE_FACTOR = 1.2
+"""Factor by which the adaptive learning rate changes."""
+
+RATE_RANGE = (1e-5, 1e-2)
+"""Limits of the adaptive learning rate."""
+
+
+def remaining(spec: TrainingSpec, steps: int) -> float:
+    """Return the fraction of the training that is left, 1 to 0."""
+    return 1.0 - float(steps) / float(spec.planned_steps)
+
+
+def learning_rate(spec: TrainingSpec, steps: int) -> float:
+    """Return the learning rate after so many steps, before it is adapted."""
+    rate = float(spec.algorithm.learning_rate)
+    return rate * max(remaining(spec, steps), 0.0) if spec.algorithm.learning_rate_schedule == "linear" else rate
+
+
+def discount(spec: TrainingSpec, steps: int) -> float:
+    """Return the discount factor after so many steps."""
+    settings = spec.algorithm
+    if settings.final_gamma is None or steps < settings.gamma_steps:
+        return float(settings.gamma)
+    return float(settings.final_gamma)
+
+
+def log_std(spec: TrainingSpec, steps: int) -> float:
+    """Return the log-std of the actions after so many steps, where it is not learned."""
+    settings = spec.algorithm
+    first = float(settings.initial_log_std)
+    final = first if settings.final_log_std is None else float(settings.final_log_std)
+    share = steps / (settings.log_std_steps or spec.planned_steps)
+    return first + (final - first) * min(1.0, share)
+
+
+def target_kl(spec: TrainingSpec, steps: int) -> float | None:
+    """Return the target KL divergence after so many steps; None if there is none."""
+    first, final = spec.algorithm.target_kl, spec.algorithm.target_kl_final
+    if first is None or final is None:
+        return None if first is None else float(first)
+    return float(final + (first - final) * max(0.0, remaining(spec, steps)))
+
+
+def adapted_factor(spec: TrainingSpec, factor: float, kl: float, target: float | None) -> float:
+    """Return the learning rate's factor after an update with this KL divergence.
+
+    It falls after an update that moved too far from the rollout's policy and rises after one that moved too little. The
+    rule is that of RSL-RL (Rudin et al., "Learning to Walk in Minutes", 2022), once an update instead of once a
+    minibatch.
+    """
+    if target is None:
+        return factor
+    if kl > 1.5 * target:
+        factor /= RATE_FACTOR
+    elif kl < target / 1.5:
+        factor *= RATE_FACTOR
+    rate = spec.algorithm.learning_rate
+    return float(min(max(factor, RATE_RANGE[0] / rate), RATE_RANGE[1] / rate))

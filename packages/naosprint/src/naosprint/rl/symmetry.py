@@ -1,0 +1,72 @@
+"""Symmetric policies: networks whose mirrored input gives the mirrored output.
+
+The robot and its task look the same in a mirror: what is a good action in a state is, with the sides exchanged, a good
+action in the mirrored state. A network that respects this has half as much to learn, see Abdolhosseini et al., "On
+Learning Symmetric Locomotion" (2019). Here its weights are tied, so that it respects it exactly: hidden units come in
+pairs of which each sees the mirror image of what the other sees.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import nn
+
+from naosprint.mirror import Mirror
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.policies import ActorCriticPolicy
+    from torch import Tensor
+
+
+def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> None:
+    """Make actor and critic symmetric, now and under every gradient step to come.
+
+    The weights are replaced by their means with their own mirror images, scaled so that units keep their norms, and
+    hooks do the same to the gradients. Mirrored weights then get mirrored gradients, bit for bit, and an optimizer that
+    treats all weights alike, as Adam does, keeps them mirrored.
+
+    Raises:
+        ValueError: if a hidden layer has an odd number of units.
+    """
+    value = Mirror(np.zeros(1, dtype=np.int64), np.ones(1))
+    for body, head, outputs in (
+        (policy.mlp_extractor.policy_net, policy.action_net, actions),
+        (policy.mlp_extractor.value_net, policy.value_net, value),
+    ):
+        inputs = observations
+        layers = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
+        for layer in layers:
+            out = outputs if layer is layers[-1] else Mirror.of_pairs(layer.out_features)
+            _tie(layer.weight, out, inputs)
+            _tie(layer.bias, out, None)
+            inputs = out
+    _tie(policy.log_std, Mirror(actions.index, np.abs(actions.sign)), None)
+
+
+def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> None:
+    row_index = torch.from_numpy(rows.index)
+    signs = torch.from_numpy(rows.sign).to(torch.float32)
+    if columns is not None:
+        column_index = torch.from_numpy(columns.index)
+        signs = signs[:, None] * torch.from_numpy(columns.sign).to(torch.float32)
+
+    def symmetric(array: Tensor) -> Tensor:
+        mirrored = array[row_index]
+        if columns is not None:
+            mirrored = mirrored[:, column_index]
+        return 0.5 * (array + signs * mirrored)
+
+    with torch.no_grad():
+        if columns is None:
+            parameter.copy_(symmetric(parameter))
+        else:
+            norms = parameter.norm(dim=1, keepdim=True)
+            parameter.copy_(symmetric(parameter))
+            # an output that is its own mirror image with a negative sign may see nothing symmetric at first
+            factors = norms / parameter.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            # one factor for both units of a pair, to the last bit
+            parameter.mul_(0.5 * (factors + factors[row_index]))
+    parameter.register_hook(symmetric)  # type: ignore[no-untyped-call]

@@ -1,0 +1,66 @@
+"""Adaptation of a policy to a robot with other joints, or a task with other observations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from naosprint.arrays import AnyArray, FloatArray
+
+_FIRST_LAYERS = ("mlp_extractor.policy_net.0.weight", "mlp_extractor.value_net.0.weight")
+
+
+def adapt(
+    policy: Mapping[str, AnyArray],
+    *,
+    observations: tuple[Sequence[str], Sequence[str]],
+    actions: tuple[Sequence[str], Sequence[str]],
+    rest: FloatArray,
+) -> dict[str, AnyArray]:
+    """Rearrange a policy's arrays by the names of its observations and actions.
+
+    Observations that only the new training has get weight 0 at first; joints that only it has are held at angle 0 and
+    explored with the mean of the other joints' standard deviations. New joint angles and rates are standardized as
+    those of the other joints on average, other new observations as they are. What only the old training has is left
+    out. With the same names on both sides nothing changes.
+
+    Args:
+        policy: weights and observation statistics by name, as in a checkpoint.
+        observations: names of the observations, of the old training and of the new one.
+        actions: the same for the actions, which are joints.
+        rest: (A,) actions of the new robot that hold its joints at angle 0.
+
+    Returns:
+        Arrays by the same names, for the new training.
+    """
+    seen, unseen = _indices(*observations)
+    moved, still = _indices(*actions)
+    fitted = dict(policy)
+    for name in _FIRST_LAYERS:
+        fitted[name] = np.where(unseen, np.float32(0.0), policy[name][:, seen])
+    fitted["action_net.weight"] = np.where(still[:, None], np.float32(0.0), policy["action_net.weight"][moved])
+    fitted["action_net.bias"] = np.where(still, rest, policy["action_net.bias"][moved]).astype(np.float32)
+    fitted["log_std"] = np.where(still, policy["log_std"].mean(), policy["log_std"][moved]).astype(np.float32)
+    variance = policy["observation_variance"]
+    fitted["observation_mean"] = np.where(unseen, 0.0, policy["observation_mean"][seen])
+    guess = np.ones(len(observations[1]))
+    for suffix in ("", "_rate"):
+        known = [name + suffix for name in actions[0] if name + suffix in observations[0]]
+        typical = variance[_indices(observations[0], known)[0]].mean() if known else 1.0
+        new = [name + suffix for name in actions[1]]
+        guess[[name in new for name in observations[1]]] = typical
+    fitted["observation_variance"] = np.where(unseen, guess, variance[seen])
+    return fitted
+
+
+def _indices(old: Sequence[str], new: Sequence[str]) -> tuple[AnyArray, AnyArray]:
+    """Return the index of each new name among the old ones, 0 for new ones, and which are new."""
+    index = {name: i for i, name in enumerate(old)}
+    return (
+        np.array([index.get(name, 0) for name in new], dtype=np.int64),
+        np.array([name not in index for name in new], dtype=np.bool_),
+    )

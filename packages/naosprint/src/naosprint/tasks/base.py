@@ -1,0 +1,248 @@
+"""What a task is.
+
+A task is a class: its settings, what the robot observes, what it is rewarded for, where episodes begin and end, and
+what is measured. To add one, subclass :class:`Task` and register the class under the entry-point group
+``naosprint.tasks``; docs/how-to/own-task.md takes you through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from naosim.robots.actuation import Actuation
+from naosim.simulator import STEP_S, Starts
+from naospec import TaskSettings
+
+from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+    from naosim.simulator import Simulator
+
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+    from naosprint.tasks.episodes import Episodes, Statistics
+    from naosprint.tasks.observations import ObservationBlock
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """One summand of the reward.
+
+    The reward of a step is ``reward_scale`` times the sum of weight times value over all terms.
+
+    Attributes:
+        name: name for users.
+        weight: factor, negative for a penalty; a term of weight 0 is not computed.
+        value: called with the rows of some robots, returns one number for each.
+    """
+
+    name: str
+    weight: float
+    value: Callable[[slice], FloatArray]
+
+
+@dataclass(frozen=True)
+class End:
+    """One reason for which an episode ends.
+
+    Attributes:
+        name: key of the rate in evaluations.
+        title: name for users.
+        failure: whether nothing can follow it, so that the value after it is 0; otherwise the value of what would have
+            followed can be estimated.
+    """
+
+    name: str
+    title: str
+    failure: bool = False
+
+
+class World:
+    """What tasks and observation blocks see of the robots; all arrays have one row per robot.
+
+    Attributes:
+        n: number of robots.
+        robot: what they are.
+        actuation: how actions become joint targets.
+        steps: (n,) steps of each robot's episode so far.
+        actions: (n, A) actions of the latest step, in [-1, 1]; zero at the start of an episode.
+        previous_actions: (n, A) those of the step before.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self.n = simulator.n
+        self.robot: Robot = simulator.robot
+        self.actuation = Actuation(simulator.robot)
+        self.steps: IntArray = np.zeros(self.n, dtype=np.int64)
+        self.actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
+        self.previous_actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
+
+    @property
+    def perceptors(self) -> Mapping[str, FloatArray]:
+        """What the robots sense, by name."""
+        return self.simulator.perceptors
+
+    def position(self, rows: slice | IntArray) -> FloatArray:
+        """Return the (k, 3) true torso positions in metres."""
+        return self.simulator.truth.torso_position[rows]
+
+    def rotation(self, rows: slice | IntArray) -> FloatArray:
+        """Return the (k, 3, 3) true rotations from the torso's frame into the world's."""
+        return self.simulator.truth.torso_rotation[rows]
+
+    def torque_share(self, rows: slice | IntArray) -> FloatArray:
+        """Return the (k,) mean over the joints of the squared share of its torque limit that each motor applies.
+
+        Raises:
+            ValueError: if the simulator does not report motor torques.
+        """
+        torques = self.simulator.torque_shares(rows)
+        return np.asarray(np.square(torques).mean(axis=1))
+
+    def yaw(self, rows: slice | IntArray) -> FloatArray:
+        """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise."""
+        front = self.robot.front_axis
+        rotation = self.rotation(rows)
+        return np.asarray(np.arctan2(rotation[:, 1, front], rotation[:, 0, front]))
+
+
+class Task:
+    """A task for n robots.
+
+    Subclasses declare the class attributes and override the methods that differ. Whatever a task remembers of each
+    robot between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and
+    keep their values for a robot that is lost.
+
+    Attributes:
+        name: how specifications refer to it; equal to the entry point's name.
+        version: raise it when the task changes so that results no longer compare; a worker runs only the versions that
+            it has.
+        summary: one line for users.
+        Parameters: its settings.
+        metrics: what is measured of an episode, besides its reward and length.
+        ends: reasons for which an episode ends.
+        presentation: where metrics are shown.
+        max_steps: length limit of an episode in steps.
+        horizon_is_terminal: whether reaching ``max_steps`` belongs to the task; otherwise it is a time limit.
+        trace: names of what :meth:`trace_row` returns in evaluations.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int] = 1
+    summary: ClassVar[str]
+    Parameters: ClassVar[type[TaskSettings]] = TaskSettings
+    metrics: ClassVar[tuple[Metric, ...]] = ()
+    ends: ClassVar[tuple[End, ...]] = ()
+    presentation: ClassVar[Presentation] = Presentation()
+    max_steps: int = 1000
+    horizon_is_terminal: bool = False
+    trace: ClassVar[tuple[str, ...]] = ()
+
+    # what a specification asks
+
+    @classmethod
+    def supports(cls, robot: Robot) -> bool:
+        """Return whether this robot can do the task."""
+        del robot
+        return True
+
+    @classmethod
+    def resolve(cls, parameters: Any, robot: Robot) -> Any:
+        """Return the settings with what depends on the robot filled in.
+
+        Raises:
+            ValueError: if the robot cannot do it; the message names the setting.
+        """
+        if not cls.supports(robot):
+            raise ValueError(f"task: {cls.name} is not possible with robot {robot.name}")
+        return parameters
+
+    # one run
+
+    def __init__(self, parameters: Any, world: World, seed: int = 0) -> None:
+        self.parameters = parameters
+        self.seed = seed
+        self.world = world
+        self.robot = world.robot
+        self.n = world.n
+        self.arrays: dict[str, AnyArray] = {}
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what a policy observes, in order; the robot's usual observations by default."""
+        from naosprint.tasks.observations import blocks
+
+        return blocks(self.world, self.robot.observations)
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return the terms of the reward."""
+        return ()
+
+    def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
+        """Return at most ``count`` starts; by default the nominal pose with joints offset by up to ``noise_deg``."""
+        from naosprint.tasks.starts import draw_start_poses
+
+        return Starts(draw_start_poses(self.world.actuation, count, noise_deg, seed), self.start_position())
+
+    def start_position(self) -> tuple[float, float]:
+        """Return x and y of the torso at the start, metres."""
+        return (0.0, 0.0)
+
+    def begin(self, rows: IntArray) -> None:
+        """Reset what is remembered of the robots ``rows``, whose episode begins now."""
+
+    def advance(self, rows: slice) -> None:
+        """Update what is remembered of the robots ``rows`` after a step, before anything else is computed."""
+
+    def ended(self, rows: slice) -> Sequence[BoolArray]:
+        """Return for each of :attr:`ends` which of the robots ``rows`` reached it."""
+        return ()
+
+    def measure(self, rows: IntArray) -> FloatArray:
+        """Return the (k, M) live :attr:`metrics` of the episodes of the robots ``rows``, which have just ended."""
+        return np.zeros((len(rows), 0))
+
+    # evaluation
+
+    def trace_row(self, rows: IntArray) -> FloatArray:
+        """Return (k, C) numbers of the present step to keep for :meth:`summarize`, as :attr:`trace` names them."""
+        return np.zeros((len(rows), 0))
+
+    def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+        """Return the results of an evaluation, the most important first, and tables of results.
+
+        Args:
+            episodes: every step of every episode.
+            statistics: turns samples into results with confidence intervals.
+        """
+        del episodes, statistics
+        return (), ()
+
+    @classmethod
+    def describe(cls) -> dict[str, Any]:
+        """Return what a user interface needs to know of the task, as a JSON object."""
+        from dataclasses import asdict
+
+        return {
+            "name": cls.name,
+            "version": cls.version,
+            "summary": cls.summary,
+            "metrics": [asdict(metric) for metric in (*EPISODE_METRICS, *cls.metrics)],
+            "ends": [asdict(end) for end in cls.ends],
+            **asdict(cls.presentation),
+        }
+
+
+EPISODE_METRICS: tuple[Metric, ...] = (
+    Metric("reward", "Reward", "", "Sum of an episode's rewards."),
+    Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0),
+)
+"""What is measured of an episode whatever the task."""
+
+
+def seconds(steps: FloatArray | IntArray) -> FloatArray:
+    """Return the duration of so many steps in seconds."""
+    return np.asarray(steps, dtype=np.float64) * STEP_S

@@ -1,0 +1,250 @@
+"""A task with n robots: actions in, observations and rewards out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from naosim.simulator import RuntimeOptions
+from naospec import plugins
+
+from naosprint.tasks.base import Task, World
+from naosprint.tasks.observations import Observer
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naosim.simulator import Simulator, Starts
+    from naospec import TrainingSpec
+
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+
+SHORT_EPISODE_STEPS = 100
+"""Steps after which short episodes are truncated: by then a robot runs."""
+
+TRAINING_STARTS = 256
+"""Starts that a training chooses from, if there is start noise."""
+
+
+class Environment:
+    """n robots that do one task, without a Python loop over them.
+
+    Robots are started by :meth:`restart` and stepped together. A robot whose episode has ended stays where it is while
+    the ``active`` mask leaves it out, until it is restarted.
+
+    Attributes:
+        observations: (n, D) the latest observations.
+        rewards: (n,) rewards of the latest step.
+        terminated: (n,) whether the latest step ended the episode by one of the task's ends, or at its horizon.
+        truncated: (n,) whether the latest step cut the episode short: by a time limit that does not belong to the task,
+            at the end of a short episode, or because the robot was lost.
+        failed: (n,) whether it ended by a failure, after which nothing can follow.
+        ends: by name of an end, (n,) whether the latest step reached it.
+        lost: (n,) whether the latest step lost the robot; its observation is the one before the step.
+        short: (n,) environments whose episodes are truncated after ``SHORT_EPISODE_STEPS``.
+    """
+
+    def __init__(self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0) -> None:
+        n = simulator.n
+        self.n = n
+        self.simulator = simulator
+        self.world = World(simulator)
+        self.actuation = self.world.actuation
+        self.task = task_class(parameters, self.world, seed)
+        self.observer = Observer(n, self.task.observation_blocks())
+        self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
+        self._scale = float(parameters.reward_scale)
+        self.rewards: FloatArray = np.zeros(n)
+        self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.failed: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.lost: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.ends: dict[str, BoolArray] = {end.name: np.zeros(n, dtype=np.bool_) for end in self.task.ends}
+        self.short: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    @property
+    def observations(self) -> FloatArray:
+        """The latest (n, D) observations."""
+        return self.observer.observations
+
+    @property
+    def steps(self) -> IntArray:
+        """(n,) steps of each robot's episode so far."""
+        return self.world.steps
+
+    def load_starts(self, starts: Starts) -> None:
+        """Replace the starts.
+
+        Raises:
+            ValueError: if an episode that begins with one of them ends at once.
+        """
+        self.simulator.load_starts(starts)
+        rows = np.arange(min(self.n, len(starts)))
+        self.restart(rows, rows)
+        self.task.advance(slice(0, self.n))
+        for end, reached in zip(self.task.ends, self.task.ended(slice(0, self.n)), strict=True):
+            if reached[rows].any():
+                raise ValueError(
+                    f"task: with these settings an episode ends at its start ({end.title.lower()}); "
+                    f"the torso's height is {float(self.world.position(rows)[:, 2].min()):.3f} m in the start pose"
+                )
+
+    def restart(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
+        """Begin a new episode with the robots ``rows`` from the starts ``starts``; leave the others alone.
+
+        Args:
+            rows: (k,) robots.
+            starts: (k,) starts.
+            following: (k,) the starts of the episodes after these, if they are known already.
+        """
+        if not len(rows):
+            return
+        world = self.world
+        self.simulator.start(rows, starts, following)
+        world.steps[rows] = 0
+        world.actions[rows] = 0.0
+        world.previous_actions[rows] = 0.0
+        self.task.begin(rows)
+        self.observer.begin(rows)
+        for flags in (self.failed, *self.ends.values()):
+            flags[rows] = False
+
+    def step(self, actions: FloatArray, active: BoolArray | None = None) -> FloatArray:
+        """Take one step of 20 ms with every active robot.
+
+        Args:
+            actions: (n, A) actions, clipped to [-1, 1].
+            active: (n,) robots to step; None for all. The attributes of the others are meaningless.
+
+        Returns:
+            (n, D) observations after the step, the last of an episode included; overwritten by the next call.
+        """
+        everyone = slice(0, self.n)
+        self.step_async(actions, everyone, active)
+        self.step_wait(everyone)
+        return self.observer.observations
+
+    def step_async(self, actions: FloatArray, rows: slice, active: BoolArray | None = None) -> None:
+        """Begin a step of one of the simulator's groups with (k, A) actions; :meth:`step_wait` finishes it."""
+        world = self.world
+        world.previous_actions[rows] = world.actions[rows]
+        np.clip(actions, -1.0, 1.0, out=world.actions[rows])
+        self.simulator.step_async(self.actuation.targets(world.actions[rows]), rows, active)
+
+    def step_wait(self, rows: slice) -> None:
+        """Finish the step that :meth:`step_async` began; the group's rows of all attributes are those after it."""
+        simulator, task, world = self.simulator, self.task, self.world
+        simulator.step_wait(rows)
+        lost = simulator.lost[rows]
+        gone = np.flatnonzero(lost) + rows.start
+        if len(gone):
+            # what a server reported while it broke down is nothing to learn from
+            last_observations = self.observer.observations[gone]
+            remembered = {name: array[gone] for name, array in task.arrays.items()}
+        world.steps[rows] += 1
+        task.advance(rows)
+        self.observer.update(rows)
+        rewards = np.zeros(rows.stop - rows.start)
+        for number, term in enumerate(self._terms):
+            value = term.value(rows)
+            if term.weight != 1.0:
+                value = term.weight * value
+            rewards = value if number == 0 else rewards + value
+        self.rewards[rows] = rewards * self._scale
+        over = np.zeros(len(lost), dtype=np.bool_)
+        failed = np.zeros(len(lost), dtype=np.bool_)
+        for end, reached in zip(task.ends, task.ended(rows), strict=True):
+            reached = reached & ~lost
+            self.ends[end.name][rows] = reached
+            over |= reached
+            if end.failure:
+                failed |= reached
+        if len(gone):
+            self.observer.observations[gone] = last_observations
+            for name, array in task.arrays.items():
+                array[gone] = remembered[name]
+            self.rewards[gone] = 0.0
+        late = world.steps[rows] >= task.max_steps
+        if task.horizon_is_terminal:
+            terminated = (over | late) & ~lost
+            truncated = lost
+        else:
+            terminated = over
+            truncated = (late & ~over) | lost
+        short = self.short[rows] & (world.steps[rows] >= SHORT_EPISODE_STEPS) & ~terminated
+        self.lost[rows], self.failed[rows] = lost, failed
+        self.terminated[rows], self.truncated[rows] = terminated, truncated | short
+
+    def state(self) -> dict[str, AnyArray]:
+        """Return everything that the next step depends on, the simulator's state included if it has snapshots."""
+        state: dict[str, AnyArray] = {f"observer.{key}": value for key, value in self.observer.state().items()}
+        state.update({f"task.{name}": array.copy() for name, array in self.task.arrays.items()})
+        state["steps"] = self.world.steps.copy()
+        state["actions"] = self.world.actions.copy()
+        state["previous_actions"] = self.world.previous_actions.copy()
+        snapshot = self.simulator.snapshot()
+        if snapshot is not None:
+            state["simulator"] = snapshot
+        return state
+
+    def load_state(self, state: Mapping[str, AnyArray]) -> None:
+        """Restore what :meth:`state` returned; the starts must have been loaded before."""
+        prefix = "observer."
+        self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
+        for name, array in self.task.arrays.items():
+            array[:] = state[f"task.{name}"]
+        self.world.steps[:] = state["steps"]
+        self.world.actions[:] = state["actions"]
+        self.world.previous_actions[:] = state["previous_actions"]
+        self.simulator.restore(np.array(state["simulator"], dtype=np.uint8))
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self.simulator.close()
+
+
+def open_environment(
+    spec: TrainingSpec, n: int, *, threads: int, standby_servers: bool = False, seed: int | None = None
+) -> Environment:
+    """Open n environments with the task, robot and simulator of ``spec``, and no starts yet.
+
+    Args:
+        spec: what to run.
+        n: number of robots.
+        threads: threads of an embedded simulator.
+        standby_servers: whether each robot on a server has a second one that prepares its next start.
+        seed: seed of what the task draws; the specification's by default.
+
+    Raises:
+        ValueError: if this machine cannot run so many robots; the message says what to change.
+        FileNotFoundError: if a simulator's program is missing.
+    """
+    kind = plugins.load(plugins.SIMULATORS, spec.simulator.name)
+    options = RuntimeOptions(
+        threads=threads, standby_servers=standby_servers, max_server_failures=spec.runtime.max_server_failures
+    )
+    simulator = kind.open(spec.robot_description, n, spec.simulator, options)
+    try:
+        return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed)
+    except BaseException:
+        simulator.close()
+        raise
+
+
+def open_training_environment(spec: TrainingSpec) -> tuple[Environment, int]:
+    """Open the environments that a training needs, with its starts loaded.
+
+    Returns:
+        The environments and the number of starts.
+    """
+    runtime = spec.runtime
+    n = spec.algorithm.n_envs
+    environment = open_environment(spec, n, threads=runtime.simulator_threads, standby_servers=runtime.standby_servers)
+    try:
+        environment.short[: round(spec.task.start_episode_fraction * n)] = True
+        starts = environment.task.starts(TRAINING_STARTS, spec.seed, spec.task.start_noise_deg)
+        environment.load_starts(starts)
+    except BaseException:
+        environment.close()
+        raise
+    return environment, len(starts)

@@ -1,0 +1,87 @@
+"""What an evaluation recorded of its episodes, and how samples become results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosprint.tasks.metrics import Metric, Result
+from naosprint.tasks.statistics import bootstrap_mean, wilson
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from naosprint.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Every step of every episode of an evaluation; index 0 of an episode is its start.
+
+    Attributes:
+        x, y, height: per episode (samples,) torso position in metres.
+        up: per episode (samples,) upward component of the torso's z axis.
+        feet: per episode (samples, 2) upward force on left and right foot in newtons.
+        airborne: per episode (samples,) whether neither foot touches the ground.
+        trace: per episode (samples, C) what the task keeps of each step.
+        ends: (episodes,) by name of an end: whether the episode ended so.
+        max_steps: length limit of an episode in steps.
+    """
+
+    x: list[FloatArray]
+    y: list[FloatArray]
+    height: list[FloatArray]
+    up: list[FloatArray]
+    feet: list[FloatArray]
+    airborne: list[BoolArray]
+    trace: list[FloatArray]
+    ends: Mapping[str, BoolArray]
+    max_steps: int
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return len(self.x)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(episodes,) lengths in steps."""
+        return np.array([len(x) - 1 for x in self.x], dtype=np.float64)
+
+
+class Statistics:
+    """Results with confidence intervals from samples of episodes.
+
+    Args:
+        confidence: level of the intervals.
+        resamples: resamples of a bootstrap interval.
+        seed: seed of the resampling.
+    """
+
+    def __init__(self, confidence: float, resamples: int, seed: int) -> None:
+        self.confidence = confidence
+        self._resamples = resamples
+        self._rng = np.random.default_rng([0xB007, seed])
+
+    def mean(self, metric: Metric, values: FloatArray | Sequence[float]) -> Result:
+        """Return mean, spread, extremes and the bootstrap interval of the mean of one value per episode."""
+        values = np.asarray(values, dtype=np.float64)
+        if not len(values):
+            return Result(metric, None)
+        interval = bootstrap_mean(values, confidence=self.confidence, resamples=self._resamples, rng=self._rng)
+        return Result(
+            metric,
+            float(values.mean()),
+            sd=float(values.std()),
+            interval=interval,
+            low=float(values.min()),
+            high=float(values.max()),
+            episodes=len(values),
+        )
+
+    def rate(self, metric: Metric, flags: BoolArray) -> Result:
+        """Return how often something is true, with Wilson's interval."""
+        count, n = int(flags.sum()), len(flags)
+        interval = wilson(count, n, self.confidence)
+        return Result(metric, count / n, interval=interval, count=count, episodes=n)

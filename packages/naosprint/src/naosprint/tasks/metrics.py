@@ -1,0 +1,146 @@
+"""Descriptions of what a task measures, from which every list, chart, table and report is made."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+Better = Literal["higher", "lower"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number per episode, or per update of the learner.
+
+    Attributes:
+        name: its key in metrics rows and evaluations.
+        title: name for users.
+        unit: unit; empty for a number without one, ``%`` for a fraction shown in percent.
+        description: one sentence.
+        digits: decimals to show.
+        better: which direction is better, if one is.
+        kind: ``mean`` for a number per episode; ``rate`` for a yes or no per episode.
+        live: whether trainings report it; otherwise only evaluations do.
+    """
+
+    name: str
+    title: str
+    unit: str = ""
+    description: str = ""
+    digits: int = 2
+    better: Better | None = None
+    kind: Literal["mean", "rate"] = "mean"
+    live: bool = True
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A value to compare a metric with, for example a published result."""
+
+    metric: str
+    value: float
+    title: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Metrics that belong in one plot over the steps of a training."""
+
+    title: str
+    metrics: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Presentation:
+    """Where the metrics of a task are shown.
+
+    Attributes:
+        charts: learning curves, the most important first.
+        listed: live metrics in lists of jobs, the most important first.
+        headline: results of an evaluation on cards and in summaries, the most important first.
+        references: values to compare with.
+    """
+
+    charts: tuple[Chart, ...] = ()
+    listed: tuple[str, ...] = ()
+    headline: tuple[str, ...] = ()
+    references: tuple[Reference, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """One result of an evaluation, with all that is needed to show it.
+
+    Attributes:
+        metric: what it is.
+        value: mean or rate; None if no episode supports it.
+        sd: standard deviation over the episodes.
+        interval: confidence interval of the mean or rate.
+        low: smallest value of an episode.
+        high: largest value of an episode.
+        count: number of episodes for which a ``rate`` is true.
+        episodes: number of episodes that it is based on.
+    """
+
+    metric: Metric
+    value: float | None
+    sd: float | None = None
+    interval: tuple[float, float] | None = None
+    low: float | None = None
+    high: float | None = None
+    count: int | None = None
+    episodes: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Return a JSON object."""
+        document = asdict(self)
+        metric = document.pop("metric")
+        del metric["live"]
+        document["interval"] = None if self.interval is None else list(self.interval)
+        return {**metric, **document}
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """Results that vary with one quantity, for example the speed from each of several start lines.
+
+    Attributes:
+        name: key.
+        title: name for users.
+        description: one sentence.
+        axis: the quantity.
+        at: its values.
+        columns: results by column, one for each value.
+    """
+
+    name: str
+    title: str
+    description: str
+    axis: Metric
+    at: tuple[float, ...]
+    columns: dict[str, tuple[Result, ...]] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return a JSON object."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "description": self.description,
+            "axis": {"title": self.axis.title, "unit": self.axis.unit, "digits": self.axis.digits},
+            "at": list(self.at),
+            "columns": [
+                {"title": title, "results": [result.to_json() for result in results]}
+                for title, results in self.columns.items()
+            ],
+        }
+
+
+def format_value(metric: Metric, value: float | None) -> str:
+    """Return a value with its unit as users see it: ``4.03 m/s``, ``0.4 %``, ``-`` if there is none."""
+    if value is None:
+        return "-"
+    if metric.unit == "%":
+        return f"{100.0 * value:.{metric.digits}f} %"
+    if metric.unit == "°":
+        return f"{value:.{metric.digits}f}°"
+    return f"{value:,.{metric.digits}f} {metric.unit}".rstrip()

