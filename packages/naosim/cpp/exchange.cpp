@@ -261,7 +261,7 @@ void Exchange::drain(int row, double quiet_s, double timeout_s) {
     if (polled[0].revents != 0) receive(row, false);
     if (c.monitor.fd >= 0 && polled[1].revents != 0) receive(row, true);
   }
-  if (c.failure.empty()) fail(row, "the server does not wait for its agent: it must run in sync mode ($agentSyncMode = true)");
+  if (c.failure.empty()) fail(row, "the server does not wait for its agent: it must run in sync mode");
 }
 
 }  // namespace naosim::protocol
