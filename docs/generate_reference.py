@@ -19,7 +19,7 @@ import typer.main
 from naoctl.cli import EPILOG, build_app
 from naojobs.events import EVENT_KINDS
 from naojobs.settings import ServiceSettings
-from naojobs.states import ENDED, LEASED, TRANSITIONS, JobState
+from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.presets import PRESET_SUMMARIES, PRESETS
 from naospec.tasks import TASKS
@@ -326,17 +326,17 @@ def _metrics() -> Iterator[str]:
 def _events() -> Iterator[str]:
     yield "# Events and states"
     yield "\n## States of a job\n"
-    documents = _attribute_comments(JobState)
+    documents = _attribute_comments(WorkState)
     yield from _table(
         ("State", "Meaning", "May become", ""),
         [
             (
                 _code(state),
                 documents[state.name],
-                ", ".join(_code(target) for target in JobState if target in TRANSITIONS[state]) or "nothing",
+                ", ".join(_code(target) for target in WorkState if target in TRANSITIONS[state]) or "nothing",
                 "held by a worker" if state in LEASED else "ended" if state in ENDED else "",
             )
-            for state in JobState
+            for state in WorkState
         ],
     )
     yield "\n## Events\n"

@@ -7,9 +7,10 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records
+from naojobs import lifecycle, records, registry
+from naojobs.capabilities import Capabilities
 from naojobs.lifecycle import Lease
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 
 UNKNOWN = "job_01m7y0bdkc59pc1szgpqz7ge55"
@@ -266,9 +267,9 @@ def test_a_running_job_is_asked_to_stop(
     problem(client.post(f"/jobs/{lease.job_id}/resume"), 409)
     cancelled = client.post(f"/jobs/{lease.job_id}/cancel").json()
     assert (cancelled["state"], cancelled["cancel_requested"]) == ("pausing", True)
-    orders = lifecycle.heartbeat(sessions, lease)
-    assert (orders.cancel, orders.pause) == (True, True)
-    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    requests = lifecycle.heartbeat(sessions, lease)
+    assert (requests.state, requests.cancel) == (WorkState.PAUSING, True)
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     assert client.get(f"/jobs/{lease.job_id}").json()["state"] == "cancelled"
 
 
@@ -326,11 +327,26 @@ def test_workers_show_only_ones_own_jobs(
     sessions: sessionmaker[Session],
     run_job: Callable[..., Lease],
 ) -> None:
-    from naojobs import registry
-
     lease = run_job()
-    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], version="1")
+    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
     for who, sees in ((client, True), (admin, True), (make_client("mallory", "read"), False)):
         (worker,) = who.get("/workers").json()
         assert (worker["id"], worker["alive"]) == ("worker-1", True)
+        assert (worker["tasks"], worker["robots"], worker["simulators"]) == ({"sprint1": 1}, ["nao-0"], ["embedded"])
         assert (lease.job_id in worker["jobs"]) is sees
+    registry.leave(sessions, "worker-1")
+
+
+def test_a_queued_job_tells_why_no_worker_can_take_it(client: httpx.Client, sessions: sessionmaker[Session]) -> None:
+    job_id = client.post("/jobs", json={"spec": {"task": "sprint2"}}).json()["id"]
+    assert client.get(f"/jobs/{job_id}").json()["waiting_reason"] == "no worker is running"
+    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    registry.beat(sessions, "w", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
+    assert client.get(f"/jobs/{job_id}").json()["waiting_reason"] == "no worker has task 'sprint2' version 1"
+    (listed,) = [job for job in client.get("/jobs").json()["items"] if job["id"] == job_id]
+    assert listed["waiting_reason"] == "no worker has task 'sprint2' version 1"
+    other = client.post("/jobs", json={"spec": {"task": "sprint1"}}).json()
+    assert other["waiting_reason"] is None
+    assert client.post(f"/jobs/{job_id}/cancel").json()["waiting_reason"] is None
+    registry.leave(sessions, "w")

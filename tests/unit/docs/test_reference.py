@@ -17,7 +17,7 @@ from naoctl.cli import build_app
 from naojobs.events import EVENT_KINDS
 from naojobs.models import Event
 from naojobs.settings import ServiceSettings
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.presets import PRESETS
 from naosprint.columns import COLUMNS
@@ -118,7 +118,7 @@ def test_every_figure_is_there(pages: dict[str, str]) -> None:
 
 
 def test_every_state_is_there_with_its_meaning(pages: dict[str, str]) -> None:
-    for state in JobState:
+    for state in WorkState:
         assert re.search(rf"^\| `{state}` \| \w+", pages["events.md"], re.MULTILINE), state
 
 
@@ -129,7 +129,7 @@ def test_every_kind_of_event_that_the_code_records_is_documented(pages: dict[str
             for kind, data in kinds_in(ast.parse(path.read_text(encoding="utf-8"))):
                 recorded.setdefault(kind, set()).update(data)
     # Those of a change of state have its name.
-    entered = {str(state) for state in JobState} - {"starting", "pausing"}
+    entered = {str(state) for state in WorkState} - {"starting", "pausing"}
     assert recorded.keys() | entered == EVENT_KINDS.keys()
     for kind, data in recorded.items():
         assert data <= set(EVENT_KINDS[kind].data), kind
@@ -141,7 +141,7 @@ def kinds_in(tree: ast.AST) -> Iterator[tuple[str, set[str]]]:
     """Find the literal kinds in calls that record an event, with the literal names in their data."""
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
         name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-        at: dict[str, int] = {"_add_event": 2, "event": 0, "record_event": 2}
+        at: dict[str, int] = {"add_event": 2, "event": 0, "record_event": 2}
         values: list[ast.expr] = []
         if name in at and len(call.args) > at[name]:
             values = _literals(call.args[at[name]])

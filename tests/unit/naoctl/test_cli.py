@@ -162,6 +162,22 @@ def test_steering(server: Any, naoctl: Callable[..., Ran], job: Jobs, verb: str)
     assert "The job has ended" in ran.err
 
 
+def test_an_evaluation_is_cancelled_by_its_id(server: Any, naoctl: Callable[..., Ran]) -> None:
+    evaluation = "eval_01m7y0yae5d2d9p46g58mkcxxh"
+    states = iter(["starting", "cancelled"])
+    answer = {"id": evaluation, "state": "starting"}
+    server.on("POST", f"/evaluations/{evaluation}/cancel")(lambda request: request.json(answer))
+    server.on("GET", f"/evaluations/{evaluation}")(lambda request: request.json({**answer, "state": next(states)}))
+    assert naoctl("cancel", evaluation).out == f"{evaluation}: cancel requested\n"
+    assert naoctl("cancel", evaluation, "--wait").out == f"{evaluation}: cancelled\n"
+
+
+def test_status_shows_why_a_job_waits(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    waiting = job(state="queued", waiting_reason="no worker has task 'sprint9' version 2")
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(waiting))
+    assert "no worker has task 'sprint9' version 2" in naoctl("status", job()["id"]).out
+
+
 @pytest.mark.parametrize(("state", "code"), [("succeeded", 0), ("failed", 10), ("cancelled", 11), ("paused", 12)])
 def test_the_exit_code_of_watch_is_the_jobs_result(
     server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str], state: str, code: int

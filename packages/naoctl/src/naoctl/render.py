@@ -203,20 +203,21 @@ def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
 
 
 def job_details(job: Json) -> Table:
-    """Return everything about one job that people ask for."""
+    """Return the table of a job's details."""
     spec = job["spec"]
     started, finished = parse_time(job.get("started_at")), parse_time(job.get("finished_at"))
     took = ((finished or datetime.now(UTC)) - started).total_seconds() if started else None
     state = state_text(job["state"])
-    wishes = [
-        w for w in ("cancel", "pause") if job.get(f"{w}_requested") and job["state"] not in ("cancelled", "paused")
+    requests = [
+        r for r in ("cancel", "pause") if job.get(f"{r}_requested") and job["state"] not in ("cancelled", "paused")
     ]
-    if wishes:
-        state.append(f" ({' and '.join(wishes)} requested)")
+    if requests:
+        state.append(f" ({' and '.join(requests)} requested)")
     rows: list[tuple[str, RenderableType]] = [
         ("Job", job["id"]),
         ("Name", cell(job["name"])),
         ("State", state),
+        *([("Waiting", cell(job["waiting_reason"]))] if job.get("waiting_reason") else []),
         ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
         ("Training", f"{spec['task']}, preset {spec['preset']}, seed {spec['seed']}, {spec['simulator']}"),
         ("Owner", cell(job["owner"])),

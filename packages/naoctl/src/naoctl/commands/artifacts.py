@@ -31,6 +31,7 @@ from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError, ExitCode
+from naoctl.follow import ENDED
 from naoctl.judgement import headline, newest_evaluation
 from naoctl.render import ago, cell, pairs, size, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
@@ -40,6 +41,8 @@ from naoctl.transfer import RemoteFile, fetch
 REPORT_PAGE = "report.html"
 #: Most rows of metrics that the service gives at once.
 MAX_POINTS = 5_000
+#: Exit codes for states of an evaluation.
+EXIT_CODES = {"failed": ExitCode.JOB_FAILED, "cancelled": ExitCode.JOB_CANCELLED}
 #: Seconds between two looks at an evaluation that runs.
 POLL_S = 0.5
 Job = Annotated[
@@ -305,7 +308,11 @@ def evaluate(
         str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
     ] = None,
     wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the figures.")] = True,
-    show: Annotated[bool, typer.Option("--list", help="Show the evaluations there are instead.")] = False,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=1, help="Longest run of the evaluation.", show_default="6 hours"),
+    ] = None,
+    show: Annotated[bool, typer.Option("--list", help="List the existing evaluations instead.")] = False,
     as_json: JsonFlag = False,
     evaluation: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
 ) -> None:
@@ -316,7 +323,7 @@ def evaluate(
         if show:
             _list_evaluations(context, client.get(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
             return
-        body: dict[str, Any] = {}
+        body: dict[str, Any] = {} if time_limit is None else {"time_limit_s": time_limit}
         if checkpoint is not None:
             body["checkpoint_id"] = choose_checkpoint(client, found, checkpoint)["id"]
         if evaluation:
@@ -330,13 +337,13 @@ def evaluate(
         context.json(asked)
     else:
         show_evaluation(context, asked)
-    if asked["state"] == "failed":
-        raise typer.Exit(ExitCode.JOB_FAILED)
+    if asked["state"] in EXIT_CODES:
+        raise typer.Exit(EXIT_CODES[asked["state"]])
 
 
 def await_evaluation(client: Client, evaluation: dict[str, Any]) -> dict[str, Any]:
     """Return an evaluation once it has ended."""
-    while evaluation["state"] in ("queued", "running"):
+    while evaluation["state"] not in ENDED:
         time.sleep(POLL_S)
         evaluation = client.get(f"/evaluations/{evaluation['id']}")
     return evaluation
@@ -354,6 +361,8 @@ def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
         ),
     ]
     rows += headline(evaluation.get("summary") or {}).items()
+    if evaluation.get("waiting_reason"):
+        rows.append(("Waiting", cell(evaluation["waiting_reason"])))
     if evaluation.get("error"):
         rows.append(("Error", cell(evaluation["error"])))
     context.out.print(pairs(rows))

@@ -1,4 +1,4 @@
-"""The commands that look at jobs and steer them: list, status, cancel, pause, resume, retry, delete, compare."""
+"""Commands that show and control jobs: list, status, cancel, pause, resume, retry, delete, compare."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.errors import InvalidInput
 from naoctl.follow import ENDED, follow
@@ -17,7 +18,9 @@ STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "s
 Jobs = Annotated[
     list[str], typer.Argument(metavar="JOB...", help="Ids or names of jobs, or `last`.", autocompletion=complete_job)
 ]
-WaitFlag = Annotated[bool, typer.Option("--wait", help="Return once it is so, not once it is asked for.")]
+#: Beginning of an evaluation's id.
+EVALUATION_PREFIX = "eval_"
+WaitFlag = Annotated[bool, typer.Option("--wait", help="Return when it has happened, not when it is requested.")]
 
 
 def _complete_state(incomplete: str) -> list[str]:
@@ -85,7 +88,12 @@ def _steer(
     changed = []
     with context.client() as client:
         for reference in references:
-            job = client.post(f"/jobs/{find_job(client, reference)['id']}/{verb}")
+            if verb == "cancel" and reference.startswith(EVALUATION_PREFIX):
+                job = client.post(f"/evaluations/{reference}/cancel")
+                if until:
+                    job = await_evaluation(client, job)
+            else:
+                job = client.post(f"/jobs/{find_job(client, reference)['id']}/{verb}")
             if until and job["state"] not in until:
                 for update in follow(client, job):
                     job = update.job
@@ -99,24 +107,36 @@ def _steer(
         context.json(changed)
 
 
-def cancel(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
-    """Cancel jobs for good; what they saved stays, and `retry` queues them again."""
-    _steer(context_of(ctx), jobs, "cancel", "cancel requested", as_json=as_json, until=ENDED if wait else None)
+def cancel(
+    ctx: typer.Context,
+    work: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="JOB|EVALUATION...",
+            help="Ids or names of jobs, `last`, or ids of evaluations.",
+            autocompletion=complete_job,
+        ),
+    ],
+    wait: WaitFlag = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Cancel jobs or evaluations. What a job saved is kept, and `retry` queues it again."""
+    _steer(context_of(ctx), work, "cancel", "cancel requested", as_json=as_json, until=ENDED if wait else None)
 
 
 def pause(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
-    """Pause jobs: they save a checkpoint and give their worker free."""
+    """Pause jobs: they save a checkpoint and free their worker."""
     until = ENDED | {"paused"} if wait else None
     _steer(context_of(ctx), jobs, "pause", "pause requested", as_json=as_json, until=until)
 
 
 def resume(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
-    """Let paused jobs go on from their last checkpoint."""
+    """Resume paused jobs from their last checkpoint."""
     _steer(context_of(ctx), jobs, "resume", "resumed", as_json=as_json)
 
 
 def retry(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
-    """Queue failed or cancelled jobs again; they go on from their last checkpoint."""
+    """Queue failed or cancelled jobs again; they resume from their last checkpoint."""
     _steer(context_of(ctx), jobs, "retry", "queued", as_json=as_json)
 
 

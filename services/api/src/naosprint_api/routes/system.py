@@ -8,7 +8,6 @@ from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from naojobs import registry
 from naojobs.database import REVISION
-from naojobs.schemas import JobCreate, WorkerPublic
 from naojobs.store import StoreError
 from naojobs.tokens import Scope
 from naospec import PRESET_SUMMARIES, PRESETS, TASKS, TrainingSpec
@@ -19,6 +18,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from naosprint_api import __version__
 from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
 from naosprint_api.problems import responses
+from naosprint_api.schemas import JobCreate, WorkerPublic
+from naosprint_api.views import worker_view
 
 router = APIRouter(tags=["service"])
 
@@ -100,7 +101,7 @@ def readiness(service: ServiceDep, response: Response) -> Readiness:
         database=database,
         schema_revision=revision,
         store=store,
-        broker="ok" if service.doorbell.reachable() else "failed",
+        broker="ok" if service.notifier.reachable() else "failed",
     )
 
 
@@ -136,12 +137,10 @@ def whoami(principal: Reader) -> Identity:
 
 @router.get("/workers", responses=responses(401, 403, 429, 503))
 def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
-    """List the workers, when each was last heard of, and the jobs it holds (one's own, unless the token is admin)."""
+    """List the workers with their capabilities, and the jobs that each holds (one's own, unless the token is admin)."""
     found = registry.workers(service.reads, stale_s=service.settings.lease_s)
-    if principal.is_admin:
-        return found
-    mine = registry.leased_jobs_of(service.reads, principal.owner)
-    return [worker.model_copy(update={"jobs": [job for job in worker.jobs if job in mine]}) for worker in found]
+    mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
+    return [worker_view(worker, mine) for worker in found]
 
 
 @router.get("/spec/schema")

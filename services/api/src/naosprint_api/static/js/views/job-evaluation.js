@@ -12,7 +12,7 @@ import { fetchInto } from "./job-checkpoints.js";
 import { loading, notice } from "./messages.js";
 import { speedByStartLine } from "./speed-by-line.js";
 
-const TONES = { queued: "grey", running: "violet", succeeded: "green", failed: "red" };
+const TONES = { queued: "grey", starting: "violet", running: "violet", succeeded: "green", failed: "red", cancelled: "grey" };
 const WINDOW_S = 2;
 
 export class EvaluationTab {
@@ -62,7 +62,7 @@ export class EvaluationTab {
     }
     fill(this.list,
       evaluations.map((e) => h("a", { class: "button small", href: `#/jobs/${this.store.id}/evaluation/${e.id}`, "aria-current": e === chosen ? "true" : null, title: stamp(e.created_at), "data-evaluation": e.id },
-        h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", h("span", { class: "muted" }, ago(e.created_at)))),
+        h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" || e.state === "cancelled" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", h("span", { class: "muted" }, ago(e.created_at)))),
       h("span", { style: { flex: 1 } }), again);
     // What is looked at stays as it is while other evaluations come and go.
     const shown = `${chosen.id} ${chosen.state}`;
@@ -72,7 +72,8 @@ export class EvaluationTab {
     this.body = h("div", { class: "stack" });
     fill(this.root, this.list, this.body);
     if (chosen.state === "failed") fill(this.body, notice("error", "This evaluation failed.", chosen.error ?? ""));
-    else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes of ${chosen.spec.task}. The figures appear here when they are done.`)));
+    else if (chosen.state === "cancelled") fill(this.body, notice("warn", "This evaluation was cancelled."));
+    else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? chosen.waiting_reason ?? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes of ${chosen.spec.task}. The figures appear here when they are done.`)));
     else this.show(chosen);
   }
 

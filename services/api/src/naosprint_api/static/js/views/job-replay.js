@@ -26,7 +26,7 @@ export class ReplayTab {
     const { evaluations, checkpoints } = this.store;
     const file = (e) => e.files.find((f) => f.name === "replay.json");
     const watchable = (evaluations ?? []).filter((e) => e.state === "succeeded" && file(e));
-    const open = (evaluations ?? []).some((e) => e.state === "queued" || e.state === "running");
+    const open = (evaluations ?? []).some((e) => ["queued", "starting", "running"].includes(e.state));
     const chosen = watchable.find((e) => e.id === this.wanted) ?? watchable[0];
     const key = JSON.stringify([watchable.map((e) => e.id), chosen?.id, open, Boolean(checkpoints?.length)]);
     if (key === this.key) return;

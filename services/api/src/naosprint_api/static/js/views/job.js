@@ -87,7 +87,7 @@ class JobStore extends EventTarget {
     this.tell("evaluations");
     // Evaluations have no stream of their own; those under way are looked at again.
     clearTimeout(this.poll);
-    if (this.evaluations.some((e) => e.state === "queued" || e.state === "running")) this.poll = setTimeout(() => { if (!this.signal.aborted) this.loadEvaluations().catch(() => {}); }, POLL_MS);
+    if (this.evaluations.some((e) => ["queued", "starting", "running"].includes(e.state))) this.poll = setTimeout(() => { if (!this.signal.aborted) this.loadEvaluations().catch(() => {}); }, POLL_MS);
   }
 
   /** Follow the job until it ends, from what is known already; does nothing while it is followed. */
@@ -235,7 +235,7 @@ class JobView {
     show(s.falls, m.fall_rate === undefined ? "–" : (m.fall_rate * 100).toFixed(1), "%", m.episodes !== undefined ? `of ${integer(m.episodes)} episodes` : null);
     show(s.rate, integer(m.steps_per_s), null, m.collect_s !== undefined && m.learn_s !== undefined ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s` : null);
     const left = remaining(job);
-    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
+    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? job.waiting_reason ?? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
   }
 
   best(name) {

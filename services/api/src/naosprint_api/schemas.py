@@ -1,16 +1,17 @@
-"""What goes over HTTP: requests and the public views of rows."""
+"""Schemas of HTTP requests and answers."""
 
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Self
-
-from naospec import TASKS, EvaluationSpec, TrainingSpec
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from typing import Annotated, Any, Literal, Self
 
 from naojobs.ids import PATTERN
+from naojobs.models import DEFAULT_TIME_LIMIT_S
 from naojobs.scopes import Scope
-from naojobs.states import EvaluationState, JobState
+from naojobs.states import WorkState
+from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naospec import TASKS, EvaluationSpec, TrainingSpec
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
 Name = Annotated[
@@ -18,8 +19,7 @@ Name = Annotated[
 ]
 Id = Annotated[str, StringConstraints(pattern=PATTERN)]
 
-#: The most jobs that one group may hold.
-MAX_GROUP_SIZE = 256
+EvaluationState = Literal["queued", "starting", "running", "succeeded", "failed", "cancelled"]
 
 
 class _Request(BaseModel):
@@ -31,7 +31,7 @@ class _Public(BaseModel):
 
 
 class JobCreate(_Request):
-    """Describes a job to submit."""
+    """Job to submit."""
 
     name: Name | None = Field(None, description="What to call it; left out, task, preset and seed name it.")
     tags: list[Tag] = Field(
@@ -45,10 +45,10 @@ class JobCreate(_Request):
     )
     evaluation: EvaluationSpec | None = Field(
         default_factory=EvaluationSpec,
-        description="How to judge the final policy; its task is the training's unless given. null for no evaluation.",
+        description="How to evaluate the final policy, by default on the training's task; null for no evaluation.",
     )
-    priority: int = Field(5, ge=0, le=9, description="0 to 9; higher goes first.")
-    max_attempts: int = Field(3, ge=1, le=10, description="Lost workers or trainers after which the job fails.")
+    priority: int = Field(5, ge=0, le=9, description="0 to 9; jobs with a higher priority start first.")
+    max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the job fails.")
     parent_job_id: Id | None = Field(None, description="Start from the policy of this job.")
     parent_checkpoint_id: Id | None = Field(
         None,
@@ -57,7 +57,7 @@ class JobCreate(_Request):
 
     @model_validator(mode="before")
     @classmethod
-    def _judge_the_task_that_is_trained(cls, data: Any) -> Any:
+    def _evaluate_the_trained_task(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
         evaluation = data.get("evaluation", {})
@@ -77,13 +77,13 @@ class JobCreate(_Request):
             raise ValueError("parent_job_id: give the job that parent_checkpoint_id belongs to")
         return self
 
-    def display_name(self) -> str:
-        """Return the name, or one made of task, preset and seed."""
-        return self.name or f"{self.spec.task}-{self.spec.preset}-{self.spec.seed}"
+    def request(self) -> JobRequest:
+        """Return the job for `naojobs.submission`."""
+        return JobRequest(**{name: getattr(self, name) for name in type(self).model_fields})
 
 
 class GroupCreate(_Request):
-    """Describes several jobs that differ in a few fields: N seeds, a grid, or both."""
+    """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
 
     job: JobCreate = Field(description="What all of them share.")
     seeds: list[int] = Field(default_factory=list, max_length=MAX_GROUP_SIZE, description="One job for each seed.")
@@ -93,23 +93,30 @@ class GroupCreate(_Request):
         description="Fields of the training specification, each with its values; one job for each combination.",
     )
 
+    def request(self) -> GroupRequest:
+        """Return the group for `naojobs.submission`."""
+        return GroupRequest(self.job.request(), self.seeds, self.grid)
+
 
 class JobPublic(_Public):
-    """Shows a job to those who may see it."""
+    """Job."""
 
     id: str
     name: str
     owner: str
     tags: list[str]
-    state: JobState
+    state: WorkState
     priority: int
-    queue: str = Field(description="The simulator that a worker must have.")
+    queue: str = Field(description="The queue of the broker that its wake-up message goes to.")
+    waiting_reason: str | None = Field(
+        None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
+    )
     spec: TrainingSpec
     evaluation: EvaluationSpec | None
     attempt: int = Field(description="How often a worker has claimed it.")
     failures: int = Field(description="Attempts lost since the last submit or retry.")
     max_attempts: int = Field(description="The job fails when failures reaches it.")
-    worker: str | None = Field(validation_alias="lease_owner", description="Who works on it now.")
+    worker: str | None = Field(validation_alias="lease_owner", description="Id of the worker that holds it.")
     heartbeat_at: datetime | None
     cancel_requested: bool
     pause_requested: bool
@@ -119,7 +126,7 @@ class JobPublic(_Public):
     progress_step: int = Field(description="Environment steps done.")
     total_steps: int = Field(description="Environment steps to do: whole rollouts.")
     latest_metrics: dict[str, float] = Field(description="The newest row of metrics.")
-    error: str | None = Field(description="Why it failed, or what its last attempt died of.")
+    error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
     created_at: datetime
     queued_at: datetime | None
     started_at: datetime | None
@@ -128,21 +135,21 @@ class JobPublic(_Public):
 
 
 class JobPage(BaseModel):
-    """Is one page of jobs, newest first."""
+    """Page of jobs, newest first."""
 
     items: list[JobPublic]
     next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class GroupPublic(BaseModel):
-    """Shows a group and its jobs."""
+    """Group and its jobs."""
 
     id: str
     jobs: list[JobPublic]
 
 
 class MetricsPublic(BaseModel):
-    """Holds metrics by column; every column has one value per row, null where a row has none."""
+    """Metrics by column; every column has one value per row, null where a row has none."""
 
     columns: dict[str, list[float | None]]
     rows: int = Field(description="Rows in this answer.")
@@ -151,7 +158,7 @@ class MetricsPublic(BaseModel):
 
 
 class EventPublic(_Public):
-    """Shows one thing that happened to a job."""
+    """Event in the history of a job."""
 
     id: int
     at: datetime
@@ -162,14 +169,14 @@ class EventPublic(_Public):
 
 
 class EventPage(BaseModel):
-    """Is one page of events, oldest first."""
+    """Page of events, oldest first."""
 
     items: list[EventPublic]
     next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
 
 
 class LogPublic(_Public):
-    """Shows one line of a job's log."""
+    """Line of a job's log."""
 
     id: int
     at: datetime
@@ -179,14 +186,14 @@ class LogPublic(_Public):
 
 
 class LogPage(BaseModel):
-    """Is one page of log lines, oldest first."""
+    """Page of log lines, oldest first."""
 
     items: list[LogPublic]
     next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
 
 
 class FilePublic(BaseModel):
-    """Shows one file of an artifact."""
+    """File of an artifact."""
 
     name: str
     size: int = Field(description="Bytes.")
@@ -195,7 +202,7 @@ class FilePublic(BaseModel):
 
 
 class CheckpointPublic(BaseModel):
-    """Shows a checkpoint."""
+    """Checkpoint."""
 
     id: str
     job_id: str
@@ -208,30 +215,48 @@ class CheckpointPublic(BaseModel):
 
 
 class EvaluationPublic(BaseModel):
-    """Shows an evaluation."""
+    """Evaluation of a checkpoint."""
 
     id: str
     job_id: str
     checkpoint_id: str
     state: EvaluationState
     spec: EvaluationSpec
-    summary: dict[str, Any] | None = Field(description="Its figures; null until it has succeeded.")
+    waiting_reason: str | None = Field(
+        description="Why no worker can take the queued evaluation; null if a worker can, and in all other states."
+    )
+    attempt: int = Field(description="How often a worker has claimed it.")
+    failures: int = Field(description="Attempts that were lost.")
+    max_attempts: int = Field(description="The evaluation fails when failures reaches it.")
+    worker: str | None = Field(description="Id of the worker that holds it.")
+    cancel_requested: bool
+    time_limit_s: float = Field(description="Seconds that one attempt may take.")
+    summary: dict[str, Any] | None = Field(description="Metrics over all episodes; null until it has succeeded.")
     files: list[FilePublic]
     archive_url: str | None
-    error: str | None
+    error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
     created_at: datetime
+    started_at: datetime | None
     finished_at: datetime | None
 
 
 class EvaluationCreate(_Request):
-    """Asks for an evaluation."""
+    """Evaluation to run."""
 
-    checkpoint_id: Id | None = Field(None, description="Which checkpoint to judge; left out, the newest.")
-    spec: EvaluationSpec | None = Field(None, description="How to judge it; left out, 1000 episodes of the job's task.")
+    checkpoint_id: Id | None = Field(None, description="Which checkpoint to evaluate; left out, the newest.")
+    spec: EvaluationSpec | None = Field(
+        None, description="How to evaluate it; left out, 1000 episodes of the job's task."
+    )
+    time_limit_s: float = Field(
+        DEFAULT_TIME_LIMIT_S,
+        gt=0,
+        le=30 * 86_400,
+        description="Seconds that one attempt may take; then the evaluation fails.",
+    )
 
 
 class TokenCreate(_Request):
-    """Asks for a token."""
+    """Token to make."""
 
     owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
         description="Whose jobs it opens."
@@ -243,13 +268,13 @@ class TokenCreate(_Request):
         default_factory=lambda: [Scope.SUBMIT],
         min_length=1,
         max_length=len(Scope),
-        description="read: see one's own jobs; submit: also submit and steer them; admin: everybody's, and tokens.",
+        description="read: see one's own jobs; submit: also submit and control them; admin: all jobs, and tokens.",
     )
     expires_in_days: float | None = Field(None, gt=0, le=36_500, description="Days until it expires; null for never.")
 
 
 class TokenPublic(_Public):
-    """Shows a token without its secret."""
+    """Token without its secret."""
 
     id: str
     name: str
@@ -261,20 +286,23 @@ class TokenPublic(_Public):
 
 
 class TokenMade(TokenPublic):
-    """Shows a token that was made just now."""
+    """New token with its secret."""
 
-    token: str = Field(description="The secret. It is shown only here: the service keeps nothing but its SHA-256.")
+    token: str = Field(description="The secret. It is shown only here: the service keeps only its SHA-256.")
 
 
 class WorkerPublic(_Public):
-    """Shows a worker."""
+    """Worker."""
 
     id: str
     host: str
     pid: int
     queues: list[str]
+    tasks: dict[str, int] = Field(description="Version by name of each task that it can run.")
+    robots: list[str]
+    simulators: list[str]
     version: str
     started_at: datetime
     heartbeat_at: datetime
-    alive: bool = Field(description="Whether it was heard of lately.")
+    alive: bool = Field(description="Whether its last heartbeat is recent.")
     jobs: list[str] = Field(description="The jobs it holds a lease on.")
