@@ -21,14 +21,15 @@ from gymnasium.vector.utils import batch_space
 from naospec import TrainingSpec
 from naospec.flat import GROUPS, nest
 from naospec.sections import as_mapping
+from numpy.typing import NDArray
 
-from naosprint.arrays import BoolArray, Float32Array, FloatArray
+from naosprint.arrays import Float32Array
 from naosprint.tasks.environment import open_environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from naosprint.arrays import IntArray
+    from naosprint.arrays import BoolArray, IntArray
 
 OBSERVATION_LIMIT = 1e6
 """Largest magnitude of an observation; no robot that is not broken comes near it."""
@@ -136,7 +137,7 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
         self._robots.environment.close()
 
 
-class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, BoolArray]):
+class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
     """Robots that do a task side by side in one simulator: the episodes of as many :class:`TaskEnv`, but faster.
 
     A robot whose episode has ended begins the next one in the next step, whose action is ignored
@@ -190,7 +191,7 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, BoolArray]):
         self._ended[:] = False
         return self._robots.observations(), {}
 
-    def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+    def step(self, actions: Float32Array) -> tuple[Float32Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Take one step of 20 ms with the (n, A) actions in [-1, 1]."""
         environment, again = self._robots.environment, self._ended
         if not again.all():

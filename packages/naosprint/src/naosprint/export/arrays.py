@@ -11,7 +11,7 @@ from naosim.simulator import STEP_S
 from naosprint.export import nao
 
 if TYPE_CHECKING:
-    from naosprint.arrays import AnyArray
+    from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
 
@@ -63,14 +63,14 @@ def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
     return arrays
 
 
-def _middle(actuation: Actuation) -> AnyArray:
+def _middle(actuation: Actuation) -> FloatArray:
     """Return the (A,) angles of action 0, policy convention."""
     if actuation.robot.action_range_rad is not None:
         return actuation.nominal
     return (actuation.low_rad + actuation.high_rad) / 2.0
 
 
-def _reach(actuation: Actuation) -> AnyArray:
+def _reach(actuation: Actuation) -> FloatArray:
     """Return the (A,) angles from action 0 to action 1."""
     ranges = actuation.robot.action_range_rad
     if ranges is not None:

@@ -1,17 +1,19 @@
-"""Test how actions become joint speeds."""
+"""How actions become target angles, and perceived angles what policies see."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from naosim import robots
 from naosim.robots import nao_model
-from naosprint.actuation import Actuation
+from naosim.robots.actuation import Actuation
+from naosim.simspark.control import motor_speeds
 
 
 @pytest.fixture
 def actuation() -> Actuation:
     """Return the standard robot's joints."""
-    return Actuation(nao_model.model(0))
+    return Actuation(robots.get("nao-0"))
 
 
 def test_actions_are_the_papers_twenty_joints(actuation: Actuation) -> None:
@@ -24,7 +26,7 @@ def test_actions_are_the_papers_twenty_joints(actuation: Actuation) -> None:
 
 def test_toes_are_moved_where_there_are_toes() -> None:
     """Robot type 4 has two more actions."""
-    names = Actuation(nao_model.model(4)).names
+    names = Actuation(robots.get("nao-4")).names
     assert len(names) == 22
     assert {"llj7", "rlj7"} <= set(names)
 
@@ -33,7 +35,7 @@ def test_toes_are_moved_where_there_are_toes() -> None:
 def test_ends_of_the_action_range_are_the_joints_stops(robot_type: int) -> None:
     """Actions of -1 and 1 ask for the stops, and every target lies between them."""
     model = nao_model.model(robot_type)
-    actuation = Actuation(model)
+    actuation = Actuation(robots.get(f"nao-{robot_type}"))
     low, high = actuation.targets(np.array([[-1.0], [1.0]]) * np.ones(actuation.n_actions))
     for name in actuation.names:
         at = model.joint_index[name]
@@ -56,7 +58,7 @@ def test_neck_is_held_at_zero(actuation: Actuation) -> None:
     assert np.array_equal(targets[0, :2], [0.0, 0.0])
     angles = np.zeros((1, 22))
     angles[0, 0] = 10.0
-    assert actuation.speeds(targets, angles)[0, 0] == pytest.approx(-7 * np.deg2rad(10))
+    assert motor_speeds(targets, angles, nao_model.model(0).max_speed)[0, 0] == pytest.approx(-7 * np.deg2rad(10))
 
 
 def test_same_action_on_both_sides_is_a_symmetric_posture(actuation: Actuation) -> None:
@@ -75,23 +77,23 @@ def test_same_action_on_both_sides_is_a_symmetric_posture(actuation: Actuation) 
         assert target[right] * np.array(model.joints[right].axis) == pytest.approx(mirrored, abs=1e-6), name
 
 
-def test_controller_is_proportional_with_gain_seven(actuation: Actuation) -> None:
+def test_controller_is_proportional_with_gain_seven() -> None:
     """The speed is 7 times the error in radians, within the joint's limit."""
     targets, angles = np.zeros((1, 22)), np.zeros((1, 22))
     targets[0, 5] = 0.1
     angles[0, 6] = np.rad2deg(0.2)
     targets[0, 7], targets[0, 8] = 2.0, -2.0
-    speeds = actuation.speeds(targets, angles)[0]
+    speeds = motor_speeds(targets, angles, nao_model.model(0).max_speed)[0]
     assert speeds[5] == pytest.approx(0.7)
     assert speeds[6] == pytest.approx(-1.4)
-    assert speeds[7] == pytest.approx(actuation.max_speed[7])
-    assert speeds[8] == pytest.approx(-actuation.max_speed[8])
+    assert speeds[7] == pytest.approx(nao_model.model(0).max_speed[7])
+    assert speeds[8] == pytest.approx(-nao_model.model(0).max_speed[8])
 
 
 def test_speed_limits_are_each_joints_own() -> None:
     """Robot type 2 has fast ankle pitch and slow ankle roll."""
-    actuation = Actuation(nao_model.model(2))
-    speeds = actuation.speeds(np.full((1, 22), 100.0), np.zeros((1, 22)))[0]
+    limits = np.array([joint.max_speed for joint in robots.get("nao-2").joints])
+    speeds = motor_speeds(np.full((1, 22), 100.0), np.zeros((1, 22)), limits)[0]
     index = nao_model.model(2).joint_index
     assert speeds[index["llj5"]] == pytest.approx(8.80667, rel=1e-4)
     assert speeds[index["llj6"]] == pytest.approx(3.47234, rel=1e-4)
@@ -100,7 +102,7 @@ def test_speed_limits_are_each_joints_own() -> None:
 
 def test_start_pose_is_the_papers(actuation: Actuation) -> None:
     """Arms down with bent elbows, hips and ankles at 30 degrees, knees at 60, in the simulator's signs."""
-    pose = np.rad2deg(actuation.start_pose())
+    pose = np.rad2deg(actuation.robot.nominal)
     index = nao_model.model(0).joint_index
     expected = {"laj1": -90, "raj1": -90, "laj3": -90, "raj3": 90, "laj4": -90, "raj4": 90}
     expected |= {"llj3": 30, "rlj3": 30, "llj4": -60, "rlj4": -60, "llj5": 30, "rlj5": 30}
@@ -110,7 +112,7 @@ def test_start_pose_is_the_papers(actuation: Actuation) -> None:
 
 def test_policies_see_the_papers_signs(actuation: Actuation) -> None:
     """In the start pose a policy sees shoulders at 90, hips at -30, knees at 60 and ankles at -30 on both sides."""
-    seen = np.rad2deg(actuation.angles(np.rad2deg(actuation.start_pose())[None])[0])
+    seen = np.rad2deg(actuation.angles(np.rad2deg(actuation.robot.nominal)[None])[0])
     by_name = dict(zip(actuation.names, seen, strict=True))
     for side in "lr":
         found = [by_name[f"{side}{joint}"] for joint in ("aj1", "lj3", "lj4", "lj5")]
