@@ -1,4 +1,4 @@
-"""Test acting with NumPy alone."""
+"""Acting with NumPy alone."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from naospec import TrainingSpec
-from naosprint.environment import open_training_batch
-from naosprint.learner import SprintPPO
-from naosprint.policy import load_policy
-from naosprint.training import _Session, train
-from naosprint.vec_env import SprintVecEnv
+from naosprint.rl.checkpoint import LEARNER, POLICY, read_file
+from naosprint.rl.policy import load_policy
+from naosprint.rl.ppo import PPO
+from naosprint.rl.rollout import TrainingEnvironment
+from naosprint.rl.runner import train
+from naosprint.tasks.environment import open_training_environment
 
 
-def test_policy_agrees_with_torch(
-    checkpoint: Path, tmp_path: Path, make_spec: Callable[..., TrainingSpec], recorder: Any
-) -> None:
-    """The mean action for raw observations is that of the trained network behind the normaliser."""
+def test_policy_agrees_with_torch(checkpoint: Path) -> None:
+    """The mean action for raw observations is that of the trained network behind the normalizer."""
     policy, manifest = load_policy(checkpoint)
-    batch, n_starts = open_training_batch(manifest.spec)
-    env = SprintVecEnv.from_spec(manifest.spec, batch, n_starts)
-    session = _Session(make_spec(), env, tmp_path, recorder)
-    session.resume(checkpoint)
-    session.ppo.load_policy_state(session.ppo.policy_state())  # act with the running mean, not with the latest weights
-    raw = np.concatenate([batch.step(np.random.default_rng(i).uniform(-1, 1, (8, 20))) for i in range(20)])
-    with torch.no_grad():
-        seen = torch.from_numpy(env.normaliser.observations(raw))
-        mean = session.ppo.policy.get_distribution(seen).mode().numpy()
+    inner, n_starts = open_training_environment(manifest.spec)
+    environment = TrainingEnvironment.from_spec(manifest.spec, inner, n_starts)
+    learner = PPO(manifest.spec, environment)
+    learner.begin()
+    arrays = read_file(checkpoint, manifest, POLICY)
+    learner.load_policy_state({name: array for name, array in arrays.items() if not name.startswith("observation_")})
+    environment.normalizer.load_statistics({**environment.normalizer.state(), **arrays})
+    raw = np.concatenate([inner.step(np.random.default_rng(i).uniform(-1, 1, (8, 20))) for i in range(20)])
+    mean = learner.act(environment.normalizer.observations(raw))
     np.testing.assert_allclose(policy.act(raw), np.clip(mean, -1, 1), atol=2e-6)
+    latest = read_file(checkpoint, manifest, LEARNER)["latest.action_net.weight"]
+    assert not np.array_equal(latest, arrays["action_net.weight"]), "the policy is the average of the weights"
+    inner.close()
 
 
 def test_draws_have_the_policys_spread(checkpoint: Path) -> None:
@@ -46,22 +47,20 @@ def test_draws_have_the_policys_spread(checkpoint: Path) -> None:
     assert np.abs(drawn).max() <= 1.0
 
 
-def test_unnormalised_policy_acts_on_raw_numbers(
+def test_unnormalized_policy_acts_on_raw_numbers(
     tmp_path: Path, make_spec: Callable[..., TrainingSpec], recorder: Any
 ) -> None:
-    """Without normalisation nothing is subtracted, scaled or clipped."""
-    spec = make_spec(normalise_observations=False, total_steps=256)
+    """Without normalization nothing is subtracted, scaled or clipped."""
+    spec = make_spec(normalize_observations=False, total_steps=256)
     policy, _ = load_policy(train(spec, workdir=tmp_path, reporter=recorder).checkpoint)
     raw = np.full((1, 89), 1234.5)
-    assert np.array_equal(policy.standardise(raw), raw.astype(np.float32))
+    assert np.array_equal(policy.standardize(raw), raw.astype(np.float32))
 
 
-def test_learner_and_policy_need_the_same_names(checkpoint: Path, make_spec: Callable[..., TrainingSpec]) -> None:
-    """What a checkpoint says of its inputs and outputs is what the environments say."""
+def test_checkpoints_name_inputs_and_outputs(checkpoint: Path, make_spec: Callable[..., TrainingSpec]) -> None:
+    """As the environments do."""
     _, manifest = load_policy(checkpoint)
-    batch, n_starts = open_training_batch(make_spec())
-    learner = SprintPPO(make_spec(), SprintVecEnv.from_spec(make_spec(), batch, n_starts))
-    assert manifest.observations == batch.observer.names
-    assert manifest.actions == batch.actuation.names
-    assert learner.observation_space.shape == (len(manifest.observations),)
-    assert learner.action_space.shape == (len(manifest.actions),)
+    environment, _ = open_training_environment(make_spec())
+    assert manifest.observations == environment.observer.names
+    assert manifest.actions == environment.actuation.names
+    environment.close()

@@ -1,29 +1,26 @@
-"""Test the vectorised environment that stable-baselines3 sees."""
+"""Environments as the learner sees them: restarts, normalization, metrics."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from naospec import TrainingSpec
-from naosprint.environment import open_training_batch
-from naosprint.vec_env import SprintVecEnv
-from stable_baselines3 import PPO
+from naosprint.rl.rollout import TrainingEnvironment, Transition
+from naosprint.tasks.environment import open_training_environment
 
-Open = Callable[..., SprintVecEnv]
+Open = Callable[..., TrainingEnvironment]
 
 
 @pytest.fixture
 def open_env(make_spec: Callable[..., TrainingSpec]) -> Iterator[Open]:
-    """Return the maker of small vectorised environments."""
-    opened: list[SprintVecEnv] = []
+    """Return the maker of small training environments."""
+    opened: list[TrainingEnvironment] = []
 
-    def make(**fields: object) -> SprintVecEnv:
-        spec = make_spec(**fields)
-        opened.append(SprintVecEnv.from_spec(spec, *open_training_batch(spec)))
+    def make(**settings: object) -> TrainingEnvironment:
+        spec = make_spec(**settings)
+        opened.append(TrainingEnvironment.from_spec(spec, *open_training_environment(spec)))
         return opened[-1]
 
     yield make
@@ -31,73 +28,79 @@ def open_env(make_spec: Callable[..., TrainingSpec]) -> Iterator[Open]:
         env.close()
 
 
-def test_stock_ppo_runs_on_it(open_env: Open) -> None:
-    """Stable-baselines3's own loop accepts the environment."""
-    env = open_env(task="sprint2")
-    model = PPO("MlpPolicy", env, n_steps=16, batch_size=32, n_epochs=1, device="cpu")
-    model.learn(256)
-    assert model.num_timesteps == 256
+def advance(env: TrainingEnvironment, actions: np.ndarray) -> Transition:
+    """Take one step with all robots."""
+    everyone = slice(0, env.n)
+    env.step_async(actions, everyone)
+    return env.step_wait(everyone)
 
 
-def test_step_and_advance_are_the_same(open_env: Open) -> None:
-    """The library's way and the fast way give the same numbers."""
-    ours, theirs = open_env(), open_env()
-    assert np.array_equal(ours.reset(), theirs.reset())
-    rng = np.random.default_rng(0)
-    ended = 0
-    for _ in range(150):
-        actions = rng.uniform(-1, 1, (8, 20)).astype(np.float32)
-        transition = ours.advance(actions)
-        observations, rewards, dones, infos = theirs.step(actions)
-        assert isinstance(observations, np.ndarray)
-        assert np.array_equal(transition.observations, observations)
-        assert np.array_equal(transition.rewards, rewards)
-        assert np.array_equal(transition.dones, dones)
-        for row in range(8):
-            assert ("episode" in infos[row]) == bool(dones[row])
-            ended += bool(dones[row])
-    assert ended > 5
-
-
-def test_episode_figures_are_those_of_the_episode(open_env: Open) -> None:
-    """Length and return of an episode, counted by hand."""
-    env = open_env(normalise_rewards=False, start_practice=0.0)
+def test_episode_metrics_are_those_of_the_episode(open_env: Open) -> None:
+    """Mean length and return over the window, counted by hand."""
+    env = open_env(normalize_rewards=False, start_episode_fraction=0.0)
     env.reset()
     rng = np.random.default_rng(1)
-    length, total = np.zeros(8, int), np.zeros(8)
-    checked = 0
+    length, total = np.zeros(8), np.zeros(8)
+    lengths: list[float] = []
+    totals: list[float] = []
     for _ in range(150):
-        _, rewards, dones, infos = env.step(rng.uniform(-1, 1, (8, 20)))
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
         length += 1
-        total += rewards
-        for row in np.flatnonzero(dones):
-            assert infos[row]["episode"]["l"] == length[row]
-            assert infos[row]["episode"]["r"] == pytest.approx(total[row], rel=1e-4, abs=1e-3)
+        total += transition.rewards
+        for row in np.flatnonzero(transition.dones):
+            lengths.append(length[row])
+            totals.append(total[row])
             length[row], total[row] = 0, 0.0
-            checked += 1
-    assert checked > 5
-    assert env.window.episodes == checked
+        if lengths:
+            means = env.window.means()
+            assert means["episode_length"] == pytest.approx(np.mean(lengths[-100:]))
+            assert means["reward"] == pytest.approx(np.mean(totals[-100:]), rel=1e-4, abs=1e-3)
+    assert env.window.episodes == len(lengths) > 5
+
+
+def test_task_metrics_are_those_of_the_runs(open_env: Open) -> None:
+    """The window has what the task measured of whole episodes."""
+    env = open_env(start_episode_fraction=0.0)
+    env.reset()
+    rng = np.random.default_rng(1)
+    task = env.environment.task
+    measured: list[np.ndarray] = []
+    measure = task.measure
+
+    def watch(rows: np.ndarray) -> np.ndarray:
+        values = measure(rows)
+        measured.extend(values)
+        return values
+
+    task.measure = watch  # type: ignore[method-assign]
+    for _ in range(100):
+        advance(env, rng.uniform(-1, 1, (8, 20)))
+    names = [metric.name for metric in task.metrics if metric.live]
+    expected = dict(zip(names, np.mean(measured[-100:], axis=0), strict=True))
+    means = env.window.means()
+    assert {name: means[name] for name in names} == pytest.approx(expected)
+    assert means["distance_m"] != 0.0
 
 
 def test_finished_robots_start_over_at_once(open_env: Open) -> None:
     """The observation after an end is the first of a new episode."""
-    env = open_env(normalise_observations=False)
+    env = open_env(normalize_observations=False)
     env.reset()
     rng = np.random.default_rng(2)
     for _ in range(150):
-        transition = env.advance(rng.uniform(-1, 1, (8, 20)))
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
         steps = transition.observations[:, 0]
         assert np.array_equal(steps == 0, transition.dones)
 
 
 def test_returned_arrays_are_the_callers(open_env: Open) -> None:
-    """A transition does not change when the environments go on."""
+    """A transition does not change with the next steps."""
     env = open_env()
     env.reset()
-    first = env.advance(np.zeros((8, 20)))
+    first = advance(env, np.zeros((8, 20)))
     observations, rewards, dones = first.observations.copy(), first.rewards.copy(), first.dones.copy()
     for _ in range(60):
-        env.advance(np.random.default_rng(0).uniform(-1, 1, (8, 20)))
+        advance(env, np.random.default_rng(0).uniform(-1, 1, (8, 20)))
     assert np.array_equal(first.observations, observations)
     assert np.array_equal(first.rewards, rewards)
     assert np.array_equal(first.dones, dones)
@@ -110,69 +113,54 @@ def test_state_carries_over(open_env: Open) -> None:
     second.reset()
     rng = np.random.default_rng(3)
     for _ in range(50):
-        first.advance(rng.uniform(-1, 1, (8, 20)))
+        advance(first, rng.uniform(-1, 1, (8, 20)))
     second.load_state(first.state())
     for _ in range(100):
         actions = rng.uniform(-1, 1, (8, 20))
-        ours, theirs = first.advance(actions), second.advance(actions)
+        ours, theirs = advance(first, actions), advance(second, actions)
         assert np.array_equal(ours.observations, theirs.observations)
         assert np.array_equal(ours.rewards, theirs.rewards)
     assert first.window.means() == second.window.means()
 
 
 @pytest.mark.parametrize("bootstrap", [True, False])
-def test_end_that_is_no_fall_is_cut_off_where_asked(
-    open_env: Open, bootstrap: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At the finish line the last observation comes along, to value what would have followed; after a fall never."""
-    env = open_env(bootstrap_at_end=bootstrap)
-    batch = env.batch
+def test_end_that_is_no_failure_is_bootstrapped_if_set(open_env: Open, bootstrap: bool) -> None:
+    """At the finish line the last observation is returned, to value what would have followed; after a fall never."""
+    env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
     # a finish line so near that the first stumbles cross it
-    monkeypatch.setattr(batch, "task", replace(batch.task, finish_x_m=-13.95))
+    env.environment.task.finish_x_m = -13.95
     env.reset()
+    ended: dict[str, list[int]] = {}
+    measure = env.environment.task.measure
+
+    def watch(rows: np.ndarray) -> np.ndarray:
+        for name, flags in env.environment.ends.items():
+            ended[name] = rows[flags[rows]].tolist()
+        return measure(rows)
+
+    env.environment.task.measure = watch  # type: ignore[method-assign]
     rng = np.random.default_rng(4)
     arrivals = falls = 0
     for _ in range(200):
-        step = batch.step
-        ends: list[tuple[np.ndarray, np.ndarray]] = []
-
-        def watch(*arguments: object, step: Callable[..., object] = step, ends: list[Any] = ends) -> object:
-            observations = step(*arguments)
-            ends.append((np.flatnonzero(batch.arrived), np.flatnonzero(batch.fallen)))
-            return observations
-
-        monkeypatch.setattr(batch, "step", watch)
-        transition = env.advance(rng.uniform(-1, 1, (8, 20)))
-        monkeypatch.setattr(batch, "step", step)
-        (arrived, fallen) = ends[0]
-        assert np.array_equal(transition.cut_rows, arrived if bootstrap else [])
-        assert len(transition.cut_observations) == len(transition.cut_rows)
-        assert set(np.flatnonzero(transition.dones)) == {*arrived, *fallen}
-        arrivals, falls = arrivals + len(arrived), falls + len(fallen)
+        ended.update(fallen=[], arrived=[])
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
+        assert transition.bootstrapped.tolist() == (ended["arrived"] if bootstrap else [])
+        assert len(transition.last_observations) == len(transition.bootstrapped)
+        assert set(np.flatnonzero(transition.dones)) == {*ended["arrived"], *ended["fallen"]}
+        arrivals, falls = arrivals + len(ended["arrived"]), falls + len(ended["fallen"])
     assert arrivals > 0
     assert falls > 0
 
 
-def test_environments_share_one_batch(open_env: Open) -> None:
-    """What stable-baselines3 may ask of single environments is answered or refused."""
-    env = open_env()
-    assert env.get_attr("fall_height_m", [0, 1]) == [0.27, 0.27]
-    assert env.env_is_wrapped(object) == [False] * 8
-    with pytest.raises(AttributeError, match="of one batch"):
-        env.set_attr("fall_height_m", 1.0)
-    with pytest.raises(AttributeError, match="of one batch"):
-        env.env_method("step")
-
-
-def test_practised_starts_do_not_count_as_runs(open_env: Open) -> None:
-    """What is reported of training speaks of whole episodes alone."""
-    env = open_env(start_practice=0.5)
+def test_short_episodes_do_not_count(open_env: Open) -> None:
+    """Metrics are those of whole episodes alone."""
+    env = open_env(start_episode_fraction=0.5)
     env.reset()
     rng = np.random.default_rng(0)
-    whole = practised = 0
+    whole = short = 0
     for _ in range(150):
-        dones = env.advance(rng.uniform(-1, 1, (8, 20))).dones
-        practised += int(dones[:4].sum())
+        dones = advance(env, rng.uniform(-1, 1, (8, 20))).dones
+        short += int(dones[:4].sum())
         whole += int(dones[4:].sum())
-    assert practised > 0
+    assert short > 0
     assert env.window.episodes == whole > 0

@@ -129,7 +129,8 @@ def test_erect_limit_ends_it_earlier() -> None:
 
 def test_finish_line_ends_the_episode() -> None:
     """Passing the line is an end without a fall."""
-    environment = environment_of(4, variant(Sprint1, finish_x_m=-14.2))
+    environment = environment_of(4)
+    environment.task.finish_x_m = -14.2
     environment.step(hold(environment))
     assert environment.terminated.all()
     assert environment.ends["arrived"].all()
