@@ -156,7 +156,7 @@ def trajectories(x: FloatArray, y: FloatArray) -> Figure:
     # a straight run is a thin line: give it room to both sides, so that deviations can be seen
     centre_x, centre_y = (float(np.nanmin(v) + np.nanmax(v)) / 2.0 for v in (x, y))
     half_x = max(float(np.nanmax(x) - np.nanmin(x)) / 2.0 * 1.08, 1.0)
-    half_y = max(float(np.nanmax(y) - np.nanmin(y)) / 2.0 * 1.1, half_x / 6.0)
+    half_y = max(float(np.nanmax(y) - np.nanmin(y)) / 2.0 * 1.1, half_x / 4.0)
     axes.set_xlim(centre_x - half_x, centre_x + half_x)
     axes.set_ylim(centre_y - half_y, centre_y + half_y)
     axes.set_aspect("equal")
