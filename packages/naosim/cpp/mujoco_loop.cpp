@@ -6,6 +6,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
 #include <cmath>
 #include <cstdio>
@@ -13,6 +14,9 @@
 #include <string>
 #include <vector>
 
+#include "exchange_bindings.hpp"
+#include "mujoco_exchange.hpp"
+#include "mujoco_units.hpp"
 #include "thread_pool.hpp"
 
 namespace nb = nanobind;
@@ -22,6 +26,9 @@ using Bytes = nb::ndarray<const std::uint8_t, nb::c_contig, nb::device::cpu>;
 using Addresses = nb::ndarray<const std::uint64_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
+using naosim::mujoco::command_degrees, naosim::mujoco::kDegrees, naosim::mujoco::kRadians, naosim::mujoco::rotation_of;
+using naosim::protocol::MujocoExchange;
+
 namespace {
 
 // mujoco.h of 3.5.0
@@ -29,9 +36,6 @@ using Step = void (*)(const void* model, void* data);
 using SetState = void (*)(const void* model, void* data, const double* state, int signature);
 using GetState = void (*)(const void* model, const void* data, double* state, int signature);
 
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;  // numpy.degrees, to the bit
-constexpr double kRadians = 3.14159265358979323846 / 180.0;  // math.radians, to the bit
-constexpr double kCommandUnits = 1e4;                        // the client sends target angles with four decimals of a degree
 constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
 
 // The library's own handling of a warning is a file in the working directory. Here the world keeps the text.
@@ -111,7 +115,7 @@ class Worlds {
       const World& world = worlds_[row];
       double* waiting = &pending[row * joints];
       for (std::size_t j = 0; j < joints && targets != nullptr; ++j) {
-        const double target = std::nearbyint(targets[k * joints + j] * kDegrees * kCommandUnits) / kCommandUnits * kRadians;
+        const double target = command_degrees(targets[k * joints + j]) * kRadians;
         world.ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
         waiting[j] = target;
       }
@@ -187,12 +191,8 @@ class Worlds {
     print(s + 13, layout_.joints, kDegrees, 100.0, &joint_angles[joints * r]);
     print(s + 13 + joints, layout_.joints, kDegrees, 100.0, &joint_speeds[joints * r]);
     const double* x = worlds_[row].qpos + layout_.torso;
-    const double* q = x + 3;
     std::memcpy(&position[3 * r], x, 3 * sizeof(double));
-    const double m[9] = {1 - 2 * (q[2] * q[2] + q[3] * q[3]), 2 * (q[1] * q[2] - q[0] * q[3]),     2 * (q[1] * q[3] + q[0] * q[2]),
-                         2 * (q[1] * q[2] + q[0] * q[3]),     1 - 2 * (q[1] * q[1] + q[3] * q[3]), 2 * (q[2] * q[3] - q[0] * q[1]),
-                         2 * (q[1] * q[3] - q[0] * q[2]),     2 * (q[2] * q[3] + q[0] * q[1]),     1 - 2 * (q[1] * q[1] + q[2] * q[2])};
-    std::memcpy(&rotation[9 * r], m, sizeof m);
+    rotation_of(x + 3, &rotation[9 * r]);
     double sum = 0.0;
     for (int k = 0; k < layout_.positions; ++k) sum += worlds_[row].qpos[k];
     diverged[r] = !std::isfinite(sum) || std::fabs(x[0]) + std::fabs(x[1]) + std::fabs(x[2]) > kFarthest;
@@ -283,4 +283,37 @@ NB_MODULE(_mujoco, m) {
         views["diverged"] = nb::ndarray<nb::numpy, std::uint8_t>(w.diverged.data(), {n}, self);
         return views;
       });
+
+  auto exchange = nb::class_<MujocoExchange>(m, "Exchange");
+  exchange
+      .def("__init__",
+           [](MujocoExchange* self, int n, const std::vector<std::string>& perceptors, const std::vector<std::string>& effectors,
+              const std::vector<double>& kp, const std::vector<double>& kd) {
+             const std::size_t joints = perceptors.size();
+             require(n >= 1 && joints >= 1, "one server and one joint at least");
+             require(effectors.size() == joints && kp.size() == joints && kd.size() == joints, "one effector, kp and kd a joint are needed");
+             new (self) MujocoExchange(n, perceptors, effectors, kp, kd);
+           }, nb::arg("n"), nb::arg("perceptors"), nb::arg("effectors"), nb::arg("kp"), nb::arg("kd"))
+      .def("prepend",
+           [](MujocoExchange& self, int row, const std::string& text) { self.prepend(naosim::protocol::row_of(self, row), text); })
+      .def("messages", [](const MujocoExchange& self, int row) { return self.messages_of(naosim::protocol::row_of(self, row)); })
+      .def("play_mode", [](const MujocoExchange& self, int row) { return self.play_mode(naosim::protocol::row_of(self, row)); })
+      .def("views", [](nb::handle self) {
+        MujocoExchange& e = nb::cast<MujocoExchange&>(self);
+        const std::size_t n = static_cast<std::size_t>(e.size()), joints = e.joint_count();
+        const auto view = [&](std::vector<double>& data, std::initializer_list<std::size_t> shape) {
+          return nb::ndarray<nb::numpy, double>(data.data(), shape, self);
+        };
+        nb::dict views;
+        views["joint_angles"] = view(e.joint_angles, {n, joints});
+        views["joint_speeds"] = view(e.joint_speeds, {n, joints});
+        views["torso_quat"] = view(e.torso_quat, {n, 4});
+        views["torso_pos"] = view(e.torso_pos, {n, 3});
+        views["gyro"] = view(e.gyro, {n, 3});
+        views["accel"] = view(e.accel, {n, 3});
+        views["time"] = view(e.time, {n});
+        views["rotation"] = view(e.rotation, {n, 3, 3});
+        return views;
+      });
+  naosim::protocol::bind_exchange(exchange);
 }

@@ -1,4 +1,4 @@
-// The text that rcssserver3d, its agents and its monitors exchange: reading, writing, and one round trip with many servers at once.
+// The text that rcssserver3d, its agents and its monitors exchange.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -9,33 +9,10 @@
 #include <utility>
 #include <vector>
 
+#include "exchange.hpp"
+#include "text.hpp"
+
 namespace naosim::protocol {
-
-// Walks over S-expressions without building a tree. Every method returns false where the text does not fit.
-class Cursor {
- public:
-  explicit Cursor(std::string_view text) : at_(text.data()), begin_(text.data()), end_(text.data() + text.size()) {}
-  bool done();                         // only blanks are left
-  bool enter(std::string_view& tag);   // "(tag": the tag is empty where a list comes first
-  bool enter();                        // "("
-  bool atom(std::string_view& word);   // the next word, if one comes before a bracket
-  bool number(double& value);          // the next word, if it is a number ("nan" and "inf" are)
-  bool numbers(double* values, int count);
-  bool leave();                        // skip the rest of the present list and its ")"
-  bool at_list();
-  std::size_t offset() const { return static_cast<std::size_t>(at_ - begin_); }
-
- private:
-  void skip_blanks();
-  const char *at_, *begin_, *end_;
-};
-
-bool parse_number(std::string_view word, double& value);
-
-// Append numbers as the server prints them.
-void append_fixed(std::string& out, double value, int digits);
-void append_general(std::string& out, double value);  // six significant digits
-void append_size(std::string& out, std::size_t at);   // fill in the length of what follows the four bytes at `at`
 
 // What one agent message carries. Touch sensors: right foot, left foot, right toe, left toe.
 struct Percepts {
@@ -163,65 +140,34 @@ class Vision {
   double position_[3] = {}, rotation_[9] = {};
 };
 
-// One agent connection and one monitor connection to each of many servers: send to all, then collect from all.
-class Exchange {
+// The exchange with rcssserver3d: an agent port each, and a monitor port that gives the ground truth.
+class SparkExchange final : public Exchange {
  public:
-  Exchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors);
-  ~Exchange();
-  Exchange(const Exchange&) = delete;
-  Exchange& operator=(const Exchange&) = delete;
-
-  int size() const { return static_cast<int>(channels_.size()); }
+  SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors);
   std::size_t joint_count() const { return joints_; }
-  void attach(int row, int agent_fd, int monitor_fd);  // takes the sockets over; monitor_fd may be -1
-  void detach(int row);
   void choose(int row, int side, int uniform_number);  // whose torso is the truth
-  void post(int row, bool monitor, std::string_view payload);
-  // Send (n, joints) speeds and "(syn)" to the chosen rows.
-  void dispatch(const double* speeds, const std::uint8_t* rows);
-  // Wait for the answer of each chosen row to what was dispatched: one message and, with a monitor, one frame.
-  // Returns how many rows have failed, all told.
-  int gather(const std::uint8_t* rows, double timeout_s);
-  // Wait until every chosen row got `messages` agent messages and `frames` monitor frames.
-  void collect(const std::uint8_t* rows, int messages, int frames, double timeout_s);
-  // Read what is there and go on until nothing came for `quiet_s`; count messages and frames in `messages_of` and `frames_of`.
-  void drain(int row, double quiet_s, double timeout_s);
-  const std::string& failure(int row) const { return channels_[row].failure; }
-  long messages_of(int row) const { return channels_[row].messages; }
-  long frames_of(int row) const { return channels_[row].frames; }
-  int joints_seen(int row) const { return channels_[row].joints_seen; }
-  bool torso_seen(int row) const { return channels_[row].torso_seen; }
-  bool scene_complete(int row) const { return channels_[row].scene.complete(); }
-  const GameState& game(int row) const { return channels_[row].game; }
-  void fail(int row, std::string reason);
+  int joints_seen(int row) const { return robots_[row].joints_seen; }
+  bool torso_seen(int row) const { return robots_[row].torso_seen; }
+  bool scene_complete(int row) const { return robots_[row].scene.complete(); }
+  const GameState& game(int row) const { return robots_[row].game; }
 
   std::vector<double> joint_angles, gyro, accel, touch[4], time, game_time, torso_position, torso_rotation, ball;
 
  private:
-  struct Stream {
-    int fd = -1;
-    std::string buffer;
-    std::size_t used = 0;
-  };
-  struct Channel {
-    Stream agent, monitor;
-    PerceptReader reader;
+  struct Robot {
     SceneReader scene;
     GameState game;
     int side = 0, uniform_number = 0, joints_seen = 0;
     bool torso_seen = false;
-    long messages = 0, frames = 0;
-    long message_goal = 0, frame_goal = 0;  // how many there will be once the server has answered
-    std::string failure;
-    explicit Channel(const std::vector<std::string>& names) : reader(names) {}
   };
-  void send(int row, bool monitor, std::string_view framed);
-  void wait(const std::uint8_t* rows, double timeout_s);
-  bool receive(int row, bool monitor);  // false once the row has failed
-  bool parse(int row, bool monitor);
+  void clear(int row) override;
+  void compose(int row, const double* speeds, std::string& message) override;  // (joints,) rad/s
+  std::string read(int row, bool monitor, std::string_view text) override;
+  std::string lacking(int row) const override;
   std::size_t joints_;
   std::vector<std::string> effectors_;
-  std::vector<Channel> channels_;
+  PerceptReader reader_;
+  std::vector<Robot> robots_;
 };
 
 }  // namespace naosim::protocol

@@ -10,6 +10,7 @@
 #include <cmath>
 #include <memory>
 
+#include "exchange_bindings.hpp"
 #include "protocol.hpp"
 
 namespace nb = nanobind;
@@ -102,17 +103,6 @@ std::vector<Vision::Landmark> landmarks(const Named& named) {
   return out;
 }
 
-int row_of(const Exchange& exchange, int row) {
-  require(row >= 0 && row < exchange.size(), "row: out of range");
-  return row;
-}
-
-const std::uint8_t* rows_of(const Exchange& exchange, const std::optional<Bytes>& rows) {
-  if (!rows) return nullptr;
-  require(rows->size() == static_cast<std::size_t>(exchange.size()), "rows: one value a server is needed");
-  return rows->data();
-}
-
 nb::ndarray<nb::numpy, double> array(std::vector<double>& data, std::initializer_list<std::size_t> shape, nb::handle owner) {
   return nb::ndarray<nb::numpy, double>(data.data(), shape, owner);
 }
@@ -192,63 +182,27 @@ void bind_protocol(nb::module_& m) {
         return self.ball(position.data());
       });
 
-  nb::class_<Exchange>(m, "Exchange")
+  auto exchange = nb::class_<SparkExchange>(m, "Exchange");
+  exchange
       .def("__init__",
-           [](Exchange* self, int n, const std::vector<std::string>& joints, const std::vector<std::string>& effectors) {
+           [](SparkExchange* self, int n, const std::vector<std::string>& joints, const std::vector<std::string>& effectors) {
              require(n >= 1 && !joints.empty() && joints.size() == effectors.size(), "one effector a joint is needed");
-             new (self) Exchange(n, joints, effectors);
+             new (self) SparkExchange(n, joints, effectors);
            })
-      .def("attach", [](Exchange& self, int row, int agent, int monitor) { self.attach(row_of(self, row), agent, monitor); })
-      .def("detach", [](Exchange& self, int row) { self.detach(row_of(self, row)); })
-      .def("choose", [](Exchange& self, int row, int side, int number) { self.choose(row_of(self, row), side, number); })
-      .def("fail", [](Exchange& self, int row, const std::string& reason) { self.fail(row_of(self, row), reason); })
-      .def("post",
-           [](Exchange& self, int row, bool monitor, const nb::bytes& payload) {
-             const std::string_view data = view(payload);
-             row_of(self, row);
-             nb::gil_scoped_release release;
-             self.post(row, monitor, data);
-           })
-      .def("dispatch",
-           [](Exchange& self, const Doubles& speeds, const std::optional<Bytes>& rows) {
-             require(speeds.size() == static_cast<std::size_t>(self.size()) * self.joint_count(), "speeds: wrong shape");
-             const std::uint8_t* chosen = rows_of(self, rows);
-             const double* data = speeds.data();
-             nb::gil_scoped_release release;
-             self.dispatch(data, chosen);
-           }, nb::arg("speeds"), nb::arg("rows").none())
-      .def("gather",
-           [](Exchange& self, const std::optional<Bytes>& rows, double timeout_s) {
-             const std::uint8_t* chosen = rows_of(self, rows);
-             nb::gil_scoped_release release;
-             return self.gather(chosen, timeout_s);
-           }, nb::arg("rows").none(), nb::arg("timeout_s"))
-      .def("collect",
-           [](Exchange& self, const std::optional<Bytes>& rows, int messages, int frames, double timeout_s) {
-             const std::uint8_t* chosen = rows_of(self, rows);
-             nb::gil_scoped_release release;
-             self.collect(chosen, messages, frames, timeout_s);
-           }, nb::arg("rows").none(), nb::arg("messages"), nb::arg("frames"), nb::arg("timeout_s"))
-      .def("drain",
-           [](Exchange& self, int row, double quiet_s, double timeout_s) {
-             row_of(self, row);
-             nb::gil_scoped_release release;
-             self.drain(row, quiet_s, timeout_s);
-           })
-      .def("failure", [](const Exchange& self, int row) { return self.failure(row_of(self, row)); })
+      .def("choose", [](SparkExchange& self, int row, int side, int number) { self.choose(row_of(self, row), side, number); })
       .def("counts",
-           [](const Exchange& self, int row) {
+           [](const SparkExchange& self, int row) {
              row_of(self, row);
              return nb::make_tuple(self.messages_of(row), self.frames_of(row), self.joints_seen(row), self.torso_seen(row));
            })
-      .def("scene_complete", [](const Exchange& self, int row) { return self.scene_complete(row_of(self, row)); })
+      .def("scene_complete", [](const SparkExchange& self, int row) { return self.scene_complete(row_of(self, row)); })
       .def("game",
-           [](const Exchange& self, int row) {
+           [](const SparkExchange& self, int row) {
              const GameState& game = self.game(row_of(self, row));
              return nb::make_tuple(game.side, game.uniform_number, text(game.play_mode));
            })
       .def("views", [](nb::handle self) {
-        Exchange& e = nb::cast<Exchange&>(self);
+        SparkExchange& e = nb::cast<SparkExchange&>(self);
         const std::size_t n = static_cast<std::size_t>(e.size());
         nb::dict views;
         views["joint_angles"] = array(e.joint_angles, {n, e.joint_count()}, self);
@@ -265,4 +219,5 @@ void bind_protocol(nb::module_& m) {
         views["ball"] = array(e.ball, {n, 3}, self);
         return views;
       });
+  bind_exchange(exchange);
 }

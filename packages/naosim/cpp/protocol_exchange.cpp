@@ -1,61 +1,13 @@
-#include <netinet/in.h>
-#include <netinet/tcp.h>
-#include <poll.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
-#include <algorithm>
-#include <cerrno>
 #include <charconv>
-#include <chrono>
-#include <cstring>
 #include <limits>
 
 #include "protocol.hpp"
 
 namespace naosim::protocol {
 
-namespace {
-
-constexpr std::size_t kLargestMessage = 1u << 20;  // of an agent port
-constexpr std::size_t kLargestFrame = 1u << 26;    // of a monitor port
-
-using Clock = std::chrono::steady_clock;
-
-int left_ms(Clock::time_point until) {
-  const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(until - Clock::now()).count();
-  return left < 0 ? 0 : left > 60000 ? 60000 : static_cast<int>(left) + 1;
-}
-
-Clock::time_point after(double seconds) {
-  return Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
-
-std::string seconds_text(double seconds) {
-  std::string out;
-  append_fixed(out, seconds, 1);
-  return out + " s";
-}
-
-// Acknowledge what has come at once. The kernel would wait up to 40 ms for an answer that could carry the acknowledgement, and
-// rcssserver3d, which leaves Nagle's algorithm on, would hold the next frame back for as long. To an agent port every
-// command is such an answer; a monitor port gets none.
-void acknowledge(int fd) {
-  const int now = 1;
-  ::setsockopt(fd, IPPROTO_TCP, TCP_QUICKACK, &now, sizeof now);
-}
-
-constexpr char kDetached[] = "no server is attached";
-
-const char* port_name(bool monitor) { return monitor ? "monitor port" : "agent port"; }
-
-}  // namespace
-
-Exchange::Exchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors)
-    : joints_(joints.size()), effectors_(std::move(effectors)) {
+SparkExchange::SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors)
+    : Exchange(n), joints_(joints.size()), effectors_(std::move(effectors)), reader_(joints), robots_(static_cast<std::size_t>(n)) {
   const std::size_t rows = static_cast<std::size_t>(n);
-  channels_.reserve(rows);
-  for (int row = 0; row < n; ++row) channels_.emplace_back(joints);
   joint_angles.assign(rows * joints_, 0.0);
   gyro.assign(rows * 3, 0.0);
   accel.assign(rows * 3, 0.0);
@@ -65,251 +17,49 @@ Exchange::Exchange(int n, std::vector<std::string> joints, std::vector<std::stri
   torso_position.assign(rows * 3, 0.0);
   torso_rotation.assign(rows * 9, 0.0);
   ball.assign(rows * 3, 0.0);
-  for (auto& channel : channels_) channel.failure = kDetached;
 }
 
-Exchange::~Exchange() {
-  for (int row = 0; row < size(); ++row) detach(row);
+void SparkExchange::choose(int row, int side, int uniform_number) {
+  robots_[row].side = side;
+  robots_[row].uniform_number = uniform_number;
 }
 
-void Exchange::attach(int row, int agent_fd, int monitor_fd) {
-  detach(row);
-  Channel& c = channels_[row];
-  c.agent.fd = agent_fd;
-  c.monitor.fd = monitor_fd;
-  for (Stream* stream : {&c.agent, &c.monitor}) {
-    stream->buffer.clear();
-    stream->used = 0;
+void SparkExchange::clear(int row) { robots_[row] = Robot(); }
+
+void SparkExchange::compose(int, const double* speeds, std::string& message) {
+  for (std::size_t j = 0; j < joints_; ++j) {
+    // the shortest text that gives the server our single-precision number
+    char text[64];
+    const auto end = std::to_chars(text, text + sizeof text, static_cast<float>(speeds[j]), std::chars_format::fixed);
+    message += '(';
+    message += effectors_[j];
+    message += ' ';
+    message.append(text, end.ptr);
+    message += ')';
   }
-  c.scene = SceneReader();
-  c.game = GameState();
-  c.messages = c.frames = c.message_goal = c.frame_goal = 0;
-  c.joints_seen = c.side = c.uniform_number = 0;
-  c.torso_seen = false;
-  c.failure.clear();
+  message += "(syn)";
 }
 
-void Exchange::detach(int row) {
-  Channel& c = channels_[row];
-  for (Stream* stream : {&c.agent, &c.monitor}) {
-    if (stream->fd >= 0) ::close(stream->fd);
-    stream->fd = -1;
+std::string SparkExchange::read(int row, bool monitor, std::string_view text) {
+  const std::size_t r = static_cast<std::size_t>(row);
+  Robot& robot = robots_[row];
+  if (!monitor) {
+    const Percepts to{&joint_angles[r * joints_], &gyro[3 * r], &accel[3 * r],
+                      {&touch[0][6 * r], &touch[1][6 * r], &touch[2][6 * r], &touch[3][6 * r]}, &time[r], &game_time[r]};
+    return reader_.read(text, to, robot.game, robot.joints_seen);
   }
-  if (c.failure.empty()) c.failure = kDetached;
-}
-
-void Exchange::choose(int row, int side, int uniform_number) {
-  channels_[row].side = side;
-  channels_[row].uniform_number = uniform_number;
-}
-
-void Exchange::fail(int row, std::string reason) {
-  std::string& failure = channels_[row].failure;
-  if (failure.empty() || failure == kDetached) failure = std::move(reason);
-}
-
-void Exchange::send(int row, bool monitor, std::string_view framed) {
-  Channel& c = channels_[row];
-  const int fd = monitor ? c.monitor.fd : c.agent.fd;
-  if (fd < 0 || !c.failure.empty()) return;
-  const auto until = after(5.0);
-  while (!framed.empty()) {
-    const ssize_t sent = ::send(fd, framed.data(), framed.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
-    if (sent > 0) {
-      framed.remove_prefix(static_cast<std::size_t>(sent));
-    } else if (sent < 0 && errno == EINTR) {
-      continue;
-    } else if (sent < 0 && (errno == EAGAIN || errno == EWOULDBLOCK)) {
-      // The server does not read while it waits for us to read: take what it has sent, then try again.
-      if (!receive(row, false) || (c.monitor.fd >= 0 && !receive(row, true))) return;
-      pollfd wait{fd, POLLOUT | POLLIN, 0};
-      if (::poll(&wait, 1, left_ms(until)) == 0) return fail(row, std::string(port_name(monitor)) + ": the server does not read any more");
-    } else {
-      return fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
-    }
+  const std::string problem = robot.scene.read(text);
+  if (problem.empty()) {
+    robot.torso_seen = robot.scene.torso(robot.side, robot.uniform_number, &torso_position[3 * r], &torso_rotation[9 * r]);
+    robot.scene.ball(&ball[3 * r]);
   }
+  return problem;
 }
 
-void Exchange::post(int row, bool monitor, std::string_view payload) {
-  std::string framed(4, '\0');
-  framed += payload;
-  append_size(framed, 0);
-  send(row, monitor, framed);
-}
-
-bool Exchange::receive(int row, bool monitor) {
-  Channel& c = channels_[row];
-  Stream& stream = monitor ? c.monitor : c.agent;
-  if (!c.failure.empty() || stream.fd < 0) return false;
-  char chunk[65536];
-  for (;;) {
-    const ssize_t got = ::recv(stream.fd, chunk, sizeof chunk, MSG_DONTWAIT);
-    if (got > 0) {
-      if (monitor) acknowledge(stream.fd);
-      stream.buffer.append(chunk, static_cast<std::size_t>(got));
-      if (!parse(row, monitor)) return false;
-      if (static_cast<std::size_t>(got) < sizeof chunk) return true;
-    } else if (got == 0) {
-      fail(row, std::string(port_name(monitor)) + ": closed by the server");
-      return false;
-    } else if (errno == EINTR) {
-      continue;
-    } else if (errno == EAGAIN || errno == EWOULDBLOCK) {
-      return true;
-    } else {
-      fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
-      return false;
-    }
-  }
-}
-
-bool Exchange::parse(int row, bool monitor) {
-  Channel& c = channels_[row];
-  Stream& stream = monitor ? c.monitor : c.agent;
-  const std::size_t limit = monitor ? kLargestFrame : kLargestMessage;
-  for (;;) {
-    const std::size_t left = stream.buffer.size() - stream.used;
-    if (left < 4) break;
-    const auto* b = reinterpret_cast<const unsigned char*>(stream.buffer.data() + stream.used);
-    const std::size_t size = static_cast<std::size_t>(b[0]) << 24 | b[1] << 16 | b[2] << 8 | b[3];
-    if (size > limit) {
-      fail(row, std::string(port_name(monitor)) + ": malformed reply: a message of " + std::to_string(size) + " bytes is announced");
-      return false;
-    }
-    if (left < 4 + size) break;
-    const std::string_view text(stream.buffer.data() + stream.used + 4, size);
-    std::string problem;
-    if (monitor) {
-      problem = c.scene.read(text);
-      ++c.frames;
-      if (problem.empty()) {
-        const std::size_t r = static_cast<std::size_t>(row);
-        c.torso_seen = c.scene.torso(c.side, c.uniform_number, &torso_position[3 * r], &torso_rotation[9 * r]);
-        c.scene.ball(&ball[3 * r]);
-      }
-    } else {
-      const std::size_t r = static_cast<std::size_t>(row);
-      const Percepts to{&joint_angles[r * joints_], &gyro[3 * r], &accel[3 * r],
-                        {&touch[0][6 * r], &touch[1][6 * r], &touch[2][6 * r], &touch[3][6 * r]}, &time[r], &game_time[r]};
-      problem = c.reader.read(text, to, c.game, c.joints_seen);
-      ++c.messages;
-    }
-    stream.used += 4 + size;
-    if (!problem.empty()) {
-      fail(row, "malformed reply: " + problem);
-      return false;
-    }
-  }
-  if (stream.used == stream.buffer.size()) {
-    stream.buffer.clear();
-    stream.used = 0;
-  } else if (stream.used > 65536) {
-    stream.buffer.erase(0, stream.used);
-    stream.used = 0;
-  }
-  return true;
-}
-
-void Exchange::dispatch(const double* speeds, const std::uint8_t* rows) {
-  std::string message;
-  for (int row = 0; row < size(); ++row) {
-    if ((rows != nullptr && !rows[row]) || !channels_[row].failure.empty()) continue;
-    message.assign(4, '\0');
-    for (std::size_t j = 0; j < joints_; ++j) {
-      // the shortest text that gives the server our single-precision number
-      char text[64];
-      const auto end = std::to_chars(text, text + sizeof text,
-                                     static_cast<float>(speeds[static_cast<std::size_t>(row) * joints_ + j]), std::chars_format::fixed);
-      message += '(';
-      message += effectors_[j];
-      message += ' ';
-      message.append(text, end.ptr);
-      message += ')';
-    }
-    message += "(syn)";
-    append_size(message, 0);
-    // what has come so far is no answer to this
-    channels_[row].message_goal = channels_[row].messages + 1;
-    channels_[row].frame_goal = channels_[row].frames + 1;
-    send(row, false, message);
-  }
-}
-
-int Exchange::gather(const std::uint8_t* rows, double timeout_s) {
-  wait(rows, timeout_s);
-  for (int row = 0; row < size(); ++row) {
-    Channel& c = channels_[row];
-    if ((rows != nullptr && !rows[row]) || !c.failure.empty()) continue;
-    if (c.joints_seen != static_cast<int>(joints_))
-      fail(row, "malformed reply: " + std::to_string(c.joints_seen) + " of " + std::to_string(joints_) + " joint angles came");
-  }
-  int failed = 0;
-  for (const Channel& c : channels_) failed += !c.failure.empty();
-  return failed;
-}
-
-void Exchange::collect(const std::uint8_t* rows, int messages, int frames, double timeout_s) {
-  for (int row = 0; row < size(); ++row) {
-    if (rows != nullptr && !rows[row]) continue;
-    channels_[row].message_goal = channels_[row].messages + messages;
-    channels_[row].frame_goal = channels_[row].frames + frames;
-  }
-  wait(rows, timeout_s);
-}
-
-void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
-  const auto until = after(timeout_s);
-  const auto frame_due = [](const Channel& c) { return c.monitor.fd >= 0 && c.frames < c.frame_goal; };
-  const auto due = [&](const Channel& c) { return c.failure.empty() && (c.messages < c.message_goal || frame_due(c)); };
-  std::vector<int> waiting;
-  for (int row = 0; row < size(); ++row)
-    if ((rows == nullptr || rows[row]) && due(channels_[row])) waiting.push_back(row);
-  std::vector<pollfd> polled;
-  std::vector<std::pair<int, bool>> whose;
-  while (!waiting.empty()) {
-    polled.clear();
-    whose.clear();
-    for (const int row : waiting) {
-      const Channel& c = channels_[row];
-      // Every wake-up costs more than what is read: while a frame is due, what the agent port says may lie, but not its end.
-      const bool frame = frame_due(c);
-      polled.push_back({c.agent.fd, static_cast<short>(frame ? POLLRDHUP : POLLIN), 0});
-      whose.emplace_back(row, false);
-      if (frame) {
-        polled.push_back({c.monitor.fd, POLLIN, 0});
-        whose.emplace_back(row, true);
-      }
-    }
-    const int ready = ::poll(polled.data(), polled.size(), left_ms(until));
-    if (ready < 0 && errno != EINTR) {
-      for (const int row : waiting) fail(row, std::string("poll: ") + std::strerror(errno));
-      return;
-    }
-    if (ready == 0 && Clock::now() >= until) {
-      for (const int row : waiting) {
-        const bool agent = channels_[row].messages < channels_[row].message_goal;
-        fail(row, std::string(port_name(!agent)) + ": no reply within " + seconds_text(timeout_s));
-      }
-      return;
-    }
-    for (std::size_t k = 0; k < polled.size() && ready > 0; ++k)
-      if (polled[k].revents != 0 && receive(whose[k].first, whose[k].second) && whose[k].second) receive(whose[k].first, false);
-    waiting.erase(std::remove_if(waiting.begin(), waiting.end(), [&](int row) { return !due(channels_[row]); }), waiting.end());
-  }
-}
-
-void Exchange::drain(int row, double quiet_s, double timeout_s) {
-  Channel& c = channels_[row];
-  const auto until = after(timeout_s);
-  while (c.failure.empty() && Clock::now() < until) {
-    pollfd polled[2] = {{c.agent.fd, POLLIN, 0}, {c.monitor.fd, POLLIN, 0}};
-    const int ready = ::poll(polled, c.monitor.fd >= 0 ? 2 : 1, left_ms(after(quiet_s)));
-    if (ready == 0) return;
-    if (ready < 0 && errno != EINTR) return fail(row, std::string("poll: ") + std::strerror(errno));
-    if (polled[0].revents != 0) receive(row, false);
-    if (c.monitor.fd >= 0 && polled[1].revents != 0) receive(row, true);
-  }
-  if (c.failure.empty()) fail(row, "the server does not wait for its agent: it must run in sync mode ($agentSyncMode = true)");
+std::string SparkExchange::lacking(int row) const {
+  const int seen = robots_[row].joints_seen;
+  if (seen == static_cast<int>(joints_)) return {};
+  return std::to_string(seen) + " of " + std::to_string(joints_) + " joint angles came";
 }
 
 }  // namespace naosim::protocol

@@ -29,7 +29,6 @@ class MujocoBatch:
         delay: steps by which a command is late, 0 or 1.
         truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
         threads: threads that step the worlds.
-        ball_position: where the balls lie, metres.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
@@ -48,14 +47,13 @@ class MujocoBatch:
         delay: int,
         truncate: bool = True,
         threads: int = 1,
-        ball_position: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         from naosim.mujoco._mujoco import Worlds
 
         mujoco = library()
         self.n = n
         self.world = world
-        self.data = [world.new_data(ball_position) for _ in range(n)]
+        self.data = [world.new_data() for _ in range(n)]
         signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
         self._worlds = Worlds(
             functions=_functions(),

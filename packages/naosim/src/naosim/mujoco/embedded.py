@@ -23,7 +23,6 @@ _SETTLED_TOGETHER = 64
 _LOWEST_STANDING = 0.8
 _LEAST_UPRIGHT = 0.866  # cosine of 30 degrees
 _DROP_M = 0.02
-_BALL_ASIDE_M = 15.0
 
 
 class MujocoSimulator(Simulator):
@@ -56,7 +55,7 @@ class MujocoSimulator(Simulator):
         self._failures = 0
         self._pending: tuple[Floats, Flags | None] | None = None
 
-    def _new_batch(self, n: int, ball_position: tuple[float, float] = (0.0, 0.0)) -> MujocoBatch:
+    def _new_batch(self, n: int) -> MujocoBatch:
         settings = self.parameters
         return MujocoBatch(
             self.world,
@@ -64,7 +63,6 @@ class MujocoSimulator(Simulator):
             delay=settings.action_delay,
             truncate=settings.truncate,
             threads=self._threads,
-            ball_position=ball_position,
         )
 
     # steps
@@ -133,8 +131,7 @@ class MujocoSimulator(Simulator):
     def _settled(self, starts: Starts) -> Floats:
         """Return the states of robots that have settled in (at most 64) starts."""
         x, y = starts.position_m
-        aside = -_BALL_ASIDE_M if y > 0.0 else _BALL_ASIDE_M
-        batch = self._new_batch(len(starts), (x, y + aside))
+        batch = self._new_batch(len(starts))
         half = starts.heading_rad / 2.0
         upright = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
         straight = np.zeros(self.world.joints)
@@ -152,11 +149,11 @@ class MujocoSimulator(Simulator):
 
     def _require_standing(self, batch: MujocoBatch) -> None:
         height, upright = batch.position[:, 2], batch.rotation[:, 2, 2]
-        fallen = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
-        if fallen.any():
+        down = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
+        if down.any():
             raise ValueError(
                 f"starts: {self.robot.name} does not stand after {self.parameters.settle_steps} steps in "
-                f"{np.count_nonzero(fallen)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
+                f"{np.count_nonzero(down)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
                 "use stiffer ankles (robot.kp.ankle_pitch: 150), less noise in the poses, or fewer "
                 "simulator.settle_steps"
             )

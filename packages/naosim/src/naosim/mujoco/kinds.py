@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
+from naosim.launchers import most_servers, require_servers
 from naosim.robots.booster import FAMILY
 from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
 
@@ -77,4 +78,56 @@ class EmbeddedKind(SimulatorKind):
         return MujocoSimulator(robot, n, parameters, threads=options.threads)
 
 
+class ServerParameters(SimulatorParameters):
+    """Settings of Booster robots on servers."""
+
+    settle_steps: int = _SETTLE_STEPS
+
+
+class ServerKind(SimulatorKind):
+    """Booster robots on rcssservermj servers, which the environment variable ``NAOSPRINT_RCSSSERVERMJ`` can name."""
+
+    name: ClassVar[str] = "server"
+    summary: ClassVar[str] = "rcssservermj over the network, one server for each robot."
+
+    def supports(self, robot: Robot) -> bool:
+        """Return whether the robot is of the Booster family."""
+        return robot.family == FAMILY
+
+    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+        """Return the settings."""
+        del robot
+        return ServerParameters
+
+    def open(
+        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+    ) -> Simulator:
+        """Start n servers, or twice as many with standby servers.
+
+        Raises:
+            ValueError: if this machine cannot run so many servers.
+            FileNotFoundError: if the server's program is missing or has another version.
+            OSError: if containers are asked for and no Docker engine answers.
+            naosim.simulator.ServerLostError: if a server does not start.
+        """
+        from naosim.mujoco.program import server_launcher
+        from naosim.mujoco.remote import RemoteMujocoSimulator
+
+        assert isinstance(parameters, ServerParameters)
+        require_servers(n)
+        return RemoteMujocoSimulator(
+            server_launcher(),
+            robot,
+            n,
+            settle_steps=parameters.settle_steps,
+            max_failures=options.max_server_failures,
+            standby_servers=options.standby_servers,
+        )
+
+    def max_robots(self) -> int:
+        """Return the most servers that this machine runs."""
+        return most_servers()
+
+
 EMBEDDED = EmbeddedKind()
+SERVER = ServerKind()

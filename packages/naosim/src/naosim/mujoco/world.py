@@ -35,6 +35,9 @@ SUBSTEPS = 4
 UNIFORM_NUMBER = 2
 """Number with which the robot enters the field; it decides where it was attached."""
 
+PARKED_BALL_M = (25.0, 16.0)
+"""Where the ball lies, metres: in a corner of the field, where no robot comes."""
+
 _FIELD_HALF_WIDTH_M, _FIELD_BORDER_M = 18.0, 3.0
 
 FEET = ("left_foot_link", "right_foot_link")
@@ -47,23 +50,29 @@ class MujocoUnavailableError(FileNotFoundError):
     """MuJoCo or the league's models are not installed, or in another version."""
 
 
+def require_package(package: str) -> None:
+    """Raise MujocoUnavailableError unless ``mujoco`` or ``rcsssmj`` is installed in the league's version."""
+    wanted = {"mujoco": MUJOCO_VERSION, "rcsssmj": RCSSSMJ_VERSION}[package]
+    try:
+        found = metadata.version(package)
+    except metadata.PackageNotFoundError:
+        found = ""
+    if found != wanted:
+        state = f"{found} is installed" if found else "it is not installed"
+        raise MujocoUnavailableError(
+            f"{package}: version {wanted} is needed, {state}; "
+            f"run 'pip install mujoco=={MUJOCO_VERSION} rcsssmj=={RCSSSMJ_VERSION}'"
+        )
+
+
 def library() -> Any:
     """Import MuJoCo and return it.
 
     Raises:
         MujocoUnavailableError: if it or ``rcsssmj`` is missing or has another version.
     """
-    for package, wanted in (("mujoco", MUJOCO_VERSION), ("rcsssmj", RCSSSMJ_VERSION)):
-        try:
-            found = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found = ""
-        if found != wanted:
-            state = f"{found} is installed" if found else "it is not installed"
-            raise MujocoUnavailableError(
-                f"{package}: version {wanted} is needed, {state}; "
-                f"run 'pip install mujoco=={MUJOCO_VERSION} rcsssmj=={RCSSSMJ_VERSION}'"
-            )
+    require_package("mujoco")
+    require_package("rcsssmj")
     import mujoco
 
     return mujoco
@@ -95,7 +104,7 @@ class World:
         set_gains(model, kp, kd)
         return World(model, self.joints, self.torso)
 
-    def new_data(self, ball_position: tuple[float, float] = (0.0, 0.0)) -> Any:
+    def new_data(self, ball_position: tuple[float, float] = PARKED_BALL_M) -> Any:
         """Return an ``MjData`` with the robot where it was attached and the ball on the ground."""
         data = library().MjData(self.model)
         if self.ball:

@@ -1,8 +1,4 @@
-"""Many robots on rcssserver3d servers, one server each, driven from one process as if they were a `BatchSimulator`.
-
-A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side; `send`
-and `receive` are the two halves, so that the caller can compute while servers do. A server's failure never raises from
-`step`: the environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
+"""Many robots on rcssserver3d servers, driven as if they were a `BatchSimulator`; see `naosim.fleet`.
 
 The trainer's connection gives the ground truth. Servers send a pose again once it has changed by more than 0.005
 (metres or matrix elements), so a truth is that exact, no more, unless `exact` asks for full frames.
@@ -10,25 +6,19 @@ The trainer's connection gives the ground truth. Servers send a pose again once 
 
 from __future__ import annotations
 
-import logging
-import socket
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from naosim.launchers import Address, Launcher, ServerHandle
+from naosim.fleet import Act, Fleet, Rows
+from naosim.launchers import Address, Launcher
 from naosim.robots import nao_model
 from naosim.robots.nao_model import RobotModel
 from naosim.simspark import _core
-from naosim.simspark.batch import Flags, Floats, Perceptors
-from naosim.simulator import ServerLostError
-
-logger = logging.getLogger(__name__)
+from naosim.simspark.batch import Floats, Perceptors
 
 _QUIET_S = 0.1
 """Silence after which a server in sync mode is waiting for its agent."""
@@ -59,9 +49,6 @@ _CLOCK_S = 200.0
 
 _PARKED_BALL = (0.0, 9.5, 0.042)
 
-Act = Iterator[Floats]
-"""Motion of one environment over several cycles: yields the (joints,) speeds of each, rad/s."""
-
 
 class RemoteTruth:
     """Where the robots are, as the monitor ports show it. Arrays are views that every step overwrites."""
@@ -75,8 +62,8 @@ class RemoteTruth:
         """(n, 3), m."""
 
 
-class RemoteBatch:
-    """One robot on each of n servers.
+class RemoteBatch(Fleet):
+    """One NAO on each of n servers; commands are joint speeds in rad/s.
 
     Args:
         servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
@@ -95,6 +82,8 @@ class RemoteBatch:
         ServerLostError: a server did not start; the message says why.
     """
 
+    command_name: ClassVar[str] = "speeds"
+
     def __init__(
         self,
         servers: Launcher | Sequence[Address],
@@ -108,120 +97,44 @@ class RemoteBatch:
         max_failures: int = 100,
         exact: bool = False,
     ) -> None:
-        self._launcher: Launcher | None
-        self._addresses: Sequence[Address]
-        if isinstance(servers, Sequence):
-            self._launcher, self._addresses = None, servers
-            if n is not None and n != len(servers):
-                raise ValueError(f"n: {n} servers wanted, {len(servers)} addresses given")
-            n = len(servers)
-        else:
-            self._launcher, self._addresses = servers, ()
-        if n is None or n < 1:
-            raise ValueError(f"n: must be at least 1, not {n}")
+        self.model: RobotModel = nao_model.model(robot_type)
+        super().__init__(
+            servers,
+            n,
+            len(self.model.joints),
+            timeout_s=timeout_s,
+            start_timeout_s=start_timeout_s,
+            max_failures=max_failures,
+        )
         if not team or not team.isalnum() or not team.isascii():
             raise ValueError(f"team: must be letters and digits, not {team!r}")
         if not 1 <= uniform_number <= 11:
             raise ValueError(f"uniform_number: must be from 1 to 11, not {uniform_number}")
-        self.n = n
-        self.model: RobotModel = nao_model.model(robot_type)
         self.robot_type = robot_type
-        self.restarts = 0
-        """How many servers have been replaced."""
-        self._team, self._number = team, uniform_number
-        self._timeout_s, self._start_timeout_s = timeout_s, start_timeout_s
-        self._max_failures, self._exact = max_failures, exact
-        self._exchange = _core.Exchange(
-            n, list(self.model.joint_names), [joint.effector for joint in self.model.joints]
+        self._team, self._number, self._exact = team, uniform_number, exact
+        self._exchange: _core.Exchange = _core.Exchange(
+            self.n, list(self.model.joint_names), [joint.effector for joint in self.model.joints]
         )
         views: dict[str, Floats] = self._exchange.views()
         self._game_time = views["game_time"]
         self.perceptors = Perceptors(**{name: views[name] for name in Perceptors.__dataclass_fields__})
         self.truth = RemoteTruth(views)
-        self.failed: Flags = np.zeros(n, dtype=np.bool_)
-        """(n,), environments whose server is lost; they keep still until replaced."""
-        self._handles: list[ServerHandle | None] = [None] * n
-        self._lock = threading.RLock()
-        self._still = np.zeros((n, len(self.model.joints)))
-        self._nudge = self._still.copy()
+        self._nudge = self._idle.copy()
         self._nudge[:, self.model.joint_index["hj1"]] = _NUDGE
         self._middle_deg = (self.model.low_deg + self.model.high_deg) / 2.0
-        try:
-            self._open(range(n))
-            for row in range(n):
-                if self.failed[row]:
-                    raise ServerLostError(f"server {row}: {self.reason(row)}")
-        except BaseException:
-            self.close()
-            raise
+        self._start()
 
-    def __enter__(self) -> RemoteBatch:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def reason(self, row: int) -> str:
-        """Return why an environment has failed, or an empty string."""
-        text = self._exchange.failure(row)
-        handle = self._handles[row]
-        if not text:
-            return ""
-        return f"{text} ({handle.describe()})" if handle is not None else text
-
-    def step(self, speeds: ArrayLike, mask: ArrayLike | None = None) -> None:
-        """Send joint speeds and run one cycle on every server that has not failed.
-
-        Args:
-            speeds: (n, joints), rad/s.
-            mask: (n,), which environments; the others keep still. Default all.
-
-        Raises:
-            ValueError: wrong shape, or a speed is not finite; nothing has been sent then.
-        """
-        with self._lock:
-            self.send(speeds, mask)
-            self.receive(mask)
-
-    def send(self, speeds: ArrayLike, mask: ArrayLike | None = None) -> None:
-        """Send joint speeds for one cycle and let the servers compute; `receive` reads their replies.
-
-        Meanwhile servers that are not in the mask may be stepped, moved, reset or replaced, but not those in it.
-
-        Args:
-            speeds: (n, joints), rad/s.
-            mask: (n,), which environments. Default all.
-
-        Raises:
-            ValueError: wrong shape, or a speed is not finite; nothing has been sent then.
-        """
-        commands = np.ascontiguousarray(speeds, dtype=np.float64)
-        if commands.shape != self._still.shape:
-            raise ValueError(f"speeds: must have shape {self._still.shape}, not {commands.shape}")
-        rows = self._rows(mask)
-        if not np.isfinite(commands if rows is None else commands[rows.view(np.bool_)]).all():
-            raise ValueError("speeds: must be finite numbers")
-        with self._lock:
-            if self._exact:
-                for row in np.flatnonzero(~self.failed if rows is None else rows.view(np.bool_) & ~self.failed):
-                    self._trainer(int(row), "(reqfullstate)")
-            self._exchange.dispatch(commands, rows)
-
-    def receive(self, mask: ArrayLike | None = None) -> None:
-        """Wait for the answers of servers to which `send` has sent, and read them.
-
-        Args:
-            mask: (n,), which environments. Default all.
-        """
-        with self._lock:
-            if self._exchange.gather(self._rows(mask), self._timeout_s) != np.count_nonzero(self.failed):
-                self._note_failures()
+    def _dispatch(self, commands: Floats, rows: Rows) -> None:
+        if self._exact:
+            for row in np.flatnonzero(~self.failed if rows is None else rows.view(np.bool_) & ~self.failed):
+                self._trainer(int(row), "(reqfullstate)")
+        super()._dispatch(commands, rows)
 
     def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:
         """Move robots as the trainer's `move` does and wait until they are there.
 
         A cycle or two pass meanwhile, with joints held still but for the head, whose motion keeps the robot awake: a
-        sleeping robot that is moved stays in the air. So robots that are put in the air have fallen a little.
+        sleeping robot that is moved stays in the air. So robots that are put in the air have sunk a little.
 
         Args:
             position: (3,) or (n, 3), the torso's centre, m.
@@ -244,44 +157,12 @@ class RemoteBatch:
         """
         self.act_out({row: self.untangling(row) for row in self._able(mask)})
 
-    def act_out(self, acts: Mapping[int, Act]) -> None:
-        """Step the environments of `acts` side by side until each has ended its act or has failed."""
-        acts = dict(acts)
-        speeds = self._still.copy()
-        with self._lock:
-            while acts:
-                mask = self.cue(acts, speeds)
-                if mask.any():
-                    self.step(speeds, mask)
-
-    def cue(self, acts: dict[int, Act], speeds: Floats, among: Flags | None = None) -> Flags:
-        """Ask every act for its next joint speeds; drop those that have ended, or whose server is lost.
-
-        Args:
-            acts: by environment.
-            speeds: (n, joints), rad/s, whose rows are filled in.
-            among: (n,), environments whose acts are asked; default all.
-
-        Returns:
-            (n,) whose rows have been filled in: these are to be stepped.
-        """
-        mask = np.zeros(self.n, dtype=np.bool_)
-        for row, act in list(acts.items()):
-            if among is not None and not among[row]:
-                continue
-            command = None if self.failed[row] else next(act, None)
-            if command is None:
-                del acts[row]
-            else:
-                speeds[row], mask[row] = command, True
-        return mask
-
     def beaming(self, row: int, where: Floats, yaw_deg: float) -> Act:
         """Beam one environment as `beam` does: yield the joint speeds of each cycle."""
         self._move(row, where, yaw_deg, show=True)
         for _ in range(_LANDING_CYCLES):
             yield self._nudge[row]
-            if self._arrived(row, where, yaw_deg):
+            if self._is_at(row, where, yaw_deg):
                 break
         else:
             self._exchange.fail(row, f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
@@ -324,89 +205,6 @@ class RemoteBatch:
         with self._lock:
             self._trainer(row, command)
 
-    def replace(self, rows: Sequence[int] | None = None) -> list[int]:
-        """Start new servers for environments that have failed, side by side.
-
-        Args:
-            rows: which; default all that have failed.
-
-        Returns:
-            The environments that have a new server; their robots stand where players enter the field.
-
-        Raises:
-            ServerLostError: more than `max_failures` were lost, a new one does not start, or there is no launcher.
-        """
-        with self._lock:
-            lost = [int(row) for row in (np.flatnonzero(self.failed) if rows is None else rows)]
-            if not lost:
-                return []
-            if self._launcher is None:
-                raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
-            for row in lost:
-                self.restarts += 1
-                logger.warning("server %d: %s; another is started in its place", row, self.reason(row))
-                if self.restarts > self._max_failures:
-                    raise ServerLostError(
-                        f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
-                        f"the last: server {row}: {self.reason(row)}"
-                    )
-            self._open(lost)
-            for row in lost:
-                if self.failed[row]:
-                    raise ServerLostError(f"server {row}: {self.reason(row)}")
-            return lost
-
-    @contextmanager
-    def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
-        """Step every server once per interval while the caller is busy: servers drop agents silent for 61 s.
-
-        Joints are held still in those cycles; the world's clock advances by them.
-        """
-        done = threading.Event()
-
-        def nudge() -> None:
-            while not done.wait(interval_s):
-                self.step(self._still)
-
-        thread = threading.Thread(target=nudge, name="keep servers alive", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
-
-    def close(self) -> None:
-        """Close all connections and stop the servers that were started."""
-        with self._lock:
-            for row in range(self.n):
-                self._exchange.detach(row)
-            handles = [handle for handle in self._handles if handle is not None]
-            self._handles = [None] * self.n
-            if handles:
-                with ThreadPoolExecutor(max_workers=min(8, len(handles))) as pool:
-                    list(pool.map(lambda handle: handle.stop(), handles))
-
-    def _able(self, mask: ArrayLike | None) -> list[int]:
-        """Return the environments of a mask that have not failed."""
-        rows = self._rows(mask)
-        able = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
-        return [int(row) for row in np.flatnonzero(able)]
-
-    def _rows(self, mask: ArrayLike | None) -> NDArray[np.uint8] | None:
-        if mask is None:
-            return None
-        rows = np.ascontiguousarray(mask)
-        if rows.dtype != np.bool_ or rows.shape != (self.n,):
-            raise ValueError(f"mask: must be bool of shape ({self.n},), not {rows.dtype} of {rows.shape}")
-        return rows.view(np.uint8)
-
-    def _note_failures(self) -> None:
-        for row in range(self.n):
-            if not self.failed[row] and self._exchange.failure(row):
-                self.failed[row] = True
-                logger.warning("server %d is lost: %s", row, self.reason(row))
-
     def _trainer(self, row: int, command: str) -> None:
         self._exchange.post(row, True, command.encode())
 
@@ -416,7 +214,7 @@ class RemoteBatch:
         full = "(reqfullstate)" if show and not self._exact else ""
         self._trainer(row, f"(agent (unum {self._number})(team Left)(move {place})){full}")
 
-    def _arrived(self, row: int, where: Floats, yaw_deg: float) -> bool:
+    def _is_at(self, row: int, where: Floats, yaw_deg: float) -> bool:
         offset = np.abs(self.truth.torso_position[row] - where)
         rotation = self.truth.torso_rotation[row]
         yaw = np.deg2rad(yaw_deg)
@@ -424,37 +222,7 @@ class RemoteBatch:
         near = max(offset[:2]) < 0.05 and offset[2] < 0.08
         return bool(near and rotation[2, 2] > 0.99 and ahead > 0.99)
 
-    def _open(self, rows: Sequence[int]) -> None:
-        with ThreadPoolExecutor(max_workers=min(8, len(rows))) as pool:
-            list(pool.map(self._open_one, rows))
-
-    def _open_one(self, row: int) -> None:
-        self._exchange.detach(row)
-        deadline = time.monotonic() + self._start_timeout_s
-        problem = ""
-        for _ in range(3):  # another process may take a port in the meantime
-            handle, self._handles[row] = self._handles[row], None
-            if handle is not None:
-                handle.stop()
-            try:
-                if self._launcher is not None:
-                    self._handles[row] = handle = self._launcher.start()
-                    address = handle.address
-                else:
-                    address = self._addresses[row]
-                self._connect(row, address, deadline)
-            except OSError as error:
-                problem = str(error)
-                continue
-            self._shake_hands(row, deadline)
-            problem = self._exchange.failure(row)
-            if not problem:
-                self.failed[row] = False
-                return
-        self._exchange.fail(row, problem)
-        self.failed[row] = True
-
-    def _connect(self, row: int, address: Address, deadline: float) -> None:
+    def _enter(self, row: int, address: Address, deadline: float) -> None:
         monitor = self._connect_port(row, address.host, address.monitor_port, deadline)
         try:
             agent = self._connect_port(row, address.host, address.agent_port, deadline)
@@ -462,26 +230,7 @@ class RemoteBatch:
             monitor.close()
             raise
         self._exchange.attach(row, agent.detach(), monitor.detach())
-
-    def _connect_port(self, row: int, host: str, port: int, deadline: float) -> socket.socket:
-        pause = threading.Event()
-        while True:
-            handle = self._handles[row]
-            if handle is not None and not handle.alive():
-                raise OSError(f"the server has ended ({handle.describe()})")
-            try:
-                connection = socket.create_connection((host, port), timeout=max(0.1, deadline - time.monotonic()))
-            except OSError as error:
-                if time.monotonic() > deadline or self._launcher is None:
-                    raise OSError(f"{host}:{port}: {error}") from error
-                pause.wait(0.02)  # it does not listen yet
-                continue
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.setblocking(False)
-            if handle is not None and not handle.owns(port):
-                connection.close()
-                raise OSError(f"{host}:{port}: another process answers")
-            return connection
+        self._shake_hands(row, deadline)
 
     def _shake_hands(self, row: int, deadline: float) -> None:
         exchange = self._exchange

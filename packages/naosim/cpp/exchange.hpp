@@ -1,0 +1,65 @@
+// One round trip with many servers at once: send to all, then collect from all. What the messages say is up to subclasses.
+#pragma once
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace naosim::protocol {
+
+// One agent connection, and possibly one monitor connection, to each of many servers.
+class Exchange {
+ public:
+  explicit Exchange(int n);
+  virtual ~Exchange();
+  Exchange(const Exchange&) = delete;
+  Exchange& operator=(const Exchange&) = delete;
+
+  int size() const { return static_cast<int>(channels_.size()); }
+  void attach(int row, int agent_fd, int monitor_fd);  // takes the sockets over; monitor_fd may be -1
+  void detach(int row);
+  void post(int row, bool monitor, std::string_view payload);
+  // Send (n, width) commands to the chosen rows.
+  void dispatch(const double* commands, std::size_t width, const std::uint8_t* rows);
+  // Wait for the answer of each chosen row to what was dispatched: one message and, with a monitor, one frame.
+  // Returns how many rows have failed, all told.
+  int gather(const std::uint8_t* rows, double timeout_s);
+  // Wait until every chosen row got `messages` agent messages and `frames` monitor frames.
+  void collect(const std::uint8_t* rows, int messages, int frames, double timeout_s);
+  // Read what is there and go on until nothing came for `quiet_s`.
+  void drain(int row, double quiet_s, double timeout_s);
+  const std::string& failure(int row) const { return channels_[row].failure; }
+  long messages_of(int row) const { return channels_[row].messages; }
+  long frames_of(int row) const { return channels_[row].frames; }
+  void fail(int row, std::string reason);
+
+ protected:
+  // Forget what the row's last server has sent.
+  virtual void clear(int row) = 0;
+  // Append the message that carries a command.
+  virtual void compose(int row, const double* command, std::string& message) = 0;
+  // Returns an empty string or what is wrong with a message of the agent port or a frame of the monitor port.
+  virtual std::string read(int row, bool monitor, std::string_view text) = 0;
+  // Returns an empty string or what an answer did not bring.
+  virtual std::string lacking(int row) const = 0;
+
+ private:
+  struct Stream {
+    int fd = -1;
+    std::string buffer;
+    std::size_t used = 0;
+  };
+  struct Channel {
+    Stream agent, monitor;
+    long messages = 0, frames = 0;
+    long message_goal = 0, frame_goal = 0;  // how many there will be once the server has answered
+    std::string failure;
+  };
+  void send(int row, bool monitor, std::string_view framed);
+  void wait(const std::uint8_t* rows, double timeout_s);
+  bool receive(int row, bool monitor);  // false once the row has failed
+  bool parse(int row, bool monitor);
+  std::vector<Channel> channels_;
+};
+
+}  // namespace naosim::protocol

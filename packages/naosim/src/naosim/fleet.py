@@ -1,0 +1,363 @@
+"""Many robots on servers, one server each, driven from one process: what is the same for every kind of server.
+
+A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side; `send`
+and `receive` are the two halves, so that the caller can compute while servers do. A server's failure never raises from
+`step`: the environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from naosim.launchers import Address, Launcher, ServerHandle
+from naosim.simulator import Flags, Floats, ServerLostError
+
+logger = logging.getLogger(__name__)
+
+Act = Iterator[Floats]
+"""Motion of one environment over several cycles: yields the (joints,) commands of each."""
+
+Rows = NDArray[np.uint8] | None
+
+
+class Exchange(Protocol):
+    """Connections to n servers, in C++."""
+
+    def attach(self, row: int, agent: int, monitor: int) -> None:
+        """Take over a server's sockets; -1 for no monitor."""
+
+    def detach(self, row: int) -> None:
+        """Close them."""
+
+    def fail(self, row: int, reason: str) -> None:
+        """Mark a server as failed, unless it has failed already."""
+
+    def failure(self, row: int) -> str:
+        """Return why a server has failed, or an empty string."""
+
+    def dispatch(self, commands: Floats, rows: Rows) -> None:
+        """Send (n, joints) commands."""
+
+    def gather(self, rows: Rows, timeout_s: float) -> int:
+        """Read the answers; return how many servers have failed."""
+
+
+class Fleet(ABC):
+    """One robot on each of n servers.
+
+    Args:
+        servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
+            run already; those cannot be replaced.
+        n: number of servers; only with a launcher.
+        joints: numbers in a robot's command.
+        timeout_s: a server that does not answer for so long has failed.
+        start_timeout_s: the same for the start of a server and its first answers.
+        max_failures: so many servers may be replaced before `replace` gives up.
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+
+    command_name: ClassVar[str]
+    """What commands are, for messages."""
+
+    _exchange: Exchange
+
+    def __init__(
+        self,
+        servers: Launcher | Sequence[Address],
+        n: int | None,
+        joints: int,
+        *,
+        timeout_s: float,
+        start_timeout_s: float,
+        max_failures: int,
+    ) -> None:
+        self._launcher: Launcher | None
+        self._addresses: Sequence[Address]
+        if isinstance(servers, Sequence):
+            self._launcher, self._addresses = None, servers
+            if n is not None and n != len(servers):
+                raise ValueError(f"n: {n} servers wanted, {len(servers)} addresses given")
+            n = len(servers)
+        else:
+            self._launcher, self._addresses = servers, ()
+        if n is None or n < 1:
+            raise ValueError(f"n: must be at least 1, not {n}")
+        self.n = n
+        self.restarts = 0
+        """How many servers have been replaced."""
+        self.failed: Flags = np.zeros(n, dtype=np.bool_)
+        """(n,), environments whose server is lost; they keep still until replaced."""
+        self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
+        self._handles: list[ServerHandle | None] = [None] * n
+        self._lock = threading.RLock()
+        self._idle = np.zeros((n, joints))
+        """(n, joints) commands that hold the robots still."""
+
+    @abstractmethod
+    def _enter(self, row: int, address: Address, deadline: float) -> None:
+        """Connect to a server and put the robot on the field; `_exchange.fail` if the server does not do its part.
+
+        Raises:
+            OSError: a port does not answer; another server is started then.
+        """
+
+    def _start(self) -> None:
+        """Start or connect to all servers; the subclass calls this when it is ready.
+
+        Raises:
+            ServerLostError: a server did not start; the message says why.
+        """
+        try:
+            self._open(range(self.n))
+            for row in range(self.n):
+                if self.failed[row]:
+                    raise ServerLostError(f"server {row}: {self.reason(row)}")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reason(self, row: int) -> str:
+        """Return why an environment has failed, or an empty string."""
+        text = self._exchange.failure(row)
+        handle = self._handles[row]
+        if not text:
+            return ""
+        return f"{text} ({handle.describe()})" if handle is not None else text
+
+    # steps
+
+    def step(self, commands: ArrayLike, mask: ArrayLike | None = None) -> None:
+        """Send commands and run one cycle on every server that has not failed.
+
+        Args:
+            commands: (n, joints).
+            mask: (n,), which environments; the others keep still. Default all.
+
+        Raises:
+            ValueError: wrong shape, or a command is not finite; nothing has been sent then.
+        """
+        with self._lock:
+            self.send(commands, mask)
+            self.receive(mask)
+
+    def send(self, commands: ArrayLike, mask: ArrayLike | None = None) -> None:
+        """Send commands for one cycle and let the servers compute; `receive` reads their replies.
+
+        Meanwhile servers that are not in the mask may be stepped, moved, reset or replaced, but not those in it.
+
+        Args:
+            commands: (n, joints).
+            mask: (n,), which environments. Default all.
+
+        Raises:
+            ValueError: wrong shape, or a command is not finite; nothing has been sent then.
+        """
+        values = np.ascontiguousarray(commands, dtype=np.float64)
+        if values.shape != self._idle.shape:
+            raise ValueError(f"{self.command_name}: must have shape {self._idle.shape}, not {values.shape}")
+        rows = self._rows(mask)
+        if not np.isfinite(values if rows is None else values[rows.view(np.bool_)]).all():
+            raise ValueError(f"{self.command_name}: must be finite numbers")
+        with self._lock:
+            self._dispatch(values, rows)
+
+    def _dispatch(self, commands: Floats, rows: Rows) -> None:
+        self._exchange.dispatch(commands, rows)
+
+    def receive(self, mask: ArrayLike | None = None) -> None:
+        """Wait for the answers of servers to which `send` has sent, and read them.
+
+        Args:
+            mask: (n,), which environments. Default all.
+        """
+        with self._lock:
+            self._gather(self._rows(mask))
+
+    def _gather(self, rows: Rows) -> None:
+        if self._exchange.gather(rows, self._timeout_s) != np.count_nonzero(self.failed):
+            self._note_failures()
+
+    def act_out(self, acts: Mapping[int, Act]) -> None:
+        """Step the environments of `acts` side by side until each has ended its act or has failed."""
+        acts = dict(acts)
+        commands = self._idle.copy()
+        with self._lock:
+            while acts:
+                mask = self.cue(acts, commands)
+                if mask.any():
+                    self.step(commands, mask)
+
+    def cue(self, acts: dict[int, Act], commands: Floats, among: Flags | None = None) -> Flags:
+        """Ask every act for its next commands; drop those that have ended, or whose server is lost.
+
+        Args:
+            acts: by environment.
+            commands: (n, joints), whose rows are filled in.
+            among: (n,), environments whose acts are asked; default all.
+
+        Returns:
+            (n,) whose rows have been filled in: these are to be stepped.
+        """
+        mask = np.zeros(self.n, dtype=np.bool_)
+        for row, act in list(acts.items()):
+            if among is not None and not among[row]:
+                continue
+            command = None if self.failed[row] else next(act, None)
+            if command is None:
+                del acts[row]
+            else:
+                commands[row], mask[row] = command, True
+        return mask
+
+    # servers
+
+    def replace(self, rows: Sequence[int] | None = None) -> list[int]:
+        """Start new servers for environments that have failed, side by side.
+
+        Args:
+            rows: which; default all that have failed.
+
+        Returns:
+            The environments that have a new server; their robots stand where players enter the field.
+
+        Raises:
+            ServerLostError: more than `max_failures` were lost, a new one does not start, or there is no launcher.
+        """
+        with self._lock:
+            lost = [int(row) for row in (np.flatnonzero(self.failed) if rows is None else rows)]
+            if not lost:
+                return []
+            if self._launcher is None:
+                raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
+            for row in lost:
+                self.restarts += 1
+                logger.warning("server %d: %s; another is started in its place", row, self.reason(row))
+                if self.restarts > self._max_failures:
+                    raise ServerLostError(
+                        f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
+                        f"the last: server {row}: {self.reason(row)}"
+                    )
+            self._open(lost)
+            for row in lost:
+                if self.failed[row]:
+                    raise ServerLostError(f"server {row}: {self.reason(row)}")
+            return lost
+
+    @contextmanager
+    def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
+        """Step every server once per interval while the caller is busy: servers drop silent agents.
+
+        Joints are held still in those cycles; the world's clock advances by them.
+        """
+        done = threading.Event()
+
+        def nudge() -> None:
+            while not done.wait(interval_s):
+                self.step(self._idle)
+
+        thread = threading.Thread(target=nudge, name="keep servers alive", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    def close(self) -> None:
+        """Close all connections and stop the servers that were started."""
+        with self._lock:
+            for row in range(self.n):
+                self._exchange.detach(row)
+            handles = [handle for handle in self._handles if handle is not None]
+            self._handles = [None] * self.n
+            if handles:
+                with ThreadPoolExecutor(max_workers=min(8, len(handles))) as pool:
+                    list(pool.map(lambda handle: handle.stop(), handles))
+
+    def _able(self, mask: ArrayLike | None) -> list[int]:
+        """Return the environments of a mask that have not failed."""
+        rows = self._rows(mask)
+        able = ~self.failed if rows is None else rows.view(np.bool_) & ~self.failed
+        return [int(row) for row in np.flatnonzero(able)]
+
+    def _rows(self, mask: ArrayLike | None) -> Rows:
+        if mask is None:
+            return None
+        rows = np.ascontiguousarray(mask)
+        if rows.dtype != np.bool_ or rows.shape != (self.n,):
+            raise ValueError(f"mask: must be bool of shape ({self.n},), not {rows.dtype} of {rows.shape}")
+        return rows.view(np.uint8)
+
+    def _note_failures(self) -> None:
+        for row in range(self.n):
+            if not self.failed[row] and self._exchange.failure(row):
+                self.failed[row] = True
+                logger.warning("server %d is lost: %s", row, self.reason(row))
+
+    def _open(self, rows: Sequence[int]) -> None:
+        with ThreadPoolExecutor(max_workers=min(8, len(rows))) as pool:
+            list(pool.map(self._open_one, rows))
+
+    def _open_one(self, row: int) -> None:
+        self._exchange.detach(row)
+        deadline = time.monotonic() + self._start_timeout_s
+        problem = ""
+        for _ in range(3):  # another process may take a port in the meantime
+            handle, self._handles[row] = self._handles[row], None
+            if handle is not None:
+                handle.stop()
+            try:
+                if self._launcher is not None:
+                    self._handles[row] = handle = self._launcher.start()
+                    address = handle.address
+                else:
+                    address = self._addresses[row]
+                self._enter(row, address, deadline)
+            except OSError as error:
+                problem = str(error)
+                continue
+            problem = self._exchange.failure(row)
+            if not problem:
+                self.failed[row] = False
+                return
+        self._exchange.fail(row, problem)
+        self.failed[row] = True
+
+    def _connect_port(self, row: int, host: str, port: int, deadline: float) -> socket.socket:
+        pause = threading.Event()
+        while True:
+            handle = self._handles[row]
+            if handle is not None and not handle.alive():
+                raise OSError(f"the server has ended ({handle.describe()})")
+            try:
+                connection = socket.create_connection((host, port), timeout=max(0.1, deadline - time.monotonic()))
+            except OSError as error:
+                if time.monotonic() > deadline or self._launcher is None:
+                    raise OSError(f"{host}:{port}: {error}") from error
+                pause.wait(0.02)  # it does not listen yet
+                continue
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.setblocking(False)
+            if handle is not None and not handle.owns(port):
+                connection.close()
+                raise OSError(f"{host}:{port}: another process answers")
+            return connection

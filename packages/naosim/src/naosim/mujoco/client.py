@@ -1,0 +1,232 @@
+"""Booster robots on rcssservermj servers; see `naosim.fleet`.
+
+What the server needs, and this client does:
+
+- A robot that enters before the server's first cycle kills it, so a monitor waits for that cycle first.
+- The joints' targets are uninitialised memory after a robot has entered, and one that is huge makes MuJoCo drop those
+  of all joints: the first message commands every joint.
+- A server drops agents that are silent for 5 s: a thread steps those to which nothing has been sent for a while.
+- The K1's first touch of the ball kills the server: the ball is put aside.
+- The game's mode stays BeforeKickOff, in which beams are allowed and nobody is removed.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from naosim.fleet import Act, Fleet, Rows
+from naosim.launchers import Address, Launcher
+from naosim.mujoco._mujoco import Exchange
+from naosim.mujoco.batch import PERCEPTORS
+from naosim.mujoco.world import PARKED_BALL_M, UNIFORM_NUMBER, Floats, gains
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from naosim.robots import Robot
+
+_SILENCE_S = 1.5
+"""Servers to which nothing has been sent for so long are stepped; they drop their robot after 5 s."""
+
+_QUIET_S = 0.1
+"""Silence after which a server in sync mode is waiting for its agent."""
+
+_FIRST_CYCLES = 5
+"""Cycles in which a new robot takes its first commands and the ball is put aside."""
+
+_MODE = "BeforeKickOff"
+_BALL_RADIUS_M = 0.11
+
+
+class MujocoFleet(Fleet):
+    """One Booster robot on each of n servers; commands are target angles in rad.
+
+    Args:
+        servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
+            run already; those cannot be replaced.
+        robot: the robot, with its gains.
+        n: number of servers; only with a launcher.
+        team: name of the robots' team; they play on the left.
+        timeout_s: a server that does not answer for so long has failed.
+        start_timeout_s: the same for the start of a server and its first answers.
+        max_failures: so many servers may be replaced before `replace` gives up.
+
+    Attributes:
+        perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
+        time: (n,) simulated seconds, as the servers print them.
+        rotation: (n, 3, 3) rotations from the torso's frame into the world's, from the perceived quaternion.
+
+    Raises:
+        ValueError: an argument is out of range.
+        ServerLostError: a server did not start; the message says why.
+    """
+
+    command_name: ClassVar[str] = "targets_rad"
+
+    def __init__(
+        self,
+        servers: Launcher | Sequence[Address],
+        robot: Robot,
+        n: int | None = None,
+        *,
+        team: str = "naosprint",
+        timeout_s: float = 10.0,
+        start_timeout_s: float = 60.0,
+        max_failures: int = 100,
+    ) -> None:
+        super().__init__(
+            servers,
+            n,
+            len(robot.joints),
+            timeout_s=timeout_s,
+            start_timeout_s=start_timeout_s,
+            max_failures=max_failures,
+        )
+        if not team or not team.isalnum() or not team.isascii():
+            raise ValueError(f"team: must be letters and digits, not {team!r}")
+        self.robot = robot
+        self._team = team
+        kp, kd = gains(robot)
+        effectors = [joint.effector for joint in robot.joints]
+        self._exchange: Exchange = Exchange(
+            self.n, [f"q_{name.replace('e', 'j')}" for name in effectors], effectors, kp.tolist(), kd.tolist()
+        )
+        views: dict[str, Floats] = self._exchange.views()
+        self.perceptors: Mapping[str, Floats] = {name: views[name] for name in PERCEPTORS}
+        self.time: Floats = views["time"]
+        self.rotation: Floats = views["rotation"]
+        self._idle[:] = robot.nominal
+        self._spoken_to = np.zeros(self.n)  # when a message was last sent to each server, s
+        self._awaited = np.zeros(self.n, dtype=np.bool_)  # servers whose reply has not been read yet
+        self._closing = threading.Event()
+        self._start()
+        beat = threading.Thread(
+            target=_beat, args=(weakref.ref(self), self._closing), name="keep servers alive", daemon=True
+        )
+        beat.start()
+
+    # steps
+
+    def _dispatch(self, commands: Floats, rows: Rows) -> None:
+        chosen = slice(None) if rows is None else rows.view(np.bool_)
+        self._idle[chosen] = commands[chosen]
+        self._spoken_to[chosen] = time.monotonic()
+        self._awaited[chosen] = True
+        super()._dispatch(commands, rows)
+
+    def _gather(self, rows: Rows) -> None:
+        super()._gather(rows)
+        self._awaited[slice(None) if rows is None else rows.view(np.bool_)] = False
+
+    def step_idle(self) -> None:
+        """Step the servers to which nothing has been sent for a while; their robots hold the last command."""
+        with self._lock:
+            late = time.monotonic() - self._spoken_to > _SILENCE_S
+            mask = late & ~self._awaited & ~self.failed
+            if mask.any() and not self._closing.is_set():
+                self.step(self._idle.copy(), mask)
+
+    @contextmanager
+    def keep_alive(self, interval_s: float = _SILENCE_S) -> Iterator[None]:
+        """Return a context in which servers keep their robots; they always do."""
+        del interval_s
+        yield
+
+    def starting(
+        self, row: int, pose_rad: Floats, position_m: tuple[float, float], heading_rad: float, settle_steps: int
+    ) -> Act:
+        """Beam one robot and drive it into a pose: yield the target angles of each cycle.
+
+        The reply to the last of them is what the robot perceives after ``settle_steps`` steps.
+
+        Args:
+            row: which robot.
+            pose_rad: (joints,) angles.
+            position_m: x and y; x is not positive.
+            heading_rad: direction the robot faces, counter-clockwise from +x.
+            settle_steps: steps in which the motors hold the pose.
+        """
+        x, y = position_m
+        self._exchange.prepend(row, f"(beam {x:.6f} {y:.6f} {np.rad2deg(heading_rad):.6f})")
+        for _ in range(settle_steps + 1):
+            yield pose_rad
+
+    # servers
+
+    def close(self) -> None:
+        """Close all connections and stop the servers that were started."""
+        self._closing.set()
+        super().close()
+
+    def _enter(self, row: int, address: Address, deadline: float) -> None:
+        monitor = self._connect_port(row, address.host, address.monitor_port, deadline)
+        try:
+            # the first frame comes after the first cycle, and a robot that enters before it kills the server
+            self._wait_for_frame(row, monitor, deadline)
+            agent = self._connect_port(row, address.host, address.agent_port, deadline)
+            self._exchange.attach(row, agent.detach(), -1)
+            self._shake_hands(row, monitor, deadline)
+        finally:
+            monitor.close()
+
+    def _wait_for_frame(self, row: int, monitor: socket.socket, deadline: float) -> None:
+        while True:
+            monitor.settimeout(max(0.1, min(1.0, deadline - time.monotonic())))
+            try:
+                received = monitor.recv(65536)
+            except TimeoutError:
+                handle = self._handles[row]
+                if time.monotonic() > deadline or (handle is not None and not handle.alive()):
+                    raise OSError("monitor port: the server does not run a cycle") from None
+                continue
+            if not received:
+                raise OSError("monitor port: closed by the server")
+            return
+
+    def _shake_hands(self, row: int, monitor: socket.socket, deadline: float) -> None:
+        exchange, only = self._exchange, np.zeros(self.n, dtype=np.uint8)
+        only[row] = 1
+
+        def left_s() -> float:
+            return max(0.1, deadline - time.monotonic())
+
+        model = self.robot.data["model"]
+        exchange.post(row, False, f"(init {model} {self._team} {UNIFORM_NUMBER})".encode())
+        exchange.collect(only, 1, 0, left_s())
+        x, y = PARKED_BALL_M
+        with_length = f"(ball (pos {x} {y} {_BALL_RADIUS_M})(vel 0 0 0))".encode()
+        monitor.sendall(len(with_length).to_bytes(4, "big") + with_length)
+        for _ in range(_FIRST_CYCLES):
+            if exchange.failure(row):
+                break
+            # not through `step`: other rows may be open, and the lock is held by who replaces servers
+            exchange.dispatch(self._idle, only)
+            exchange.gather(only, left_s())
+        exchange.drain(row, _QUIET_S, left_s())
+        mode, messages = exchange.play_mode(row), exchange.messages(row)
+        if messages > 1 + _FIRST_CYCLES:
+            exchange.fail(
+                row, f"{messages} messages came for {1 + _FIRST_CYCLES} commands: it must run in sync mode (--sync)"
+            )
+        if mode != _MODE:
+            exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")
+        self._spoken_to[row] = time.monotonic()
+        self._awaited[row] = False
+
+
+def _beat(fleet: weakref.ref[MujocoFleet], closing: threading.Event) -> None:
+    """Keep a fleet's servers alive until it is closed or forgotten."""
+    while not closing.wait(_SILENCE_S / 3):
+        alive = fleet()
+        if alive is None:
+            return
+        alive.step_idle()
+        del alive

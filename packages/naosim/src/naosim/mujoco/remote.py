@@ -1,0 +1,110 @@
+"""Booster robots on rcssservermj servers, one server each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosim.fleet_simulator import FleetSimulator
+from naosim.mujoco.client import MujocoFleet
+from naosim.mujoco.shapes import body_poses
+from naosim.mujoco.world import world_of
+from naosim.simulator import Truth
+
+if TYPE_CHECKING:
+    from naosim.fleet import Act
+    from naosim.launchers import Launcher
+    from naosim.robots import Robot
+    from naosim.simulator import Floats, Starts
+
+_REPLY_TIMEOUT_S = 10.0
+_START_TIMEOUT_S = 90.0
+
+
+class RemoteMujocoSimulator(FleetSimulator):
+    """Booster robots on rcssservermj servers, all driven from this process.
+
+    At a start the robot is beamed, upright with straight joints, and driven into the start's pose for ``settle_steps``,
+    as in the embedded simulator. Position and orientation of the torso are those that the robot perceives: exact, but
+    5 ms old and truncated to three decimals. The server reports no contacts: :meth:`foot_forces` is always zero.
+
+    Args:
+        launcher: starts the servers.
+        robot: a robot of the family ``booster``, with its gains.
+        n: number of robots.
+        settle_steps: steps between the beam and the start of an episode.
+        max_failures: number of servers that may be replaced.
+        standby_servers: whether there are two servers per robot.
+
+    Raises:
+        naosim.simulator.ServerLostError: if a server does not start; the message says why.
+    """
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        robot: Robot,
+        n: int,
+        *,
+        settle_steps: int,
+        max_failures: int,
+        standby_servers: bool = False,
+    ) -> None:
+        self._remote = MujocoFleet(
+            launcher,
+            robot,
+            2 * n if standby_servers else n,
+            timeout_s=_REPLY_TIMEOUT_S,
+            start_timeout_s=_START_TIMEOUT_S,
+            max_failures=max_failures,
+        )
+        self._settle_steps = settle_steps
+        super().__init__(
+            self._remote,
+            robot,
+            n,
+            sources=self._remote.perceptors,
+            truth=Truth(self._remote.perceptors["torso_pos"], self._remote.rotation),
+            idle_s=None,
+        )
+
+    def _commands_of(self, targets_rad: Floats, rows: slice) -> Floats:
+        targets = np.asarray(targets_rad, dtype=np.float64)
+        shape = (rows.stop - rows.start, len(self.robot.joints))
+        if targets.shape != shape:
+            raise ValueError(f"targets_rad: expected shape {shape}, got {targets.shape}")
+        return targets
+
+    def _require_possible(self, starts: Starts) -> None:
+        if starts.orientations is not None:
+            raise ValueError(
+                "starts: rcssservermj beams robots upright only; use the embedded simulator for other orientations"
+            )
+        if starts.position_m[0] > 0.0:
+            raise ValueError(
+                f"starts: rcssservermj beams the left team to its own half, not to x = {starts.position_m[0]:g} m; "
+                "use a position with x <= 0"
+            )
+        poses = np.asarray(starts.poses_rad)
+        if poses.ndim != 2 or poses.shape[1] != len(self.robot.joints) or not np.isfinite(poses).all():
+            raise ValueError(f"starts: expected finite poses of shape (k, {len(self.robot.joints)}), got {poses.shape}")
+
+    def _starting(self, server: int, start: int) -> Act:
+        """Bring a server's robot into a start: yield the target angles of each cycle."""
+        assert self._starts is not None
+        starts = self._starts
+        return self._remote.starting(
+            server, starts.poses_rad[start], starts.position_m, starts.heading_rad, self._settle_steps
+        )
+
+    def bodies(self) -> Floats:
+        """Return (n, B, 7) poses of ``robot.shapes`` by forward kinematics from what the robots perceive.
+
+        Raises:
+            naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing here or has another version.
+        """
+        self.require_open()
+        angles = np.radians(self.perceptors["joint_angles"])
+        poses = (self.truth.torso_position, self.perceptors["torso_quat"], angles)
+        return body_poses(world_of(self.robot), np.concatenate(poses, axis=1))

@@ -1,0 +1,202 @@
+"""Booster robots on the real rcssservermj: they conform, move as in the embedded worlds, and survive lost servers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from naosim import kinds
+from naosim.conformance import CHECKS, Check, Subject, robots_start_where_they_should, starts_are_repeated
+from naosim.launchers import ProcessLauncher, ServerProgram
+from naosim.mujoco.client import MujocoFleet
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.program import RCSSSERVERMJ, server_launcher
+from naosim.mujoco.remote import RemoteMujocoSimulator
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
+from naosim.simulator import RuntimeOptions, ServerLostError, Simulator, Starts
+
+BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+
+
+def remote(
+    robot: Robot = T1, n: int = 2, *, settle_steps: int = 40, max_failures: int = 1, standby_servers: bool = False
+) -> RemoteMujocoSimulator:
+    kind = kinds.get("server")
+    options = RuntimeOptions(max_server_failures=max_failures, standby_servers=standby_servers)
+    simulator = kind.open(robot, n, kind.parameters(robot)(settle_steps=settle_steps), options)
+    assert isinstance(simulator, RemoteMujocoSimulator)
+    return simulator
+
+
+@contextmanager
+def opened(*arguments: object, **settings: object) -> Iterator[RemoteMujocoSimulator]:
+    simulator = remote(*arguments, **settings)  # type: ignore[arg-type]
+    try:
+        yield simulator
+    finally:
+        simulator.close()
+
+
+def signal_server(simulator: Simulator, server: int, number: int) -> None:
+    assert isinstance(simulator, RemoteMujocoSimulator)
+    os.killpg(simulator._remote._handles[server].pid, number)  # type: ignore[union-attr]
+
+
+def lose(simulator: Simulator, row: int) -> None:
+    assert isinstance(simulator, RemoteMujocoSimulator)
+    signal_server(simulator, int(simulator._servers[row]), signal.SIGKILL)
+
+
+def swinging(robot: Robot, steps: int, n: int = 1) -> np.ndarray:
+    """Return (steps, n, J) targets that a robot survives on its feet."""
+    rng = np.random.default_rng(7)
+    swing = rng.uniform(-0.06, 0.06, (steps, 1, len(robot.joints)))
+    return np.repeat(robot.nominal + swing, n, axis=1)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_servers_conform(check: Check) -> None:
+    check(Subject(lambda n: remote(T1, n), lose, tolerance_deg=0.05))
+
+
+@pytest.mark.parametrize(
+    "check", [robots_start_where_they_should, starts_are_repeated], ids=lambda check: check.__name__
+)
+def test_k1_starts_on_servers(check: Check) -> None:
+    check(Subject(lambda n: remote(K1, n), lose, tolerance_deg=0.05))
+
+
+@BOTH
+def test_a_server_and_an_embedded_world_print_the_same_numbers(robot: Robot) -> None:
+    """From the start on, delay included: every perceptor of 100 steps, after another episode on the same server."""
+    loaded = Starts(np.stack([robot.nominal, robot.nominal + 0.02]), (-6.0, 1.5), 0.3)
+    row, start = np.array([0]), np.array([0])
+    embedded = MujocoSimulator(robot, 1)
+    with opened(robot, 1) as server:
+        server.load_starts(loaded)
+        embedded.load_starts(loaded)
+        server.start(row, np.array([1]))
+        for targets in swinging(robot, 12):
+            server.step(3.0 * targets)
+        server.start(row, start)
+        embedded.start(row, start)
+        assert server.latency_steps == embedded.latency_steps == 2
+        for step, targets in enumerate(swinging(robot, 100)):
+            for name, values in embedded.perceptors.items():
+                np.testing.assert_array_equal(server.perceptors[name], values, err_msg=f"{name} before step {step}")
+            assert np.abs(server.truth.torso_position - embedded.truth.torso_position).max() < 0.02  # 5 ms old
+            assert np.abs(server.truth.torso_rotation - embedded.truth.torso_rotation).max() < 0.03
+            server.step(targets)
+            embedded.step(targets)
+        assert np.abs(server.bodies()[..., :3] - embedded.bodies()[..., :3]).max() < 0.03
+
+
+def test_the_ball_is_not_where_the_robots_are() -> None:
+    """A K1 that touches the ball kills its server; it can start where the ball lies at first."""
+    with opened(K1, 1) as server:
+        server.load_starts(Starts(K1.nominal[None], (0.0, 0.0)))
+        server.start(np.array([0]), np.array([0]))
+        for targets in swinging(K1, 50):
+            server.step(targets)
+        assert not server.lost.any()
+
+
+def test_servers_keep_robots_to_which_nothing_is_sent() -> None:
+    """A silence of 5 s would end a robot; neither a busy caller nor a mask of active robots loses one."""
+    with opened(T1, 2) as server:
+        server.load_starts(Starts(T1.nominal[None]))
+        server.start(np.arange(2), np.zeros(2, dtype=np.int64))
+        before = server._remote.time.copy()
+        deadline = time.monotonic() + 6.5
+        targets = np.repeat(T1.nominal[None], 2, axis=0)
+        while time.monotonic() < deadline:
+            server.step(targets, np.array([True, False]))
+            time.sleep(0.1)  # a caller that computes
+        assert not server.lost.any()
+        cycles = (server._remote.time - before) / 0.02
+        assert 3 <= cycles[1] < 20 < cycles[0]
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (lambda simulator: signal_server(simulator, 0, signal.SIGKILL), "exit code -9"),
+        # a command for a joint that the robot does not have
+        (lambda simulator: simulator._remote._exchange.post(0, False, b"(zz9 0 0 1 1 0)"), "exit code 0"),
+    ],
+    ids=["killed", "crashed"],
+)
+def test_a_lost_server_costs_one_episode(fault: Callable[[RemoteMujocoSimulator], None], reason: str) -> None:
+    with opened(T1, 2) as server:
+        server.load_starts(Starts(T1.nominal[None]))
+        server.start(np.arange(2), np.zeros(2, dtype=np.int64))
+        fault(server)
+        for targets in swinging(T1, 10, 2):
+            server.step(targets)
+        assert server.lost.tolist() == [True, False] and server.can_fail
+        assert reason in server.loss_reason(0) and "log: " in server.loss_reason(0)
+        server.start(np.array([0]), np.array([0]))
+        assert not server.lost.any() and server.failures == 1
+        fault(server)
+        for targets in swinging(T1, 10, 2):
+            server.step(targets)
+        with pytest.raises(ServerLostError, match="2 servers were lost, 1 are allowed"):
+            server.start(np.array([0]), np.array([0]))
+
+
+def test_a_hung_server_is_lost_after_the_timeout() -> None:
+    fleet = MujocoFleet(server_launcher(), T1, 1, timeout_s=1.0, max_failures=1)
+    try:
+        os.killpg(fleet._handles[0].pid, signal.SIGSTOP)  # type: ignore[union-attr]
+        while not fleet.failed.all():  # a signal takes a moment
+            began = time.monotonic()
+            fleet.step(T1.nominal[None])
+        assert 0.5 < time.monotonic() - began < 5.0
+        assert "no reply within 1.0 s" in fleet.reason(0)
+        assert fleet.replace() == [0]
+        fleet.step(T1.nominal[None])
+        assert not fleet.failed.any()
+    finally:
+        fleet.close()
+
+
+def test_a_standby_server_prepares_the_next_start() -> None:
+    poses = np.stack([T1.nominal, T1.nominal])
+    poses[1, 2] += 0.3
+    with opened(T1, 1, standby_servers=True) as server:
+        server.load_starts(Starts(poses, (-2.0, 0.0)))
+        row = np.array([0])
+        server.start(row, np.array([0]), np.array([1]))
+        for targets in swinging(T1, 60):
+            server.step(targets)
+        running, before = int(server._servers[0]), server._remote.time.copy()
+        server.start(row, np.array([1]), np.array([0]))
+        assert int(server._servers[0]) != running
+        assert (server._remote.time - before).max() < 0.05, "the start was prepared, nothing was left to do"
+        assert server.perceptors["joint_angles"][0, 2] == pytest.approx(np.rad2deg(0.3), abs=2.0)
+
+
+def test_starts_that_the_server_cannot_do_are_refused() -> None:
+    with opened(T1, 1) as server:
+        with pytest.raises(ValueError, match="upright only; use the embedded simulator"):
+            server.load_starts(Starts(T1.nominal[None], orientations=np.array([[0.0, 1.0, 0.0, 0.0]])))
+        with pytest.raises(ValueError, match="use a position with x <= 0"):
+            server.load_starts(Starts(T1.nominal[None], (1.0, 0.0)))
+
+
+def test_a_server_that_does_not_wait_or_does_not_run_is_named() -> None:
+    hasty = ServerProgram(
+        "rcssservermj", tuple(a for a in RCSSSERVERMJ.arguments if a not in ("--sync", "--no-realtime"))
+    )
+    with pytest.raises(ServerLostError, match="it must run in sync mode"):
+        MujocoFleet(ProcessLauncher(hasty, (sys.executable, "-m", "rcsssmj")), T1, 1)
+    broken = ProcessLauncher(RCSSSERVERMJ, ("sh", "-c", "echo oh no; exit 3"))
+    with pytest.raises(ServerLostError, match=r"exit code 3, log: \.\.\.oh no"):
+        MujocoFleet(broken, T1, 1)
