@@ -319,7 +319,7 @@ def test_metrics_are_written_as_their_descriptions_say(page: Browser) -> None:
         metrics,
         [4.034, 0.0042, -3.25, 12345.4, 0.0012345, 5e-4],
     )
-    assert found == ["4.03 m/s", "0.4 %", "−3.3°", "12,345", "0.001235", "0.000500"]
+    assert found == ["4.03 m/s", "0.4 %", "\N{MINUS SIGN}3.3°", "12,345", "0.001235", "0.000500"]
 
 
 def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
