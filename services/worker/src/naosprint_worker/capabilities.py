@@ -9,7 +9,6 @@ from naospec import plugins
 
 from naosprint_worker.settings import WorkerSettings
 
-
 logger = logging.getLogger(__name__)
 
 
