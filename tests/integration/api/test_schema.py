@@ -13,7 +13,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis.errors import Unsatisfiable
 from hypothesis.strategies import SearchStrategy
-from naojobs import records
+from naojobs import records, submission
 from naojobs.lifecycle import Lease
 from schemathesis import Case, GenerationMode
 from schemathesis.checks import not_a_server_error
@@ -47,7 +47,7 @@ def known(
     """Path parameters that lead somewhere."""
     lease = run_job()
     checkpoint = save_checkpoint(lease, 1, {"a.json": b"{}"})
-    evaluation = records.request_evaluation(sessions, lease.job_id)
+    evaluation = submission.request_evaluation(sessions, lease.job_id)
     records.append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
     return {"job_id": lease.job_id, "checkpoint_id": checkpoint, "evaluation_id": evaluation.id, "name": "a.json"}
 

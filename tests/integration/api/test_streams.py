@@ -11,7 +11,8 @@ import psycopg
 import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
-from naojobs.states import JobState
+from naojobs.models import Job
+from naojobs.states import WorkState
 from naosprint_api import broadcast
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -33,8 +34,8 @@ def test_a_follower_sees_a_job_live_until_it_ends(
         records.append_logs(sessions, lease, [records.LogLine("info", "two\nlines \N{SNOWMAN}")])
         line = next(messages)
         assert (line.event, line.data["message"]) == ("log", "two\nlines \N{SNOWMAN}")
-        lifecycle.transition(sessions, lease, JobState.EVALUATING)
-        lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
+        lifecycle.transition(sessions, lease, WorkState.EVALUATING)
+        lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
         rest = list(messages)
     kinds = [message.event for message in rest]
     assert kinds.count("event") == 2
@@ -62,7 +63,7 @@ def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(
     total = 1200  # more than two batches
     records.append_metrics(sessions, lease, [{"step": step} for step in range(1, total + 1)])
     records.append_logs(sessions, lease, [records.LogLine("info", f"{n}") for n in range(700)])
-    lifecycle.transition(sessions, lease, JobState.FAILED, error="gone")
+    lifecycle.transition(sessions, lease, WorkState.FAILED, error="gone")
 
     seen = []
     last_id = None
@@ -98,7 +99,7 @@ def test_a_resumed_job_sends_its_steps_again(
         records.append_metrics(sessions, lease, [{"step": step} for step in (10, 20)])
         assert [m.data["step"] for m in islice(messages, 2)] == [10, 20]
         lifecycle.lose(sessions, lease, "the trainer died")
-        claim = lifecycle.claim(sessions, lease.job_id, "worker-2")
+        claim = lifecycle.claim(sessions, Job, lease.job_id, "worker-2")
         assert claim is not None
         lifecycle.begin(sessions, claim.lease, step=10, resumed_from="x")
         records.append_metrics(sessions, claim.lease, [{"step": 20}])

@@ -43,6 +43,42 @@ def test_up_gives_what_the_models_say_and_down_leaves_nothing(empty: Engine) -> 
     assert set(inspect(empty).get_table_names()) == {"alembic_version", *Base.metadata.tables}
 
 
+def test_rows_of_the_first_revision_are_kept(empty: Engine) -> None:
+    """Jobs and evaluations get what they need of a worker; down again, no new state remains."""
+    upgrade(url_of(empty), MIGRATIONS, "0001")
+    spec = '{"task": "sprint2", "robot_type": 3, "simulator": "rcssserver3d"}'
+    with empty.begin() as connection:
+        connection.execute(
+            text(
+                "INSERT INTO jobs (id, name, owner, spec, queue, state, total_steps) "
+                "VALUES ('job_1', 'a', 'alice', cast(:spec AS jsonb), 'rcssserver3d', 'succeeded', 1)"
+            ),
+            {"spec": spec},
+        )
+        connection.execute(
+            text(
+                "INSERT INTO checkpoints (id, job_id, attempt, step, key, manifest) "
+                "VALUES ('c', 'job_1', 1, 1, 'k', '{}')"
+            )
+        )
+        connection.execute(
+            text(
+                "INSERT INTO evaluations (id, job_id, checkpoint_id, state, spec, queue) "
+                "VALUES ('eval_1', 'job_1', 'c', 'queued', '{\"task\": \"sprint1\"}', 'embedded')"
+            )
+        )
+    upgrade(url_of(empty), MIGRATIONS)
+    needs = "task, task_version, robot, simulator"
+    with empty.begin() as connection:
+        assert connection.execute(text(f"SELECT {needs} FROM jobs")).one() == ("sprint2", 1, "nao-3", "rcssserver3d")
+        assert connection.execute(text(f"SELECT {needs} FROM evaluations")).one() == ("sprint1", 1, "nao-3", "embedded")
+        assert connection.execute(text("SELECT queued_at = created_at FROM evaluations")).scalar_one()
+        connection.execute(text("UPDATE evaluations SET state = 'cancelled'"))
+    downgrade(url_of(empty), MIGRATIONS, "0001")
+    with empty.begin() as connection:
+        assert connection.execute(text("SELECT state FROM evaluations")).scalar_one() == "failed"
+
+
 def test_several_processes_may_migrate_at_once(empty: Engine) -> None:
     with ThreadPoolExecutor(2) as pool:
         futures = [pool.submit(upgrade, url_of(empty), MIGRATIONS) for _ in range(2)]

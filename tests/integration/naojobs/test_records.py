@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from naojobs import lifecycle, records, registry
+from naojobs import lifecycle, records, registry, submission
+from naojobs.capabilities import Capabilities
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.lifecycle import Lease
-from naojobs.models import Evaluation, Event, Job, Log, Metric
-from naojobs.schemas import JobCreate
-from naojobs.states import EvaluationState, JobState
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
+from naojobs.states import ENDED, EVALUATION_STATES, LEASED, TRANSITIONS, WorkState
+from naojobs.submission import JobRequest
 from naospec import EvaluationSpec
 from sqlalchemy import text
+from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
+
+HOST: dict[str, Any] = {
+    "host": "h",
+    "queues": ["embedded"],
+    "capabilities": Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"]),
+}
 
 
 @pytest.fixture
 def lease(sessions: Sessions) -> Lease:
     """The lease of a running job."""
-    job, _ = lifecycle.submit(sessions, JobCreate(), owner="alice")
-    claim = lifecycle.claim(sessions, job.id, "worker-1")
+    job, _ = submission.submit(sessions, JobRequest(), owner="alice")
+    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
@@ -109,52 +118,54 @@ def test_an_evaluation_at_the_end_of_a_job(sessions: Sessions, lease: Lease) -> 
         manifest={"files": []},
     )
     (found,) = rows(sessions, Evaluation, lease.job_id)
-    assert (found.id, found.state, found.summary) == (evaluation, EvaluationState.SUCCEEDED, {"speed_mps": 1.0})
+    assert (found.id, found.state, found.summary) == (evaluation, WorkState.SUCCEEDED, {"speed_mps": 1.0})
 
 
 def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, lease: Lease) -> None:
     with pytest.raises(ConflictError, match="no checkpoint yet"):
-        records.request_evaluation(sessions, lease.job_id)
+        submission.request_evaluation(sessions, lease.job_id)
     records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     newest = records.record_checkpoint(sessions, lease, step=2, key=f"{lease.job_id}/2", manifest={"files": []})
-    evaluation = records.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
-    assert (evaluation.checkpoint_id, evaluation.state) == (newest, EvaluationState.QUEUED)
+    evaluation = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
+    assert (evaluation.checkpoint_id, evaluation.state) == (newest, WorkState.QUEUED)
 
     with ThreadPoolExecutor(4) as pool:
         claims = [
             claim
-            for claim in pool.map(lambda n: records.claim_evaluation(sessions, evaluation.id, f"w{n}"), range(4))
+            for claim in pool.map(lambda n: lifecycle.claim(sessions, Evaluation, evaluation.id, f"w{n}"), range(4))
             if claim is not None
         ]
     assert len(claims) == 1
-    records.heartbeat_evaluation(sessions, claims[0])
-    records.finish_evaluation(sessions, claims[0], summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
+    lifecycle.heartbeat(sessions, claims[0].lease)
+    lifecycle.transition(sessions, claims[0].lease, WorkState.RUNNING)
+    records.record_result(sessions, claims[0].lease, summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
+    lifecycle.transition(sessions, claims[0].lease, WorkState.SUCCEEDED)
     (found,) = rows(sessions, Evaluation, lease.job_id)
-    assert (found.state, found.summary, found.lease_owner) == (EvaluationState.SUCCEEDED, {"speed_mps": 2.0}, None)
+    assert (found.state, found.summary, found.lease_owner) == (WorkState.SUCCEEDED, {"speed_mps": 2.0}, None)
     with pytest.raises(LeaseLostError):
-        records.finish_evaluation(sessions, claims[0], error="late")
+        lifecycle.transition(sessions, claims[0].lease, WorkState.FAILED, error="late")
 
 
 def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease: Lease) -> None:
     records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    evaluation = records.request_evaluation(sessions, lease.job_id)
+    evaluation = submission.request_evaluation(sessions, lease.job_id)
     for _ in range(3):
-        claim = records.claim_evaluation(sessions, evaluation.id, "w")
+        claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
         assert claim is not None
         with sessions.begin() as session:
             session.execute(text("UPDATE evaluations SET lease_expires_at = now() - interval '1 ms'"))
-        records.requeue_stale_evaluations(sessions)
+        lifecycle.requeue_stale(sessions)
         with pytest.raises(LeaseLostError):
-            records.heartbeat_evaluation(sessions, claim)
+            lifecycle.heartbeat(sessions, claim.lease)
     (found,) = rows(sessions, Evaluation, lease.job_id)
-    assert found.state is EvaluationState.FAILED
+    assert found.state is WorkState.FAILED
     assert "attempt 3 of 3" in found.error
 
 
-def test_leases_from_before_the_clock_was_set_back_are_cut(sessions: Sessions, lease: Lease) -> None:
+def test_leases_from_before_the_clock_was_set_back_are_shortened(sessions: Sessions, lease: Lease) -> None:
     records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    evaluation = records.request_evaluation(sessions, lease.job_id)
-    assert records.claim_evaluation(sessions, evaluation.id, "w") is not None
+    evaluation = submission.request_evaluation(sessions, lease.job_id)
+    assert lifecycle.claim(sessions, Evaluation, evaluation.id, "w") is not None
     holders = {"jobs": lease.job_id, "evaluations": evaluation.id}
 
     def left_s(table: str) -> float:
@@ -163,36 +174,136 @@ def test_leases_from_before_the_clock_was_set_back_are_cut(sessions: Sessions, l
             return float(session.scalar(query, {"id": holders[table]}))
 
     before = {table: left_s(table) for table in holders}
-    lifecycle.cut_leases(sessions, 3600.0)
+    lifecycle.shorten_leases(sessions, 3600.0)
     for table in holders:
         assert 0 < left_s(table) <= before[table], "a lease of usual length was changed"
     with sessions.begin() as session:
         for table in holders:
             session.execute(text(f"UPDATE {table} SET lease_expires_at = lease_expires_at + interval '1 day'"))
-    lifecycle.cut_leases(sessions, 60.0)
+    lifecycle.shorten_leases(sessions, 60.0)
     for table in holders:
         assert left_s(table) == pytest.approx(60.0, abs=5.0)
 
 
 def test_a_checkpoint_of_another_job_is_not_evaluated(sessions: Sessions, lease: Lease) -> None:
     foreign = records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    other, _ = lifecycle.submit(sessions, JobCreate(), owner="alice")
+    other, _ = submission.submit(sessions, JobRequest(), owner="alice")
     with pytest.raises(NotFoundError):
-        records.request_evaluation(sessions, other.id, checkpoint_id=foreign)
+        submission.request_evaluation(sessions, other.id, checkpoint_id=foreign)
 
 
-def test_the_registry_knows_who_is_alive_and_what_each_holds(sessions: Sessions, lease: Lease) -> None:
-    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], version="1")
-    registry.beat(sessions, "worker-2", host="h", pid=2, queues=["embedded"], version="1")
+def test_the_registry_lists_who_is_alive_and_what_each_has_leased(sessions: Sessions, lease: Lease) -> None:
+    registry.beat(sessions, "worker-1", pid=1, version="1", **HOST)
+    registry.beat(sessions, "worker-2", pid=2, version="1", **HOST)
     with sessions.begin() as session:
         session.execute(text("UPDATE workers SET heartbeat_at = now() - interval '1 minute' WHERE id = 'worker-2'"))
-    found = {worker.id: worker for worker in registry.workers(sessions)}
+    found = {worker.row.id: worker for worker in registry.workers(sessions)}
     assert found["worker-1"].alive
     assert lease.job_id in found["worker-1"].jobs
     assert not found["worker-2"].alive
-    registry.beat(sessions, "worker-2", host="h", pid=2, queues=["embedded"], version="2")
-    assert {worker.id: worker for worker in registry.workers(sessions)}["worker-2"].alive
+    registry.beat(sessions, "worker-2", pid=2, version="2", **HOST)
+    assert {worker.row.id: worker for worker in registry.workers(sessions)}["worker-2"].alive
     registry.leave(sessions, "worker-1")
-    assert list({worker.id for worker in registry.workers(sessions)}) == ["worker-2"]
+    assert [worker.row.id for worker in registry.workers(sessions)] == ["worker-2"]
     registry.forget(sessions, after_s=-1)
     assert registry.workers(sessions) == []
+
+
+def test_a_batch_is_written_as_a_whole_or_not_at_all(sessions: Sessions, lease: Lease) -> None:
+    batch = records.Batch(
+        metrics=[records.MetricsRow(10, {"step": 10, "reward": 1.0})],
+        logs=[records.LogLine("info", "a line")],
+        events=[records.EventRecord("test", "an event")],
+        checkpoints=[records.StoredCheckpoint(10, f"{lease.job_id}/10", {"files": []})],
+    )
+    broken = replace(batch, events=[records.EventRecord("k" * 41, "longer than its column")])
+    counts = {model: len(rows(sessions, model, lease.job_id)) for model in (Metric, Log, Event, Checkpoint)}
+    with pytest.raises(DataError):
+        records.write(sessions, lease, broken)
+    for model, count in counts.items():
+        assert len(rows(sessions, model, lease.job_id)) == count, model
+    with sessions() as session:
+        assert session.get_one(Job, lease.job_id).progress_step == 0
+    ids = records.write(sessions, lease, batch)
+    assert [row.id for row in rows(sessions, Checkpoint, lease.job_id)] == [ids[10]]
+    assert records.write(sessions, lease, batch) == ids, "a repeated write keeps the checkpoint"
+    assert len(rows(sessions, Metric, lease.job_id)) == 1
+
+
+@pytest.fixture
+def evaluation(sessions: Sessions, lease: Lease) -> Evaluation:
+    """An evaluation that waits."""
+    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    return submission.request_evaluation(sessions, lease.job_id, time_limit_s=7.0)
+
+
+def test_an_evaluation_has_the_life_cycle_of_a_job(sessions: Sessions, evaluation: Evaluation) -> None:
+    for failures in (1, 2):
+        claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+        assert claim is not None
+        assert (claim.lease.attempt, claim.time_limit_s) == (failures, 7.0)
+        with pytest.raises(ConflictError, match="starting and cannot become succeeded"):
+            lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
+        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+        assert lifecycle.lose(sessions, claim.lease, "the evaluator died") is WorkState.QUEUED
+    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, WorkState.QUEUED, message="the worker shuts down")
+    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="time limit")
+    (found,) = rows(sessions, Evaluation, evaluation.job_id)
+    assert (found.state, found.failures, found.attempt, found.error) == (WorkState.FAILED, 2, 4, "time limit")
+    events = [event for event in rows(sessions, Event, evaluation.job_id) if event.kind == "evaluation"]
+    assert {event.data["evaluation_id"] for event in events} == {evaluation.id}
+    states = [event.data["state"] for event in events]
+    assert states == ["queued", "running", "queued", "running", "queued", "queued", "failed"]
+
+
+def test_an_evaluation_is_cancelled_while_it_waits_or_when_its_worker_stops(
+    sessions: Sessions, lease: Lease, evaluation: Evaluation
+) -> None:
+    running = submission.request_evaluation(sessions, lease.job_id)
+    assert lifecycle.request_cancel(sessions, Evaluation, evaluation.id).state is WorkState.CANCELLED
+    assert lifecycle.claim(sessions, Evaluation, evaluation.id, "w") is None
+    claim = lifecycle.claim(sessions, Evaluation, running.id, "w")
+    assert claim is not None
+    for _ in range(2):
+        assert lifecycle.request_cancel(sessions, Evaluation, running.id).cancel_requested
+    assert lifecycle.read_requests(sessions, claim.lease).cancel
+    assert lifecycle.lose(sessions, claim.lease, "the evaluator died") is WorkState.CANCELLED
+    with pytest.raises(NotFoundError):
+        lifecycle.request_cancel(sessions, Evaluation, lease.job_id)
+
+
+def test_deleting_a_job_ends_the_leases_of_its_evaluations(
+    sessions: Sessions, lease: Lease, evaluation: Evaluation
+) -> None:
+    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    assert claim is not None
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    lifecycle.delete(sessions, lease.job_id)
+    for late in (
+        lambda: lifecycle.heartbeat(sessions, claim.lease),
+        lambda: lifecycle.lose(sessions, claim.lease, "late"),
+        lambda: records.record_result(sessions, claim.lease, summary={}, key="k", manifest={}),
+    ):
+        with pytest.raises(LeaseLostError):
+            late()
+
+
+@pytest.mark.parametrize("state", sorted(EVALUATION_STATES))
+def test_the_database_and_the_table_agree_on_the_states_of_an_evaluation(
+    sessions: Sessions, evaluation: Evaluation, state: WorkState
+) -> None:
+    values = {"state": state, "owner": "w" if state in LEASED else None, "id": evaluation.id}
+    with sessions.begin() as session:
+        session.execute(text("UPDATE evaluations SET state = :state, lease_owner = :owner WHERE id = :id"), values)
+    try:
+        after = lifecycle.request_cancel(sessions, Evaluation, evaluation.id).state
+    except ConflictError:
+        assert state in ENDED
+    else:
+        assert after is state or after in TRANSITIONS[state]
+    with pytest.raises(IntegrityError, match="state_known"), sessions.begin() as session:
+        session.execute(text("UPDATE evaluations SET state = 'paused', lease_owner = NULL"))

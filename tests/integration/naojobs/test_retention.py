@@ -9,16 +9,17 @@ from collections.abc import Callable, Iterable
 from datetime import timedelta
 
 import pytest
-from naojobs import lifecycle, records
+from naojobs import lifecycle, records, submission
 from naojobs.__main__ import main
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Lease
-from naojobs.models import Checkpoint, Job
+from naojobs.models import Checkpoint, Evaluation, Job
 from naojobs.retention import Retention, find_orphans, prune_checkpoints, sweep
-from naojobs.schemas import JobCreate
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key, evaluation_key
-from naospec import EvaluationSpec
+from naojobs.submission import JobRequest
+from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -32,10 +33,10 @@ ROLLOUT, INTERVAL = 100, 250
 def lease(sessions: Sessions) -> Lease:
     """The lease of a running job that saves a checkpoint every 250 steps, that is at 300, 500, 800, 1000 ..."""
     spec = {"n_envs": 10, "n_steps": 10, "batch_size": 50, "checkpoint_interval_steps": INTERVAL}
-    job, _ = lifecycle.submit(sessions, JobCreate(spec=spec), owner="alice")
-    claim = lifecycle.claim(sessions, job.id, "worker-1")
+    job, _ = submission.submit(sessions, JobRequest(TrainingSpec.model_validate(nest(spec))), owner="alice")
+    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
@@ -100,9 +101,9 @@ def test_what_something_refers_to_and_the_best_are_kept(
     rewards: Iterable[tuple[int, float]] = ((300, 1.0), (500, 10.0), (700, 99.0), (1000, 9.5), (1800, -1.0))
     records.append_metrics(sessions, lease, [{"step": step, "reward": reward} for step, reward in rewards])
     records.append_metrics(sessions, lease, [{"step": 2000, "loss": 1.0}])
-    records.request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
-    parent = JobCreate(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec={"task": "sprint1"})
-    lifecycle.submit(sessions, parent, owner="alice")
+    submission.request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
+    parent = JobRequest(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec=TrainingSpec())
+    submission.submit(sessions, parent, owner="alice")
     prune_checkpoints(sessions, lease, Retention(2))
     # No checkpoint was saved at step 700, however good it was.
     assert steps(sessions, lease.job_id) == [500, 800, 1300, 1800, 2000]
@@ -140,7 +141,7 @@ def test_files_that_no_row_refers_to_are_swept(
 
     # A worker holds the job: what its clock says about its files does not matter.
     assert find_orphans(sessions, store) == [lost, "probes/left"]
-    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     assert sorted(sweep(sessions, store)) == sorted([lost, cut, "probes/left"])
     assert sweep(sessions, store) == []
     kept = store.list("jobs")
@@ -154,15 +155,15 @@ def test_a_running_evaluation_keeps_its_files(
     sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
 ) -> None:
     save(300)
-    lifecycle.transition(sessions, lease, JobState.CANCELLED)
-    asked = records.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
-    claim = records.claim_evaluation(sessions, asked.id, "w")
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    asked = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
+    claim = lifecycle.claim(sessions, Evaluation, asked.id, "w")
     assert claim is not None
-    key = evaluation_key(lease.job_id, asked.id, claim.attempt)
+    key = evaluation_key(lease.job_id, asked.id, claim.lease.attempt)
     store.put_bytes(f"{key}/a", b"a")
     grow_old(store, key)
     assert key not in find_orphans(sessions, store)
-    records.finish_evaluation(sessions, claim, error="no space")
+    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="no space")
     assert key in find_orphans(sessions, store)
 
 
@@ -177,7 +178,7 @@ def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
 ) -> None:
     """The store was away when the job was deleted."""
     save(300)
-    lifecycle.transition(sessions, lease, JobState.CANCELLED)
+    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     lifecycle.delete(sessions, lease.job_id)
     with sessions() as session:
         assert session.get(Job, lease.job_id) is None

@@ -20,14 +20,15 @@ from typing import Any, TypeVar
 import psutil
 import psycopg
 import pytest
-from naojobs import lifecycle
+from naojobs import submission
 from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
-from naojobs.doorbell import Doorbell, make_celery
 from naojobs.models import Checkpoint, Event, Job, Metric, Worker
-from naojobs.schemas import JobCreate
-from naojobs.states import ENDED, JobState
+from naojobs.notifications import Notifier, make_celery
+from naojobs.states import ENDED, WorkState
 from naojobs.store import ArtifactStore
+from naojobs.submission import JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from naosprint_worker.settings import WorkerSettings
 from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
@@ -51,7 +52,7 @@ FAST = {
     "NAOSPRINT_HEARTBEAT_S": "0.5",
     "NAOSPRINT_WORKER_POLL_S": "0.1",
     "NAOSPRINT_WORKER_REAP_S": "1",
-    "NAOSPRINT_WORKER_RING_S": "1",
+    "NAOSPRINT_WORKER_CLAIM_S": "0.5",
     "NAOSPRINT_WORKER_FLUSH_S": "0.1",
     "NAOSPRINT_WORKER_ORPHAN_GRACE_S": "3",
     "NAOSPRINT_WORKER_STOP_GRACE_S": "30",
@@ -69,7 +70,7 @@ TINY: dict[str, Any] = {
     "n_epochs": 1,
     "hidden_sizes": (4,),
     "simulator_threads": 1,
-    "torch_threads": 1,
+    "learner_threads": 1,
 }
 
 #: Steps between two updates of it.
@@ -187,9 +188,8 @@ class WorkerProcess:
 class Service:
     """All there is around a worker, and what a test wants to know of it."""
 
-    def __init__(self, postgres: Postgres, broker: Broker, database: str, folder: Path, **environment: str) -> None:
+    def __init__(self, postgres: Postgres, broker_url: str, database: str, folder: Path, **environment: str) -> None:
         self.postgres = postgres
-        self.broker = broker
         self.folder = folder
         self.artifacts = folder / "artifacts"
         self._database = database
@@ -197,7 +197,7 @@ class Service:
             **os.environ,
             **FAST,
             "NAOSPRINT_DATABASE_URL": postgres.url(database),
-            "NAOSPRINT_BROKER_URL": broker.url,
+            "NAOSPRINT_BROKER_URL": broker_url,
             "NAOSPRINT_ARTIFACT_URL": f"file://{self.artifacts}",
             "NAOSPRINT_WORKER_DIR": str(folder / "work"),
             **environment,
@@ -209,8 +209,8 @@ class Service:
         self.engine = make_engine(self.settings.sqlalchemy_url)
         self.sessions = make_sessions(self.engine)
         self.store = ArtifactStore.from_settings(self.settings)
-        self.celery = make_celery(broker.url)
-        self.doorbell = Doorbell(self.celery)
+        self.celery = make_celery(broker_url)
+        self.notifier = Notifier(self.celery)
         self.workers: list[WorkerProcess] = []
 
     def start_worker(self, **environment: str) -> WorkerProcess:
@@ -232,29 +232,22 @@ class Service:
         )
         return done.returncode, done.stdout + done.stderr
 
-    def submit(self, *, ring: bool = True, evaluate: bool = True, **fields: Any) -> str:
+    def submit(self, *, announce: bool = True, evaluate: bool = True, **fields: Any) -> str:
         """Submit a tiny job as the API does; return its id."""
         names = ("parent_job_id", "max_attempts", "priority")
-        request = {key: fields.pop(key) for key in names if key in fields}
-        job, _ = lifecycle.submit(
-            self.sessions,
-            JobCreate(
-                spec=TrainingSpec.model_validate({**TINY, **fields}),
-                evaluation=EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
-                if evaluate
-                else None,
-                **request,
-            ),
-            owner="tester",
+        others = {key: fields.pop(key) for key in names if key in fields}
+        evaluation = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
+        request = JobRequest(
+            TrainingSpec.model_validate(nest({**TINY, **fields})), evaluation if evaluate else None, **others
         )
-        if ring:
-            self.ring(job.id)
+        job, _ = submission.submit(self.sessions, request, owner="tester")
+        if announce:
+            self.wake_up(job.id)
         return job.id
 
-    def ring(self, job_id: str) -> None:
-        """Send the message that announces a job."""
-        assert self.doorbell.ring_job(job_id, "embedded", self.job(job_id).priority) is None
-        lifecycle.mark_rung(self.sessions, job_id)
+    def wake_up(self, work_id: str) -> None:
+        """Send the wake-up message of a job or an evaluation."""
+        assert self.notifier.wake_up(work_id, "embedded") is None
 
     def shorten(self, job_id: str, *, updates: int = 40) -> int:
         """Let a job that would go on for ever end soon after what it has reached; return its new number of steps.
@@ -316,7 +309,7 @@ class Service:
                 for _ in connection.notifies(timeout=0.1, stop_after=1):
                     pass
 
-    def until_state(self, job_id: str, *states: JobState, timeout_s: float = 90) -> Job:
+    def until_state(self, job_id: str, *states: WorkState, timeout_s: float = 90) -> Job:
         """Return the job once it is in one of ``states``; fail at once when it ended in another."""
 
         def reached() -> Job | None:
@@ -417,7 +410,7 @@ def broker() -> Iterator[Broker]:
 def opened(postgres: Postgres, broker: Broker, template: str, folder: Path, **environment: str) -> Iterator[Service]:
     """Open a service with an empty database, an empty broker, an empty store and no worker."""
     broker.clear()
-    service = Service(postgres, broker, postgres.new_database(template), folder, **environment)
+    service = Service(postgres, broker.url, postgres.new_database(template), folder, **environment)
     try:
         yield service
     finally:
@@ -503,5 +496,5 @@ def shared(postgres: Postgres, template: str, tmp_path_factory: pytest.TempPathF
 def finished(shared: Service) -> str:
     """The id of a job that has been trained and evaluated."""
     job_id = shared.submit(total_steps=ROLLOUT * 20, checkpoint_interval_steps=ROLLOUT * 10)
-    shared.until_state(job_id, JobState.SUCCEEDED)
+    shared.until_state(job_id, WorkState.SUCCEEDED)
     return job_id

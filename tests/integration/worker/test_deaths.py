@@ -8,7 +8,7 @@ import signal
 import psutil
 from naojobs import lifecycle, registry
 from naojobs.models import Evaluation
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from sqlalchemy import select
 
 from .conftest import ROLLOUT, Service, WorkerProcess
@@ -50,13 +50,13 @@ def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
     assert any("signal 9 (SIGKILL)" in event.message for event in service.events(job_id))
     steps = service.shorten(job_id)
     service.until_training(worker).kill()
-    job = service.until_state(job_id, JobState.FAILED)
+    job = service.until_state(job_id, WorkState.FAILED)
     assert "signal 9 (SIGKILL)" in (job.error or "")
     assert "attempt 2 of 2" in (job.error or "")
 
     lifecycle.retry(service.sessions, job_id)
-    service.ring(job_id)
-    job = service.until_state(job_id, JobState.SUCCEEDED)
+    service.wake_up(job_id)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert job.attempt == 3
     assert_resumed_and_whole(service, job_id, steps)
 
@@ -70,13 +70,13 @@ def test_killed_worker(service: Service, worker: WorkerProcess) -> None:
     left = list((service.folder / "work").iterdir())
     job = service.job(job_id)
     # The orphan has saved what it had and given the job back before it ended.
-    assert (job.state, job.failures) == (JobState.QUEUED, 1)
+    assert (job.state, job.failures) == (WorkState.QUEUED, 1)
     saved = service.checkpoints(job_id)[-1].step
     assert saved == service.metrics(job_id)[-1].step
 
     steps = service.shorten(job_id)
     service.start_worker()
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     assert_resumed_and_whole(service, job_id, steps)
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
     assert len(left) == 1
@@ -92,9 +92,9 @@ def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProc
     os.killpg(training.pid, signal.SIGKILL)
     worker.process.wait()
     wait_gone(training)
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     assert_resumed_and_whole(service, job_id, steps)
-    assert any("was not heard of in time" in event.message for event in service.events(job_id))
+    assert any("expired" in event.message for event in service.events(job_id))
     assert other.process.poll() is None
 
 
@@ -112,11 +112,11 @@ def test_worker_killed_between_the_evaluation_and_the_end(service: Service, work
     (first,) = service.until(evaluations, what="for the evaluation")
     # Its frozen parent cannot reap it.
     service.until(lambda: training.status() == psutil.STATUS_ZOMBIE, what="for the trainer to end")
-    assert service.job(job_id).state is JobState.EVALUATING
+    assert service.job(job_id).state is WorkState.EVALUATING
     worker.process.kill()
     worker.process.wait()
     service.start_worker()
-    assert service.until_state(job_id, JobState.SUCCEEDED).attempt == 2
+    assert service.until_state(job_id, WorkState.SUCCEEDED).attempt == 2
     (only,) = evaluations()
     assert (only.id, only.key, only.finished_at) == (first.id, first.key, first.finished_at)
     assert service.kinds(job_id).count("evaluation") == 1
@@ -125,7 +125,7 @@ def test_worker_killed_between_the_evaluation_and_the_end(service: Service, work
 
 def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
-    assert [entry.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
+    assert [entry.row.pid for entry in registry.workers(service.sessions) if entry.alive] == [worker.pid]
     assert service.health() == (0, "")
     assert worker.terminate() == 0
     status, reason = service.health()
@@ -133,12 +133,12 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     assert registry.workers(service.sessions) == []
     assert list((service.folder / "work").iterdir()) == []
     job = service.job(job_id)
-    assert (job.state, job.failures) == (JobState.QUEUED, 0)
+    assert (job.state, job.failures) == (WorkState.QUEUED, 0)
     saved = service.checkpoints(job_id)[-1].step
     assert saved == service.metrics(job_id)[-1].step
     steps = service.shorten(job_id)
     service.start_worker()
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     assert_resumed_and_whole(service, job_id, steps)
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
 
@@ -154,7 +154,7 @@ def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Ser
     service.until(lambda: service.job(job_id).attempt == 2, what="for another worker to take the job")
     worker.process.send_signal(signal.SIGCONT)
     training.resume()
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     wait_gone(training)
     assert_resumed_and_whole(service, job_id, steps)
     assert service.job(job_id).attempt == 2

@@ -8,7 +8,8 @@ from datetime import datetime, timedelta
 
 import pytest
 from naojobs import lifecycle
-from naojobs.states import JobState
+from naojobs.models import Job
+from naojobs.states import WorkState
 from naosprint_worker.settings import WorkerSettings
 from sqlalchemy import func, select
 
@@ -49,8 +50,8 @@ def test_job_of_a_dead_worker_is_somebody_elses_within_a_minute(service: Service
     claimed = [event.at for event in service.events(job_id) if event.kind == "claimed"][1]
     assert claimed - died < timedelta(seconds=60)
     service.until(lambda: "resumed" in service.kinds(job_id), what="for it to go on")
-    lifecycle.request_cancel(service.sessions, job_id)
-    service.until_state(job_id, JobState.CANCELLED)
+    lifecycle.request_cancel(service.sessions, Job, job_id)
+    service.until_state(job_id, WorkState.CANCELLED)
 
 
 def test_s3_server_that_is_away_for_half_a_minute(s3_service: Service, s3_server: S3Server) -> None:

@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
-from naojobs import lifecycle, records
-from naojobs.models import Evaluation
-from naojobs.states import EvaluationState, JobState
+from naojobs import lifecycle, submission
+from naojobs.capabilities import waiting_reasons
+from naojobs.models import Evaluation, Job, Worker
+from naojobs.states import WorkState
 from naojobs.store import Manifest, artifact_of
-from naospec import EvaluationSpec
+from naospec import EvaluationSpec, plugins
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -36,7 +37,7 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
     with shared.sessions() as session:
         evaluation = session.query(Evaluation).where(Evaluation.job_id == finished).one()
     assert evaluation.checkpoint_id == stored[-1].id
-    assert evaluation.state is EvaluationState.SUCCEEDED
+    assert evaluation.state is WorkState.SUCCEEDED
     assert evaluation.key is not None
     kept = json.loads(shared.store.get_bytes(f"{evaluation.key}/evaluation.json"))
     assert kept == evaluation.summary
@@ -64,7 +65,7 @@ def assert_report(service: Service, evaluation: Evaluation, *, updates: int, fil
 def test_report_with_a_film(service: Service) -> None:
     service.start_worker(NAOSPRINT_WORKER_REPORT="film")
     job_id = service.submit(total_steps=ROLLOUT)
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     with service.sessions() as session:
         evaluation = session.query(Evaluation).where(Evaluation.job_id == job_id).one()
     assert_report(service, evaluation, updates=1, film=True)
@@ -74,13 +75,13 @@ def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Ser
     workers = [service.start_worker(), service.start_worker()]
     for worker in workers:
         service.until(lambda worker=worker: "is ready" in worker.output(), what="for a worker to be ready")
-    job_id = service.submit(ring=False, evaluate=False, total_steps=ROLLOUT * 4)
+    job_id = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT * 4)
     for _ in range(10):
-        service.ring(job_id)
-    service.until_state(job_id, JobState.SUCCEEDED)
-    service.ring(job_id)
+        service.wake_up(job_id)
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    service.wake_up(job_id)
     next_job = service.submit(evaluate=False, total_steps=ROLLOUT * 4)
-    service.until_state(next_job, JobState.SUCCEEDED)
+    service.until_state(next_job, WorkState.SUCCEEDED)
     assert service.kinds(job_id).count("claimed") == 1
     assert service.job(job_id).attempt == 1
     assert_metrics_whole(service, job_id)
@@ -91,8 +92,10 @@ def test_urgent_job_goes_before_one_that_came_earlier(service: Service, worker: 
     """Whether the broker has their messages or has lost them."""
     busy = service.submit(evaluate=False, total_steps=10**9)
     service.until(lambda: service.job(busy).attempt, what="for the worker to be busy")
-    low, high, middle = (service.submit(ring=announced, total_steps=10**9, priority=priority) for priority in (1, 9, 5))
-    lifecycle.request_cancel(service.sessions, busy)
+    low, high, middle = (
+        service.submit(announce=announced, total_steps=10**9, priority=priority) for priority in (1, 9, 5)
+    )
+    lifecycle.request_cancel(service.sessions, Job, busy)
     service.until(lambda: any(service.job(job_id).attempt for job_id in (low, high, middle)), what="for the next claim")
     assert [service.job(job_id).attempt for job_id in (low, high, middle)] == [0, 1, 0]
 
@@ -101,28 +104,28 @@ def test_cancelled_job_stops_with_what_it_has(shared: Service) -> None:
     job_id = shared.submit(total_steps=10**9, checkpoint_interval_steps=10**9)
     shared.until_step(job_id, ROLLOUT * 4)
     training = shared.workers[0].trainings()[0]
-    lifecycle.request_cancel(shared.sessions, job_id)
-    job = shared.until_state(job_id, JobState.CANCELLED)
+    lifecycle.request_cancel(shared.sessions, Job, job_id)
+    job = shared.until_state(job_id, WorkState.CANCELLED)
     assert not training.is_running()
     assert job.lease_owner is None
     last = shared.checkpoints(job_id)[-1].step
     assert last == shared.metrics(job_id)[-1].step > 0
-    assert shared.events(job_id)[-1].message == "cancelled as asked"
+    assert shared.events(job_id)[-1].message == "cancelled as requested"
 
 
 def test_paused_job_goes_on_where_it_was(shared: Service) -> None:
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=10**9)
     shared.until_step(job_id, ROLLOUT * 4)
     lifecycle.request_pause(shared.sessions, job_id)
-    shared.until_state(job_id, JobState.PAUSED)
+    shared.until_state(job_id, WorkState.PAUSED)
     at = shared.checkpoints(job_id)[-1].step
     assert at > 0
     assert shared.workers[0].trainings() == []
 
     steps = shared.shorten(job_id)
     lifecycle.resume(shared.sessions, job_id)
-    shared.ring(job_id)
-    job = shared.until_state(job_id, JobState.SUCCEEDED)
+    shared.wake_up(job_id)
+    job = shared.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.failures) == (2, 0)
     assert_metrics_whole(shared, job_id)
     resumed = next(event for event in shared.events(job_id) if event.kind == "resumed")
@@ -132,7 +135,7 @@ def test_paused_job_goes_on_where_it_was(shared: Service) -> None:
 
 def test_job_starts_from_anothers_policy(shared: Service, finished: str) -> None:
     child = shared.submit(task="sprint1", evaluate=False, total_steps=ROLLOUT * 4, parent_job_id=finished)
-    shared.until_state(child, JobState.SUCCEEDED)
+    shared.until_state(child, WorkState.SUCCEEDED)
     note = next(event for event in shared.events(child) if event.kind == "initial_policy")
     newest = shared.checkpoints(finished)[-1]
     assert note.data == {"job_id": finished, "checkpoint_id": newest.id, "step": newest.step}
@@ -143,15 +146,15 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     shared.until_checkpoints(job_id, 2)
     lifecycle.request_pause(shared.sessions, job_id)
-    shared.until_state(job_id, JobState.PAUSED)
+    shared.until_state(job_id, WorkState.PAUSED)
     *_, earlier, newest = shared.checkpoints(job_id)
     damaged = next((shared.artifacts / newest.key).glob("*.npz"))
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"!")
 
     shared.shorten(job_id)
     lifecycle.resume(shared.sessions, job_id)
-    shared.ring(job_id)
-    shared.until_state(job_id, JobState.SUCCEEDED)
+    shared.wake_up(job_id)
+    shared.until_state(job_id, WorkState.SUCCEEDED)
     notes = {event.kind: event.data for event in shared.events(job_id)}
     assert notes["checkpoint_unusable"]["checkpoint_id"] == newest.id
     assert notes["resumed"]["checkpoint_id"] == earlier.id
@@ -161,7 +164,7 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
 def test_only_the_checkpoints_that_are_worth_it_are_kept(service: Service) -> None:
     service.start_worker(NAOSPRINT_WORKER_KEEP_LAST="2", NAOSPRINT_WORKER_KEEP_EVERY="4")
     job_id = service.submit(evaluate=False, total_steps=ROLLOUT * 22, checkpoint_interval_steps=ROLLOUT * 2)
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     stored = service.checkpoints(job_id)
     steps = {checkpoint.step // ROLLOUT for checkpoint in stored}
     rewards = {row.step // ROLLOUT: row.values["reward"] for row in service.metrics(job_id) if "reward" in row.values}
@@ -176,9 +179,9 @@ def test_only_the_checkpoints_that_are_worth_it_are_kept(service: Service) -> No
 
 def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> None:
     job_id = shared.submit(
-        total_steps=10**6, learning_rate=1.0, reward_scale=1e300, normalise_rewards=False, max_grad_norm=None
+        total_steps=10**6, learning_rate=1.0, reward_scale=1e300, normalize_rewards=False, max_grad_norm=None
     )
-    job = shared.until_state(job_id, JobState.FAILED)
+    job = shared.until_state(job_id, WorkState.FAILED)
     assert job.attempt == 1
     assert "TrainingDivergedError" in (job.error or "")
     assert shared.events(job_id)[-1].data["kind"] == "diverged"
@@ -186,7 +189,7 @@ def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> No
 
 def test_training_that_needs_too_much_memory_fails_and_says_so(service: Service) -> None:
     service.start_worker(NAOSPRINT_WORKER_MEMORY_MB="64")
-    job = service.until_state(service.submit(total_steps=10**9), JobState.FAILED)
+    job = service.until_state(service.submit(total_steps=10**9), WorkState.FAILED)
     assert "more than the worker's limit of 64 MiB" in (job.error or "")
 
 
@@ -194,13 +197,13 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     """One of a whole checkpoint, and one of a checkpoint that has lost a file."""
     first, _, newest = shared.checkpoints(finished)
     next((shared.artifacts / first.key).glob("*.npz")).unlink()
-    spec = EvaluationSpec(task="sprint2", episodes=3, n_envs=2, bootstrap_resamples=100)
+    spec = EvaluationSpec(episodes=3, n_envs=2, bootstrap_resamples=100)
     asked = [
-        records.request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
+        submission.request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
         for checkpoint in (newest, first)
     ]
     for evaluation_id in asked * 3:
-        assert shared.doorbell.ring_evaluation(evaluation_id, "embedded") is None
+        assert shared.notifier.wake_up(evaluation_id, "embedded") is None
 
     def ended() -> list[Evaluation] | None:
         with shared.sessions() as session:
@@ -210,10 +213,10 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     rows = shared.until(ended)
     assert rows is not None
     whole, broken = rows
-    assert (whole.state, whole.attempt, whole.error) == (EvaluationState.SUCCEEDED, 1, None)
+    assert (whole.state, whole.attempt, whole.error) == (WorkState.SUCCEEDED, 1, None)
     assert json.loads(shared.store.get_bytes(f"{whole.key}/evaluation.json")) == whole.summary
     assert_report(shared, whole, updates=20, film=False)
-    assert (broken.state, broken.attempt) == (EvaluationState.FAILED, 1)
+    assert (broken.state, broken.attempt) == (WorkState.FAILED, 1)
     assert "nothing lies there" in (broken.error or "")
 
 
@@ -221,9 +224,9 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
     service.start_worker()
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=2 * ROLLOUT)
     checkpoint = service.until(lambda: service.checkpoints(job_id)[:1], what="for a checkpoint")[0]
-    spec = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
-    asked = records.request_evaluation(service.sessions, job_id, checkpoint_id=checkpoint.id, spec=spec).id
-    assert service.doorbell.ring_evaluation(asked, "embedded") is None
+    spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
+    asked = submission.request_evaluation(service.sessions, job_id, checkpoint_id=checkpoint.id, spec=spec).id
+    assert service.notifier.wake_up(asked, "embedded") is None
 
     def ended() -> Evaluation | None:
         with service.sessions() as session:
@@ -231,18 +234,36 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
         return row if row.finished_at else None
 
     row = service.until(ended, what="for the evaluation")
-    assert (row.state, row.attempt, row.error) == (EvaluationState.SUCCEEDED, 1, None)
+    assert (row.state, row.attempt, row.error) == (WorkState.SUCCEEDED, 1, None)
     job = service.job(job_id)
-    assert (job.state, job.attempt) == (JobState.RUNNING, 1)
+    assert (job.state, job.attempt) == (WorkState.RUNNING, 1)
 
 
 def test_messages_for_jobs_that_do_not_wait_do_nothing(shared: Service) -> None:
-    cancelled, paused = shared.submit(ring=False), shared.submit(ring=False)
-    lifecycle.request_cancel(shared.sessions, cancelled)
+    cancelled, paused = shared.submit(announce=False), shared.submit(announce=False)
+    lifecycle.request_cancel(shared.sessions, Job, cancelled)
     lifecycle.request_pause(shared.sessions, paused)
-    marker = shared.submit(ring=False, evaluate=False, total_steps=ROLLOUT)
+    marker = shared.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
     for job_id in (cancelled, paused, "job_00000000000000000000000000", marker):
-        assert shared.doorbell.ring_job(job_id, "embedded") is None
-    shared.until_state(marker, JobState.SUCCEEDED)
-    assert (shared.job(cancelled).state, shared.job(cancelled).attempt) == (JobState.CANCELLED, 0)
-    assert (shared.job(paused).state, shared.job(paused).attempt) == (JobState.PAUSED, 0)
+        assert shared.notifier.wake_up(job_id, "embedded") is None
+    shared.until_state(marker, WorkState.SUCCEEDED)
+    assert (shared.job(cancelled).state, shared.job(cancelled).attempt) == (WorkState.CANCELLED, 0)
+    assert (shared.job(paused).state, shared.job(paused).attempt) == (WorkState.PAUSED, 0)
+
+
+def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> None:
+    """It registers what it can run, and passes over an urgent job of a newer version of its task."""
+    job_id = service.submit(evaluate=False, total_steps=ROLLOUT)
+    newer = service.submit(evaluate=False, total_steps=ROLLOUT, priority=9)
+    with service.sessions.begin() as session:
+        session.get_one(Job, newer).task_version = 2
+    service.start_worker()
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    job = service.job(newer)
+    assert (job.state, job.attempt) == (WorkState.QUEUED, 0)
+    with service.sessions() as session:
+        worker = session.query(Worker).one()
+        reasons = waiting_reasons(session, [job], stale_s=30)
+    assert worker.tasks == dict.fromkeys(plugins.names(plugins.TASKS), 1)
+    assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded"])
+    assert reasons == {newer: "no worker has task 'sprint2' version 2 (workers have version 1)"}

@@ -10,7 +10,7 @@ import pytest
 from naojobs import lifecycle
 from naojobs.__main__ import main as naojobs
 from naojobs.models import Evaluation
-from naojobs.states import JobState
+from naojobs.states import WorkState
 
 from tests.integration.conftest import S3Server
 
@@ -38,7 +38,7 @@ def test_paused_job_goes_on_elsewhere(
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     service.until_checkpoints(job_id, 2)
     lifecycle.request_pause(service.sessions, job_id)
-    service.until_state(job_id, JobState.PAUSED)
+    service.until_state(job_id, WorkState.PAUSED)
     assert worker.terminate() == 0
     steps = service.shorten(job_id, updates=5)
     saved = service.checkpoints(job_id)[-1].step
@@ -61,8 +61,8 @@ def test_paused_job_goes_on_elsewhere(
 
         moved.start_worker()
         lifecycle.resume(moved.sessions, job_id)
-        moved.ring(job_id)
-        job = moved.until_state(job_id, JobState.SUCCEEDED)
+        moved.wake_up(job_id)
+        job = moved.until_state(job_id, WorkState.SUCCEEDED)
         assert (job.attempt, job.error) == (2, None)
         resumed = next(event for event in moved.events(job_id) if event.kind == "resumed")
         assert resumed.data["step"] == saved
@@ -70,4 +70,4 @@ def test_paused_job_goes_on_elsewhere(
         with moved.sessions() as session:
             evaluation = session.query(Evaluation).where(Evaluation.job_id == job_id).one()
         assert moved.store.exists(f"{evaluation.key}/evaluation.json")
-    assert service.job(job_id).state is JobState.PAUSED
+    assert service.job(job_id).state is WorkState.PAUSED

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from naojobs import lifecycle
 from naojobs.models import Log
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.store import Manifest
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
 from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
 
-from .conftest import ROLLOUT, Service, SmallDisk, WorkerProcess
+from .conftest import ROLLOUT, Broker, Service, SmallDisk, WorkerProcess
 
 
 def assert_whole(service: Service, job_id: str, steps: int) -> None:
@@ -26,17 +26,17 @@ def assert_whole(service: Service, job_id: str, steps: int) -> None:
     assert [row.step for row in service.metrics(job_id)] == list(range(ROLLOUT, steps + 1, ROLLOUT))
 
 
-def test_broker_that_loses_everything(service: Service, worker: WorkerProcess) -> None:
+def test_broker_that_loses_everything(service: Service, broker: Broker, worker: WorkerProcess) -> None:
     """It dies with one job running and another waiting, and comes back empty."""
     steps = ROLLOUT * 150
     running = service.submit(evaluate=False, total_steps=steps)
-    service.until_state(running, JobState.RUNNING)
+    service.until_state(running, WorkState.RUNNING)
     waiting = service.submit(evaluate=False, total_steps=ROLLOUT * 4)
-    service.broker.stop()
+    broker.stop()
     service.until_step(running, ROLLOUT * 20)
-    service.broker.start()
+    broker.start()
     for job_id in (running, waiting):
-        service.until_state(job_id, JobState.SUCCEEDED)
+        service.until_state(job_id, WorkState.SUCCEEDED)
         assert service.job(job_id).attempt == 1
     assert_whole(service, running, steps)
 
@@ -49,7 +49,7 @@ def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess
     service.postgres.stop()
     assert training.is_running()
     service.postgres.start()
-    job = service.until_state(job_id, JobState.SUCCEEDED)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.failures) == (1, 0)
     assert_whole(service, job_id, steps)
 
@@ -75,7 +75,7 @@ def test_database_clock_that_is_set_forward(service: Service, worker: WorkerProc
     for saved in (2, 4):
         service.until_checkpoints(job_id, saved)
         service.move_clock(+3600)
-    job = service.until_state(job_id, JobState.SUCCEEDED)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert job.error is None
     assert_whole(service, job_id, steps)
     attempts = [row.attempt for row in service.metrics(job_id)]
@@ -93,7 +93,7 @@ def test_database_clock_that_is_set_back(service: Service, worker: WorkerProcess
     worker.process.wait()
     service.move_clock(-24 * 3600)
     service.start_worker()
-    service.until_state(job_id, JobState.SUCCEEDED)
+    service.until_state(job_id, WorkState.SUCCEEDED)
     assert_whole(service, job_id, steps)
 
 
@@ -109,7 +109,7 @@ def test_store_that_refuses_writes_for_a_while(service: Service, worker: WorkerP
     known = len(service.checkpoints(job_id))
     folder.unlink()
     shutil.move(aside, folder)
-    job = service.until_state(job_id, JobState.SUCCEEDED)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert job.attempt == 1
     assert known < 9
     assert [checkpoint.step for checkpoint in service.checkpoints(job_id)] == [
@@ -134,7 +134,7 @@ def lose_the_store(service: Service, server: S3Server, job_id: str, seconds: flo
         server.start()
     service.until_checkpoints(job_id, known + 2)
     lifecycle.request_pause(service.sessions, job_id)
-    job = service.until_state(job_id, JobState.PAUSED)
+    job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures, job.error) == (1, 0, None)
     stored = service.checkpoints(job_id)
     steps = [checkpoint.step for checkpoint in stored]
@@ -157,7 +157,7 @@ def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> 
     service.artifacts.mkdir(exist_ok=True)
     (service.artifacts / "jobs").write_text("in the way")
     job_id = service.submit(total_steps=10**9, max_attempts=1)
-    job = service.until_state(job_id, JobState.FAILED)
+    job = service.until_state(job_id, WorkState.FAILED)
     assert "storing the checkpoint of step 0: gave up" in (job.error or "")
 
 
@@ -171,7 +171,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
     small_store.free()
     service.until_checkpoints(job_id, len(known) + 2)
     lifecycle.request_pause(service.sessions, job_id)
-    job = service.until_state(job_id, JobState.PAUSED)
+    job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures) == (1, 0)
     stored = service.checkpoints(job_id)
     for checkpoint in stored:
@@ -196,14 +196,14 @@ def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: S
         return service.job(job_id).failures > 0
 
     service.until(lost, what="for the attempt to end")
-    service.until(lambda: "left to others until there is more" in worker.output(), what="for the worker to hold back")
+    service.until(lambda: "claims no work until there is more" in worker.output(), what="for the worker to hold back")
     job = service.job(job_id)
-    assert (job.state, job.attempt, job.failures) == (JobState.QUEUED, 1, 1)
+    assert (job.state, job.attempt, job.failures) == (WorkState.QUEUED, 1, 1)
     assert "no space left on the disk of the worker's folder" in (job.error or "")
     known = service.checkpoints(job_id)[-1].step
     steps = service.shorten(job_id)
     small_work.free()
-    job = service.until_state(job_id, JobState.SUCCEEDED)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.error) == (2, None)
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == known
     assert_whole(service, job_id, steps)

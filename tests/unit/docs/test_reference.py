@@ -17,10 +17,9 @@ from naoctl.cli import build_app
 from naojobs.events import EVENT_KINDS
 from naojobs.models import Event
 from naojobs.settings import ServiceSettings
-from naojobs.states import JobState
-from naospec import EvaluationSpec, TrainingSpec
-from naospec.presets import PRESETS
-from naosprint.columns import COLUMNS
+from naojobs.states import WorkState
+from naospec import EvaluationSpec, TrainingSpec, flat, plugins, presets, recipes
+from naosprint.rl.columns import columns
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_worker.settings import WorkerSettings
@@ -75,14 +74,20 @@ def test_every_command_of_the_other_programs_is_there(pages: dict[str, str]) -> 
     assert "### python -m naojobs token create" in pages["administration.md"]
 
 
-def test_every_field_and_preset_is_there(pages: dict[str, str]) -> None:
+def test_every_setting_of_a_specification_is_there(pages: dict[str, str]) -> None:
     page = pages["specification.md"]
     training, rest = page.split("\n## Evaluation\n")
-    evaluation, presets = rest.split("\n## Presets\n")
-    assert first_column(training) == set(TrainingSpec.model_fields)
+    evaluation, rest = rest.split("\n## Presets\n")
+    preset_part, recipe_part = rest.split("\n## Recipes\n")
+    assert set(TrainingSpec.model_fields) <= first_column(training)
+    for section, group in flat.GROUPS.items():
+        (part,) = re.findall(rf"^### {section}$(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL)
+        settings = {setting.path[1] for setting in flat.settings().values() if setting.path[0] == section}
+        assert first_column(part) == set(plugins.names(group)) | (settings - {"name"})
     assert first_column(evaluation) == set(EvaluationSpec.model_fields)
-    assert set(PRESETS["fast"]) <= first_column(presets)
-    assert "| `clip_range` | `0.2` | `0.1` |" in presets
+    assert {f"algorithm.{name}" for name in presets.read("fast")["algorithm"]} <= first_column(preset_part)
+    assert re.search(r"^\| `algorithm.clip_range` \| `0.2` \|.* `0.1` \|", preset_part, re.MULTILINE)
+    assert first_column(recipe_part) == set(recipes.names())
 
 
 def test_every_operation_and_schema_of_the_api_is_there(pages: dict[str, str]) -> None:
@@ -108,17 +113,18 @@ def test_every_setting_is_there(pages: dict[str, str]) -> None:
     assert read <= settings
 
 
-def test_every_figure_is_there(pages: dict[str, str]) -> None:
+def test_every_metric_is_there(pages: dict[str, str]) -> None:
     page = pages["metrics.md"]
     registered = {name for name in Telemetry(None)._registry._names_to_collectors if name.startswith("naosprint_")}  # type: ignore[arg-type]
-    assert first_column(page) >= set(COLUMNS) | {name for name, *_ in Telemetry.catalogue()}
+    assert first_column(page) >= {metric.name for metric in columns(TrainingSpec())}
+    assert first_column(page) >= {name for name, *_ in Telemetry.catalogue()}
     named = {name for name, *_ in Telemetry.catalogue()}
     parts = re.compile(r"_(?:bucket|count|sum|created|total)$")
     assert {parts.sub("", name) for name in registered} == {parts.sub("", name) for name in named}
 
 
 def test_every_state_is_there_with_its_meaning(pages: dict[str, str]) -> None:
-    for state in JobState:
+    for state in WorkState:
         assert re.search(rf"^\| `{state}` \| \w+", pages["events.md"], re.MULTILINE), state
 
 
@@ -129,7 +135,7 @@ def test_every_kind_of_event_that_the_code_records_is_documented(pages: dict[str
             for kind, data in kinds_in(ast.parse(path.read_text(encoding="utf-8"))):
                 recorded.setdefault(kind, set()).update(data)
     # Those of a change of state have its name.
-    entered = {str(state) for state in JobState} - {"starting", "pausing"}
+    entered = {str(state) for state in WorkState} - {"starting", "pausing"}
     assert recorded.keys() | entered == EVENT_KINDS.keys()
     for kind, data in recorded.items():
         assert data <= set(EVENT_KINDS[kind].data), kind
@@ -141,7 +147,7 @@ def kinds_in(tree: ast.AST) -> Iterator[tuple[str, set[str]]]:
     """Find the literal kinds in calls that record an event, with the literal names in their data."""
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
         name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-        at: dict[str, int] = {"_add_event": 2, "event": 0, "record_event": 2}
+        at: dict[str, int] = {"add_event": 2, "event": 0, "record_event": 2}
         values: list[ast.expr] = []
         if name in at and len(call.args) > at[name]:
             values = _literals(call.args[at[name]])

@@ -11,7 +11,7 @@ from naoctl.cli import build_app
 from naoctl.commands.submit import make_body
 from naoctl.errors import ExitCode
 from naoctl.jobfile import load_job_file
-from naojobs.schemas import JobCreate
+from naosprint_api.schemas import JobCreate
 from typer.main import get_command
 
 ROOT = Path(__file__).parents[3]

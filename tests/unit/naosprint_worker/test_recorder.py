@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from naojobs.records import Batch, StoredCheckpoint
 from naosprint_worker import recorder as module
-from naosprint_worker.recorder import Batch, Recorder, StoredCheckpoint
+from naosprint_worker.recorder import Recorder
 from naosprint_worker.retry import PatienceExhaustedError
 
 

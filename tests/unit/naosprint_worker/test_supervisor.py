@@ -1,7 +1,8 @@
-"""A supervisor keeps the lease, obeys orders and never waits for ever; its children here are real processes."""
+"""A supervisor keeps the lease, obeys requests and never waits for ever; its children here are real processes."""
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -12,8 +13,8 @@ from pathlib import Path
 
 import pytest
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Orders
-from naojobs.states import JobState
+from naojobs.lifecycle import Requests
+from naojobs.states import WorkState
 from naosprint_worker.child import Child
 from naosprint_worker.outcome import ExitCode
 from naosprint_worker.runs import describe_ending
@@ -21,7 +22,7 @@ from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent, Supervisor
 from sqlalchemy.exc import OperationalError
 
-GO_ON = Orders(JobState.RUNNING, cancel=False, pause=False)
+GO_ON = Requests(WorkState.RUNNING, cancel=False)
 
 OBEDIENT = """
     import pathlib, signal, sys
@@ -41,9 +42,9 @@ STUBBORN = """
 class Bench:
     """A supervisor, and the answers that its database gives."""
 
-    def __init__(self, folder: Path, program: str, **settings: float) -> None:
+    def __init__(self, folder: Path, program: str, time_limit_s: float = math.inf, **settings: float) -> None:
         os.mkfifo(folder / "ready")
-        self.answer: Orders | Exception = GO_ON
+        self.answer: Requests | Exception = GO_ON
         self.beats = 0
         self.ready = threading.Event()
         self._folder = folder
@@ -56,6 +57,7 @@ class Bench:
             look=self._look,
             workdir=folder,
             log_path=folder / "output.log",
+            time_limit_s=time_limit_s,
         )
         self.ending: Ending | None = None
         self._thread = threading.Thread(target=self._run)
@@ -83,11 +85,11 @@ class Bench:
             on_exit=on_exit,
         )
 
-    def _beat(self) -> Orders:
+    def _beat(self) -> Requests:
         self.beats += 1
         return self._look()
 
-    def _look(self) -> Orders:
+    def _look(self) -> Requests:
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
@@ -117,30 +119,37 @@ def test_child_that_ends_by_itself(bench: Callable[..., Bench]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("orders", "intent"),
+    ("requests", "intent"),
     [
-        (Orders(JobState.RUNNING, cancel=True, pause=False), Intent.CANCEL),
-        (Orders(JobState.PAUSING, cancel=False, pause=True), Intent.PAUSE),
-        (Orders(JobState.PAUSING, cancel=True, pause=True), Intent.CANCEL),
+        (Requests(WorkState.RUNNING, cancel=True), Intent.CANCEL),
+        (Requests(WorkState.PAUSING, cancel=False), Intent.PAUSE),
+        (Requests(WorkState.PAUSING, cancel=True), Intent.CANCEL),
     ],
 )
-def test_orders_are_obeyed(bench: Callable[..., Bench], orders: Orders, intent: Intent) -> None:
+def test_requests_of_users_are_obeyed(bench: Callable[..., Bench], requests: Requests, intent: Intent) -> None:
     each = bench(OBEDIENT)
     each.start()
-    each.answer = orders
+    each.answer = requests
     ending = each.join()
     assert (ending.intent, ending.returncode, ending.overstayed) == (intent, ExitCode.STOPPED, False)
 
 
-def test_pause_asked_for_before_evaluation_began_does_not_stop_it(bench: Callable[..., Bench]) -> None:
+def test_an_evaluation_at_the_end_of_a_job_is_not_paused(bench: Callable[..., Bench]) -> None:
     each = bench(OBEDIENT)
     each.start()
-    each.answer = Orders(JobState.EVALUATING, cancel=False, pause=True)
+    each.answer = Requests(WorkState.EVALUATING, cancel=False)
     beats = each.beats
     while each.beats < beats + 3:
         assert each.ending is None
     each.supervisor.shut_down()
     assert each.join().intent is Intent.SHUTDOWN
+
+
+def test_a_child_that_runs_longer_than_it_may_is_stopped(bench: Callable[..., Bench]) -> None:
+    each = bench(OBEDIENT, time_limit_s=0.3)
+    each.start()
+    ending = each.join()
+    assert (ending.intent, ending.returncode) == (Intent.TIME_LIMIT, ExitCode.STOPPED)
 
 
 def test_child_that_does_not_stop_is_killed_after_the_grace_period(bench: Callable[..., Bench]) -> None:
@@ -167,7 +176,7 @@ def test_database_that_is_away_for_a_while_stops_nothing(bench: Callable[..., Be
     beats = each.beats
     while each.beats < beats + 5:
         assert each.ending is None
-    each.answer = Orders(JobState.RUNNING, cancel=True, pause=False)
+    each.answer = Requests(WorkState.RUNNING, cancel=True)
     assert each.join().intent is Intent.CANCEL
 
 

@@ -1,19 +1,20 @@
-"""What the API and the workers of the job service agree on.
+"""Jobs, evaluations and workers in the database: all that API and workers share.
 
-The row in Postgres is the truth of a job; the Celery message is only a doorbell.
+The state of a piece of work is its row in Postgres; a Celery message only wakes a worker up.
 
-- `naojobs.settings`   one settings class, read from the environment
-- `naojobs.states`     the states of a job and the allowed transitions
-- `naojobs.models`     the SQLAlchemy models
-- `naojobs.schemas`    what goes over HTTP
-- `naojobs.lifecycle`  submit, claim, heartbeat, cancel, pause, resume, retry, re-queue: each one small transaction
-- `naojobs.records`    metrics, logs, events, checkpoints and evaluations
-- `naojobs.store`      the artifact store
-- `naojobs.retention`  which checkpoints and files are kept
-- `naojobs.archive`    all artifacts as one tar archive
-- `naojobs.doorbell`   the Celery producer
-- `naojobs.tokens`     bearer tokens, hashed at rest
-- `naojobs.registry`   the workers and their heartbeats
+- `naojobs.settings`       one settings class, read from the environment
+- `naojobs.states`         the states of work and the allowed transitions
+- `naojobs.models`         the SQLAlchemy models
+- `naojobs.submission`     submission of jobs, groups and evaluations
+- `naojobs.lifecycle`      claim, heartbeat, cancel, pause, resume, retry, requeue: each one small transaction
+- `naojobs.capabilities`   requirements of work, capabilities of workers, and why work waits
+- `naojobs.records`        metrics, logs, events, checkpoints and results of evaluations
+- `naojobs.store`          the artifact store
+- `naojobs.retention`      which checkpoints and files are kept
+- `naojobs.archive`        all artifacts as one tar archive
+- `naojobs.notifications`  wake-up messages through Celery
+- `naojobs.tokens`         bearer tokens, hashed at rest
+- `naojobs.registry`       the workers and their heartbeats
 """
 
 from __future__ import annotations

@@ -11,11 +11,9 @@ from datetime import timedelta
 from pathlib import Path
 
 from naojobs.archive import export_artifacts, import_artifacts
-from naojobs.database import downgrade, make_engine, make_sessions, upgrade
+from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
-from naojobs.lifecycle import Sessions
 from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
-from naojobs.schemas import TokenPublic
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
@@ -74,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         engine.dispose()
     # An archive that goes to standard output must stay alone there.
     stream = sys.stderr if arguments.verb == "export" and arguments.file is None else sys.stdout
-    stream.write(json.dumps(answer) + "\n")
+    stream.write(json.dumps(answer, default=lambda time: time.isoformat()) + "\n")
     return 0
 
 
@@ -89,7 +87,8 @@ def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
         )
         return {"id": token_id, "token": secret}
     if arguments.verb == "list":
-        return [TokenPublic.model_validate(token).model_dump(mode="json") for token in list_tokens(sessions)]
+        shown = ("id", "name", "owner", "scopes", "created_at", "expires_at", "revoked_at")
+        return [{name: getattr(token, name) for name in shown} for token in list_tokens(sessions)]
     revoke(sessions, arguments.id)
     return {"id": arguments.id, "revoked": True}
 

@@ -1,31 +1,40 @@
-"""The way to the database: engine, sessions, migrations and notifications."""
+"""Access to the database: engine, sessions, migrations and notifications."""
 
 from __future__ import annotations
 
 import select
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
 from sqlalchemy import Engine, create_engine, event, text
-from sqlalchemy.exc import InvalidatePoolError
+from sqlalchemy.exc import InvalidatePoolError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
 if TYPE_CHECKING:
     from alembic.config import Config
+    from sqlalchemy.engine import ExceptionContext
 
-#: The channel on which every committed change of a job is told; the payload is the job's id
+#: The channel on which every committed change of a job is notified; the payload is the job's id
 #: (and behind a blank the owner, if the job was deleted).
 CHANNEL = "naosprint_jobs"
 
 #: The revision of the schema that this code is written for.
-REVISION = "0001"
+REVISION = "0002"
 
-#: What the lock against two migrations at once is keyed by.
+#: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F
+
+#: The first version of Postgres that can limit a transaction as a whole.
+_TRANSACTION_TIMEOUT_SINCE = 170_000
+
+_TOO_LONG = (psycopg.errors.TransactionTimeout, psycopg.errors.IdleInTransactionSessionTimeout)
+
+Sessions: TypeAlias = sessionmaker[Session]
 
 
 def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naosprint") -> Engine:
@@ -60,7 +69,35 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
     return engine
 
 
-def make_sessions(engine: Engine, *, read_only: bool = False) -> sessionmaker[Session]:
+def limit_transactions(engine: Engine, seconds: float) -> None:
+    """End every transaction of `engine` that lasts longer, even if this process is frozen in the middle of it.
+
+    A frozen process keeps its connection, and with it the locks on rows: no other could take the work over. The ended
+    transaction raises OperationalError.
+    """
+    limit = f"{seconds * 1000:.0f}"
+
+    @event.listens_for(engine, "connect")
+    def set_limits(connection: psycopg.Connection[Any], _record: object) -> None:
+        names = ["idle_in_transaction_session_timeout"]
+        if connection.info.server_version >= _TRANSACTION_TIMEOUT_SINCE:
+            names.append("transaction_timeout")
+        for name in names:
+            connection.execute("SELECT set_config(%s, %s, false)", (name, limit))
+        connection.commit()
+
+    @event.listens_for(engine, "handle_error", retval=True)
+    def distinguish_limit(context: ExceptionContext) -> Exception | None:
+        # The driver counts a transaction that lasted too long among internal errors, as it does wrong use. All that
+        # happened is that this process slept: the next attempt succeeds, or finds that the lease is lost.
+        error = context.original_exception
+        if not isinstance(error, _TOO_LONG):
+            return None
+        context.is_disconnect = True
+        return OperationalError(context.statement, context.parameters, error, connection_invalidated=True)
+
+
+def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:
     """Return a maker of sessions whose objects stay readable after the commit.
 
     With `read_only`, every statement sees what is committed when it begins, as in any transaction here, but none is
@@ -71,10 +108,17 @@ def make_sessions(engine: Engine, *, read_only: bool = False) -> sessionmaker[Se
     return sessionmaker(engine, expire_on_commit=False)
 
 
-def notify(session: Session, job_id: str, *, deleted_from: str | None = None) -> None:
-    """Tell all listeners once the transaction is committed that `job_id` has changed.
+def database_uptime(sessions: Sessions) -> timedelta | None:
+    """Return how long the database server has run by its own clock: negative if the clock was set back since."""
+    with sessions() as session:
+        uptime: timedelta | None = session.scalar(text("SELECT clock_timestamp() - pg_postmaster_start_time()"))
+    return uptime
 
-    Of a deleted job nothing is left to look up, so its message also names the owner that it was deleted from.
+
+def notify(session: Session, job_id: str, *, deleted_from: str | None = None) -> None:
+    """Notify all listeners of a change of `job_id` once the transaction is committed.
+
+    Nothing of a deleted job is left to look up, so its message also contains its former owner.
     """
     payload = job_id if deleted_from is None else f"{job_id} {deleted_from}"
     session.execute(text("SELECT pg_notify(:channel, :payload)"), {"channel": CHANNEL, "payload": payload})

@@ -1,18 +1,18 @@
-"""What can go wrong between a user, a worker and the database."""
+"""Errors of this package."""
 
 from __future__ import annotations
 
 
 class JobError(Exception):
-    """Is the root of everything that this package refuses."""
+    """Base of all errors of this package."""
 
 
 class NotFoundError(JobError):
-    """Says that there is no such job, checkpoint or evaluation."""
+    """Reference to a job, checkpoint or evaluation that does not exist."""
 
 
 class ConflictError(JobError):
-    """Says that the request does not fit the state of the job; `field` names what to change."""
+    """Request that the current state does not allow; `field` names what to change."""
 
     def __init__(self, message: str, field: str = "state") -> None:
         super().__init__(message)
@@ -20,7 +20,7 @@ class ConflictError(JobError):
 
 
 class InvalidError(JobError):
-    """Says that a value that only the database can judge is wrong; `field` names it."""
+    """Wrong value that only the database could reveal; `field` names it."""
 
     def __init__(self, message: str, field: str) -> None:
         super().__init__(message)
@@ -28,8 +28,8 @@ class InvalidError(JobError):
 
 
 class QuotaError(JobError):
-    """Says that an owner has too many open jobs."""
+    """Submission of an owner who has too many open jobs."""
 
 
 class LeaseLostError(JobError):
-    """Says that the lease is no longer the caller's: it must stop and write nothing more."""
+    """Lease that is no longer the caller's, who must stop and write nothing more."""

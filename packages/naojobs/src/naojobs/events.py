@@ -1,4 +1,4 @@
-"""What can happen to a job: every kind of event, with what it means."""
+"""Kinds of events in the history of a job."""
 
 from __future__ import annotations
 
@@ -9,49 +9,52 @@ from types import MappingProxyType
 
 @dataclass(frozen=True, slots=True)
 class EventKind:
-    """Describe one kind of event."""
+    """Kind of event."""
 
-    #: When it is recorded, for people.
+    #: When it is recorded.
     meaning: str
-    #: Names in the event's `data`, for programs; some may be missing.
+    #: Names in the event's `data`; some may be missing.
     data: tuple[str, ...] = ()
 
 
-#: Every kind of event. The kinds named like a state say that the job has entered it.
+#: Every kind of event. A kind named like a state is recorded when the job enters it.
 EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
     {
         "queued": EventKind(
-            "The job waits for a worker: it was submitted, resumed, retried, given back or lost by a worker.",
+            "The job waits for a worker: it was submitted, resumed, retried, or requeued after a lost attempt.",
             ("owner", "reason", "failures"),
         ),
-        "doorbell_failed": EventKind("The broker took no message; the job waits and is announced again.", ("error",)),
+        "notification_failed": EventKind(
+            "The broker took no wake-up message; the job waits until a free worker polls the queue.", ("error",)
+        ),
         "claimed": EventKind("A worker has taken the job.", ("worker",)),
         "initial_policy": EventKind(
-            "The training starts from another job's policy.", ("job_id", "checkpoint_id", "step")
+            "The training starts from the policy of another job.", ("job_id", "checkpoint_id", "step")
         ),
         "checkpoint_unusable": EventKind(
             "A checkpoint is missing or damaged; the one before it is tried.", ("checkpoint_id", "step")
         ),
         "started": EventKind(
-            "The trainer starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id", "dropped_metrics")
+            "The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id", "dropped_metrics")
         ),
         "resumed": EventKind(
-            "The trainer goes on from a checkpoint; figures beyond its step are dropped.",
+            "The training resumes from a checkpoint; metrics beyond its step are dropped.",
             ("step", "checkpoint_id", "dropped_metrics"),
         ),
         "running": EventKind("The training has begun."),
-        "checkpoint": EventKind("A checkpoint lies in the store.", ("checkpoint_id", "step")),
-        "pause_requested": EventKind("A user asked for a pause; the worker saves a checkpoint and stops."),
+        "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),
+        "pause_requested": EventKind("A user requested a pause; the worker saves a checkpoint and stops."),
         "paused": EventKind("The job is paused.", ("reason", "failures")),
-        "cancel_requested": EventKind("A user asked for the end of the job; its worker stops."),
+        "cancel_requested": EventKind("A user requested the end of the job; its worker stops."),
         "cancelled": EventKind("The job has ended at a user's request.", ("reason", "failures")),
-        "evaluating": EventKind("The training is over; its policy is being judged."),
+        "evaluating": EventKind("The training is over; its policy is being evaluated."),
         "evaluation": EventKind(
-            "An evaluation was asked for, has succeeded or has failed.", ("evaluation_id", "state")
+            "An evaluation has a new state, or its end was requested.",
+            ("evaluation_id", "state", "reason", "failures"),
         ),
-        "succeeded": EventKind("The job has ended as it should."),
+        "succeeded": EventKind("The job has ended with all results recorded."),
         "failed": EventKind(
-            "The job has ended by an error, or was lost too often.", ("exit", "kind", "reason", "failures")
+            "The job has ended by an error or after too many lost attempts.", ("exit", "kind", "reason", "failures")
         ),
     }
 )

@@ -1,8 +1,10 @@
-"""The SQLAlchemy models: every table of the service."""
+"""SQLAlchemy models of all tables."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import datetime
+from enum import StrEnum
 from typing import Any, ClassVar
 
 from sqlalchemy import (
@@ -26,13 +28,14 @@ from sqlalchemy import (
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from naojobs.states import LEASED, EvaluationState, JobState
+from naojobs.states import EVALUATION_STATES, LEASED, WorkState
 
-_LEASED_SQL = ", ".join(f"'{state}'" for state in sorted(LEASED))
+#: Seconds that an evaluation may take unless its request sets another limit.
+DEFAULT_TIME_LIMIT_S = 21_600.0
 
 
 class Base(DeclarativeBase):
-    """Is the declarative base; names every constraint, so that migrations can drop them."""
+    """Declarative base that names every constraint, so that migrations can drop them."""
 
     metadata = MetaData(
         naming_convention={
@@ -52,44 +55,85 @@ class Base(DeclarativeBase):
     }
 
 
-def _state_type(states: type[JobState] | type[EvaluationState]) -> Enum:
-    """Return a text column type that gives members of `states`; a check constraint guards it in the database."""
-    return Enum(states, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
+class WorkKind(StrEnum):
+    """Kind of work that workers do."""
+
+    #: A training with the evaluation at its end.
+    JOB = "job"
+    #: An evaluation that a user requested.
+    EVALUATION = "evaluation"
 
 
-def _state_check(column: str, states: type[JobState] | type[EvaluationState]) -> CheckConstraint:
-    values = ", ".join(f"'{state}'" for state in states)
-    return CheckConstraint(f"{column} IN ({values})", name=f"{column}_known")
+def _work_checks(states: Iterable[WorkState]) -> tuple[CheckConstraint, ...]:
+    """Return the constraints of a table whose rows may have one of `states`."""
+    known, leased = (", ".join(f"'{state}'" for state in sorted(group)) for group in (states, LEASED))
+    return (
+        CheckConstraint(f"state IN ({known})", name="state_known"),
+        CheckConstraint("priority BETWEEN 0 AND 9", name="priority_range"),
+        CheckConstraint(f"(state IN ({leased})) = (lease_owner IS NOT NULL)", name="lease_fits_state"),
+    )
 
 
-class Job(Base):
-    """Is the truth of one job."""
+def _waiting_index(table: str) -> Index:
+    """Return the index through which free workers find the next work of `table`."""
+    columns = ("queue", text("priority DESC"), "queued_at")
+    return Index(f"ix_{table}_waiting", *columns, postgresql_where=text("state = 'queued'"))
 
-    __tablename__ = "jobs"
+
+def _lease_index(table: str) -> Index:
+    return Index(f"ix_{table}_leases", "lease_expires_at", postgresql_where=text("lease_owner IS NOT NULL"))
+
+
+class Work:
+    """Columns that jobs and evaluations share: what they need of a worker, their state and their lease."""
+
+    kind: ClassVar[WorkKind]
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
-    name: Mapped[str] = mapped_column(String(200))
-    owner: Mapped[str] = mapped_column(String(200))
-    tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
-    #: A `naospec.TrainingSpec`.
+    #: A `naospec.TrainingSpec` or a `naospec.EvaluationSpec`.
     spec: Mapped[dict[str, Any]]
-    #: A `naospec.EvaluationSpec` for the judgement at the end; null for none.
-    evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
-    #: The queue, which is the simulator that a worker must have.
+    #: Queue of the broker that the wake-up message goes to; a worker serves some of them.
     queue: Mapped[str] = mapped_column(String(40))
-    #: 0 to 9; higher goes first.
+    #: 0 to 9; work with a higher priority is claimed first.
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
-    state: Mapped[JobState] = mapped_column(_state_type(JobState))
-    #: Counts claims and never goes back: it fences the writes of a worker that lost its lease.
+    #: Name and version of the task, names of the robot and of the simulator that a worker must have.
+    task: Mapped[str] = mapped_column(String(100))
+    task_version: Mapped[int] = mapped_column(Integer)
+    robot: Mapped[str] = mapped_column(String(100))
+    simulator: Mapped[str] = mapped_column(String(100))
+    state: Mapped[WorkState] = mapped_column(
+        Enum(WorkState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
+    )
+    #: Number of claims. It never decreases: it fences off the writes of a worker that lost its lease.
     attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Counts attempts that ended by a lost worker or trainer since the last submit or retry.
+    #: Number of attempts that ended by a lost worker or child process since the last submit or retry.
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: The job fails when `failures` reaches it.
+    #: Number of failures at which the work fails for good.
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
     lease_owner: Mapped[str | None] = mapped_column(String(200))
     lease_expires_at: Mapped[datetime | None]
     heartbeat_at: Mapped[datetime | None]
     cancel_requested: Mapped[bool] = mapped_column(server_default=text("false"))
+    #: Why it failed, or why its last attempt was lost.
+    error: Mapped[str | None]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    queued_at: Mapped[datetime | None]
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+    updated_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class Job(Work, Base):
+    """A training with the evaluation of its final policy."""
+
+    __tablename__ = "jobs"
+    kind = WorkKind.JOB
+
+    name: Mapped[str] = mapped_column(String(200))
+    owner: Mapped[str] = mapped_column(String(200))
+    tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
+    #: A `naospec.EvaluationSpec` for the evaluation at the end; null for none.
+    evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     pause_requested: Mapped[bool] = mapped_column(server_default=text("false"))
     parent_job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), index=True)
     parent_checkpoint_id: Mapped[str | None] = mapped_column(
@@ -98,46 +142,34 @@ class Job(Base):
     )
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
-    #: SHA-256 of the request that came with the key, to tell a repetition from a mistake.
+    #: SHA-256 of the request that had the key, to distinguish a repeated request from another one.
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     progress_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     total_steps: Mapped[int] = mapped_column(BigInteger)
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
-    #: Why the job failed, in words for its owner.
-    error: Mapped[str | None]
-    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    queued_at: Mapped[datetime | None]
-    #: When the doorbell was last rung for it; null when the broker has not been reached.
-    rung_at: Mapped[datetime | None]
-    started_at: Mapped[datetime | None]
-    finished_at: Mapped[datetime | None]
-    updated_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (
-        _state_check("state", JobState),
-        CheckConstraint("priority BETWEEN 0 AND 9", name="priority_range"),
-        CheckConstraint(f"(state IN ({_LEASED_SQL})) = (lease_owner IS NOT NULL)", name="lease_fits_state"),
+        *_work_checks(WorkState),
         UniqueConstraint("owner", "idempotency_key"),
         Index("ix_jobs_owner_id", "owner", text("id DESC")),
         Index("ix_jobs_updated_at", "updated_at"),
         Index("ix_jobs_tags", "tags", postgresql_using="gin"),
-        Index(
-            "ix_jobs_waiting",
-            "queue",
-            text("priority DESC"),
-            "queued_at",
-            postgresql_where=text("state = 'queued'"),
-        ),
-        Index("ix_jobs_leases", "lease_expires_at", postgresql_where=text("lease_owner IS NOT NULL")),
+        _waiting_index("jobs"),
+        _lease_index("jobs"),
     )
+
+    @property
+    def job_id(self) -> str:
+        """Id of the job that this work belongs to: its own."""
+        return self.id
 
 
 METRICS_SEQ: Sequence = Sequence("metrics_seq", metadata=Base.metadata)
 
 
 class Metric(Base):
-    """Is one row of figures, written once per PPO update."""
+    """Row of training metrics, written once per PPO update."""
 
     __tablename__ = "metrics"
 
@@ -145,7 +177,7 @@ class Metric(Base):
     #: Environment steps since the start of the job.
     step: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
     attempt: Mapped[int] = mapped_column(Integer)
-    #: Order of writing; a follower continues after the last one it has seen.
+    #: Order of writing; a follower resumes after the last one it has read.
     seq: Mapped[int] = mapped_column(BigInteger, METRICS_SEQ, server_default=METRICS_SEQ.next_value())
     #: Seconds of training.
     time_s: Mapped[float | None]
@@ -155,7 +187,7 @@ class Metric(Base):
 
 
 class Event(Base):
-    """Is one thing that happened to a job."""
+    """Event in the history of a job."""
 
     __tablename__ = "events"
 
@@ -171,7 +203,7 @@ class Event(Base):
 
 
 class Log(Base):
-    """Is one line that a trainer or a worker wrote."""
+    """Line of a job's log."""
 
     __tablename__ = "logs"
 
@@ -186,7 +218,7 @@ class Log(Base):
 
 
 class Checkpoint(Base):
-    """Is a checkpoint whose files are all in the store."""
+    """Checkpoint whose files are all in the store."""
 
     __tablename__ = "checkpoints"
 
@@ -203,41 +235,31 @@ class Checkpoint(Base):
     __table_args__ = (UniqueConstraint("job_id", "step", "attempt"), UniqueConstraint("key"))
 
 
-class Evaluation(Base):
-    """Is one judgement of one checkpoint."""
+class Evaluation(Work, Base):
+    """Evaluation of one checkpoint."""
 
     __tablename__ = "evaluations"
+    kind = WorkKind.EVALUATION
 
-    id: Mapped[str] = mapped_column(String(64), primary_key=True)
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
     checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="CASCADE"), index=True)
-    state: Mapped[EvaluationState] = mapped_column(_state_type(EvaluationState))
-    #: A `naospec.EvaluationSpec`.
-    spec: Mapped[dict[str, Any]]
-    queue: Mapped[str] = mapped_column(String(40))
-    attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
-    lease_owner: Mapped[str | None] = mapped_column(String(200))
-    lease_expires_at: Mapped[datetime | None]
-    rung_at: Mapped[datetime | None]
-    #: Its figures; null until it has succeeded.
+    #: Seconds that one attempt may take; the evaluation fails when they are over.
+    time_limit_s: Mapped[float] = mapped_column(server_default=text(f"{DEFAULT_TIME_LIMIT_S:.0f}"))
+    #: Metrics over all episodes; they count once it has succeeded.
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     key: Mapped[str | None]
-    #: A `naojobs.store.Manifest`; null until it has succeeded.
+    #: A `naojobs.store.Manifest`.
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
-    error: Mapped[str | None]
-    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
-    finished_at: Mapped[datetime | None]
 
-    __table_args__ = (
-        _state_check("state", EvaluationState),
-        CheckConstraint("(state = 'running') = (lease_owner IS NOT NULL)", name="lease_fits_state"),
-        Index("ix_evaluations_open", "state", postgresql_where=text("state IN ('queued', 'running')")),
-    )
+    __table_args__ = (*_work_checks(EVALUATION_STATES), _waiting_index("evaluations"), _lease_index("evaluations"))
+
+
+#: Models by kind.
+WORK: dict[WorkKind, type[Job] | type[Evaluation]] = {WorkKind.JOB: Job, WorkKind.EVALUATION: Evaluation}
 
 
 class Worker(Base):
-    """Is a worker process that is alive, or was lately."""
+    """Worker process that is alive, or was recently."""
 
     __tablename__ = "workers"
 
@@ -245,13 +267,17 @@ class Worker(Base):
     host: Mapped[str] = mapped_column(String(200))
     pid: Mapped[int] = mapped_column(Integer)
     queues: Mapped[list[str]]
+    #: Tasks with their versions, robots and simulators that it has.
+    tasks: Mapped[dict[str, int]] = mapped_column(JSONB, server_default=text("'{}'"))
+    robots: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
+    simulators: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     version: Mapped[str] = mapped_column(String(40))
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 
 class Token(Base):
-    """Is a bearer token; only its SHA-256 is kept."""
+    """Bearer token, of which only the SHA-256 is kept."""
 
     __tablename__ = "tokens"
 

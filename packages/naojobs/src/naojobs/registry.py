@@ -1,68 +1,72 @@
-"""The workers that are there, and when they were last heard of."""
+"""Registry of workers with their capabilities and heartbeats."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import timedelta
 
 from sqlalchemy import delete, func, select
 from sqlalchemy.dialects.postgresql import insert
 
-from naojobs.lifecycle import Sessions
+from naojobs.capabilities import Capabilities
+from naojobs.database import Sessions
 from naojobs.models import Job, Worker
-from naojobs.schemas import WorkerPublic
 
 
-def beat(sessions: Sessions, worker_id: str, *, host: str, pid: int, queues: Sequence[str], version: str) -> None:
-    """Enter a worker into the registry, or say that it is still there."""
+@dataclass(frozen=True, slots=True)
+class WorkerStatus:
+    """Registered worker, whether it is alive by the database's clock, and the jobs that it has leased."""
+
+    row: Worker
+    alive: bool
+    jobs: tuple[str, ...]
+
+
+def beat(
+    sessions: Sessions,
+    worker_id: str,
+    *,
+    host: str,
+    pid: int,
+    queues: Sequence[str],
+    capabilities: Capabilities,
+    version: str,
+) -> None:
+    """Register a worker, or renew its heartbeat."""
+    current = {"queues": list(queues), "version": version, **asdict(capabilities)}
     with sessions.begin() as session:
         session.execute(
             insert(Worker)
-            .values(id=worker_id, host=host, pid=pid, queues=list(queues), version=version)
-            .on_conflict_do_update(
-                index_elements=[Worker.id],
-                set_={"heartbeat_at": func.now(), "queues": list(queues), "version": version},
-            ),
+            .values(id=worker_id, host=host, pid=pid, **current)
+            .on_conflict_do_update(index_elements=[Worker.id], set_={"heartbeat_at": func.now(), **current}),
         )
 
 
 def leave(sessions: Sessions, worker_id: str) -> None:
-    """Take a worker that ends out of the registry."""
+    """Remove a worker that ends."""
     with sessions.begin() as session:
         session.execute(delete(Worker).where(Worker.id == worker_id))
 
 
 def forget(sessions: Sessions, *, after_s: float = 86_400.0) -> None:
-    """Take workers out of the registry that were not heard of for `after_s`."""
+    """Remove workers whose last heartbeat is older than `after_s`."""
     with sessions.begin() as session:
         session.execute(delete(Worker).where(Worker.heartbeat_at < func.now() - timedelta(seconds=after_s)))
 
 
-def workers(sessions: Sessions, *, stale_s: float = 30.0) -> list[WorkerPublic]:
-    """Return all workers with the jobs that each holds; `alive` by the database's clock."""
+def workers(sessions: Sessions, *, stale_s: float = 30.0) -> list[WorkerStatus]:
+    """Return all workers; one whose last heartbeat is older than `stale_s` is not alive."""
     with sessions.begin() as session:
         alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
         rows = session.execute(select(Worker, alive).order_by(Worker.started_at, Worker.id)).all()
         held: dict[str, list[str]] = {}
         for owner, job_id in session.execute(select(Job.lease_owner, Job.id).where(Job.lease_owner.is_not(None))):
             held.setdefault(str(owner), []).append(job_id)
-        return [
-            WorkerPublic(
-                id=worker.id,
-                host=worker.host,
-                pid=worker.pid,
-                queues=worker.queues,
-                version=worker.version,
-                started_at=worker.started_at,
-                heartbeat_at=worker.heartbeat_at,
-                alive=is_alive,
-                jobs=sorted(held.get(worker.id, [])),
-            )
-            for worker, is_alive in rows
-        ]
+        return [WorkerStatus(worker, is_alive, tuple(sorted(held.get(worker.id, ())))) for worker, is_alive in rows]
 
 
 def leased_jobs_of(sessions: Sessions, owner: str) -> frozenset[str]:
-    """Return the jobs of `owner` that some worker holds."""
+    """Return the ids of the jobs of `owner` that a worker has leased."""
     with sessions.begin() as session:
         return frozenset(session.scalars(select(Job.id).where(Job.owner == owner, Job.lease_owner.is_not(None))))

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-from naospec import TrainingSpec
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from naojobs.lifecycle import Lease, Sessions, hold
+from naojobs.database import Sessions
+from naojobs.lifecycle import Lease, hold_job
 from naojobs.models import Checkpoint, Evaluation, Job, Metric
-from naojobs.states import LEASED, EvaluationState
+from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
 #: The column of metrics that tells which checkpoint is the best: the mean reward of the latest episodes.
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Says which checkpoints of a job to keep, besides the best one and those that something refers to."""
+    """Checkpoints of a job to keep, besides the best one and those that something refers to."""
 
     #: The newest.
     last: int
@@ -43,8 +43,8 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
     Raises LeaseLostError.
     """
     with sessions.begin() as session:
-        # Whoever wants to refer to a checkpoint locks the row of its job first, so nobody can do so meanwhile.
-        job = hold(session, lease)
+        # Every transaction that refers to a checkpoint locks its job's row first, so none can do so meanwhile.
+        job = hold_job(session, lease)
         rows = session.execute(
             select(Checkpoint.id, Checkpoint.step, Checkpoint.key)
             .where(Checkpoint.job_id == job.id)
@@ -52,10 +52,10 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
         ).all()
         candidates = rows[wanted.last :]
         if wanted.every is not None:
-            spec = TrainingSpec.model_validate(job.spec)
-            stride = wanted.every * spec.checkpoint_interval_steps
+            stride = wanted.every * int(job.spec["runtime"]["checkpoint_interval_steps"])
+            rollout = int(job.spec["algorithm"]["n_envs"]) * int(job.spec["algorithm"]["n_steps"])
             # A checkpoint comes with the first update at or behind a multiple of the interval.
-            candidates = [row for row in candidates if row.step % stride >= spec.rollout_steps]
+            candidates = [row for row in candidates if row.step % stride >= rollout]
         spared = _spared(session, job.id)
         doomed = [row for row in candidates if row.id not in spared]
         if doomed:
@@ -73,11 +73,11 @@ def _spared(session: Session, job_id: str) -> set[str]:
         .order_by(Metric.values[BEST_BY].as_float().desc(), Checkpoint.step.desc())
         .limit(1),
     )
-    judged = session.scalars(select(Evaluation.checkpoint_id).where(Evaluation.job_id == job_id))
+    evaluated = session.scalars(select(Evaluation.checkpoint_id).where(Evaluation.job_id == job_id))
     parents = session.scalars(
         select(Job.parent_checkpoint_id).join(Checkpoint, Checkpoint.id == Job.parent_checkpoint_id).where(of_job),
     )
-    return {str(item) for item in (best, *judged, *parents) if item is not None}
+    return {str(item) for item in (best, *evaluated, *parents) if item is not None}
 
 
 def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> list[str]:
@@ -96,7 +96,7 @@ def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEF
         known = {*session.scalars(select(Checkpoint.key)), *session.scalars(select(Evaluation.key))}
         busy = {
             *session.scalars(select(Job.id).where(Job.state.in_(LEASED))),
-            *session.scalars(select(Evaluation.job_id).where(Evaluation.state == EvaluationState.RUNNING)),
+            *session.scalars(select(Evaluation.job_id).where(Evaluation.state.in_(LEASED))),
         }
     return sorted(prefix for prefix in old if prefix not in known and prefix.split("/")[1] not in busy)
 

@@ -1,41 +1,42 @@
-"""The states of a job and the one table of allowed transitions."""
+"""States of work (trainings and evaluations) and the one table of allowed transitions."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
 
-class JobState(StrEnum):
-    """Where a job stands."""
+class WorkState(StrEnum):
+    """State of a job or of an evaluation; an evaluation cannot be paused and never is `evaluating`."""
 
     #: Waiting for a worker.
     QUEUED = "queued"
-    #: Claimed by a worker, which fetches artifacts and starts the trainer.
+    #: Claimed by a worker, which fetches artifacts and starts the child process.
     STARTING = "starting"
-    #: The trainer runs.
+    #: The child process trains, or runs the episodes of an evaluation.
     RUNNING = "running"
     #: A pause was requested; the worker is asked to write a checkpoint and stop.
     PAUSING = "pausing"
     #: Stopped with everything kept; `resume` queues it again.
     PAUSED = "paused"
-    #: Training is over; the final policy is being judged.
+    #: Training is over; the final policy is being evaluated.
     EVALUATING = "evaluating"
-    #: Trained and evaluated.
+    #: Finished, with all results recorded.
     SUCCEEDED = "succeeded"
-    #: Ended by an error, or lost by its workers too often; `retry` queues it again.
+    #: Ended by an error, by a time limit, or after too many lost attempts; `retry` queues a job again.
     FAILED = "failed"
-    #: Ended at a user's request; `retry` queues it again.
+    #: Ended at a user's request; `retry` queues a job again.
     CANCELLED = "cancelled"
 
 
-_S = JobState
+_S = WorkState
 
-#: From each state, the states it may turn into. Everything that changes a state goes through this table.
-TRANSITIONS: dict[JobState, frozenset[JobState]] = {
-    _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.CANCELLED}),
+#: From each state, the states that may follow. Every change of a state is checked against this table.
+TRANSITIONS: dict[WorkState, frozenset[WorkState]] = {
+    # Work whose stored specification cannot be read fails without a worker.
+    _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.FAILED, _S.CANCELLED}),
     _S.STARTING: frozenset({_S.RUNNING, _S.EVALUATING, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
     _S.RUNNING: frozenset({_S.EVALUATING, _S.SUCCEEDED, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
-    # A trainer may reach its last step while it is asked to pause: then there is nothing left to pause.
+    # A training may reach its last step after a pause was requested: then there is nothing left to pause.
     _S.PAUSING: frozenset({_S.PAUSED, _S.EVALUATING, _S.SUCCEEDED, _S.FAILED, _S.CANCELLED}),
     _S.PAUSED: frozenset({_S.QUEUED, _S.CANCELLED}),
     _S.EVALUATING: frozenset({_S.SUCCEEDED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
@@ -44,43 +45,21 @@ TRANSITIONS: dict[JobState, frozenset[JobState]] = {
     _S.CANCELLED: frozenset({_S.QUEUED}),
 }
 
-#: States in which a worker holds a lease on the job.
-LEASED: frozenset[JobState] = frozenset({_S.STARTING, _S.RUNNING, _S.PAUSING, _S.EVALUATING})
-#: States in which nothing more happens unless somebody asks for it.
-ENDED: frozenset[JobState] = frozenset({_S.SUCCEEDED, _S.FAILED, _S.CANCELLED})
+#: States in which a worker holds a lease.
+LEASED: frozenset[WorkState] = frozenset({_S.STARTING, _S.RUNNING, _S.PAUSING, _S.EVALUATING})
+#: States that only a user's request changes.
+ENDED: frozenset[WorkState] = frozenset({_S.SUCCEEDED, _S.FAILED, _S.CANCELLED})
 #: States that count against an owner's quota.
-OPEN: frozenset[JobState] = frozenset(JobState) - ENDED
+OPEN: frozenset[WorkState] = frozenset(WorkState) - ENDED
+#: States that an evaluation can have.
+EVALUATION_STATES: frozenset[WorkState] = frozenset(WorkState) - {_S.PAUSING, _S.PAUSED, _S.EVALUATING}
 
 
-def can_become(source: JobState, target: JobState) -> bool:
-    """Tell whether a job in `source` may turn into `target`."""
+def can_become(source: WorkState, target: WorkState) -> bool:
+    """Return whether the table allows a change from `source` to `target`."""
     return target in TRANSITIONS[source]
 
 
-def sources_of(target: JobState) -> frozenset[JobState]:
-    """Return the states from which a job may turn into `target`."""
+def sources_of(target: WorkState) -> frozenset[WorkState]:
+    """Return the states that `target` may follow."""
     return frozenset(source for source, targets in TRANSITIONS.items() if target in targets)
-
-
-class EvaluationState(StrEnum):
-    """Where an evaluation stands."""
-
-    #: Waiting for a worker.
-    QUEUED = "queued"
-    #: Claimed by a worker.
-    RUNNING = "running"
-    #: Its figures and files are recorded.
-    SUCCEEDED = "succeeded"
-    #: Ended by an error.
-    FAILED = "failed"
-
-
-#: From each state of an evaluation, the states it may turn into.
-EVALUATION_TRANSITIONS: dict[EvaluationState, frozenset[EvaluationState]] = {
-    EvaluationState.QUEUED: frozenset({EvaluationState.RUNNING}),
-    EvaluationState.RUNNING: frozenset(
-        {EvaluationState.SUCCEEDED, EvaluationState.FAILED, EvaluationState.QUEUED},
-    ),
-    EvaluationState.SUCCEEDED: frozenset(),
-    EvaluationState.FAILED: frozenset(),
-}

@@ -13,9 +13,9 @@ from datetime import timedelta
 
 from sqlalchemy import func, select, update
 
+from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
 from naojobs.ids import new_id
-from naojobs.lifecycle import Sessions
 from naojobs.models import Token
 from naojobs.scopes import Scope
 

@@ -1,8 +1,8 @@
 """Simulators, found by name among the entry points of the group ``naosim.simulators``.
 
 The two that come with naosim, ``embedded`` and ``server``, run robots of several families. A family is one line of
-:data:`FAMILIES`: a module with the attributes ``EMBEDDED`` and ``SERVER``, each a SimulatorKind for its robots. One
-that a family does not have is left out.
+:data:`FAMILIES`: a module with the attributes ``EMBEDDED`` and ``SERVER``, each a SimulatorKind for its robots. A
+family may lack one of them.
 """
 
 from __future__ import annotations

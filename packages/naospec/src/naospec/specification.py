@@ -182,16 +182,32 @@ class TrainingSpec(_Specification):
     """
 
     task: Annotated[Any, PluginSection(plugins.TASKS)] = Field(
-        default=None, validate_default=True, title="Task", description="What to learn."
+        default=None,
+        validate_default=True,
+        title="Task",
+        description="What to learn.",
+        json_schema_extra={"default": {"name": DEFAULTS["task"]}},
     )
     robot: Annotated[Any, PluginSection(plugins.ROBOTS)] = Field(
-        default=None, validate_default=True, title="Robot", description="The robot."
+        default=None,
+        validate_default=True,
+        title="Robot",
+        description="The robot.",
+        json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
     )
     simulator: Annotated[Any, PluginSection(plugins.SIMULATORS)] = Field(
-        default=None, validate_default=True, title="Simulator", description="Where the robot runs."
+        default=None,
+        validate_default=True,
+        title="Simulator",
+        description="Where the robot runs.",
+        json_schema_extra={"default": {"name": DEFAULTS["simulator"]}},
     )
     algorithm: Annotated[Any, PluginSection(plugins.LEARNERS)] = Field(
-        default=None, validate_default=True, title="Algorithm", description="How the robot learns."
+        default=None,
+        validate_default=True,
+        title="Algorithm",
+        description="How the robot learns.",
+        json_schema_extra={"default": {"name": DEFAULTS["algorithm"]}},
     )
     total_steps: int = Field(
         default=10_000_000,
@@ -248,7 +264,7 @@ class TrainingSpec(_Specification):
         stages = filled.get("stages")
         if stages and "total_steps" not in filled:
             steps = [stage.get("steps") if isinstance(stage, dict) else stage.steps for stage in stages]
-            if all(isinstance(count, int) for count in steps):
+            if all(isinstance(count, int) and count > 0 for count in steps):
                 filled["total_steps"] = sum(steps)
         return filled
 
@@ -347,7 +363,10 @@ class TrainingSpec(_Specification):
         return found
 
     def without_preset(self) -> dict[str, Any]:
-        """Return the sections without what preset, task and robot decide, so that others can decide it."""
+        """Return the sections without what preset, task and robot decide and without defaults.
+
+        Another preset, task, robot or simulator can then decide it.
+        """
         content = self.model_dump(mode="json", exclude_defaults=False)
         changed = self.overrides()
         family = self.robot_description.family
@@ -355,12 +374,17 @@ class TrainingSpec(_Specification):
             for name in presets.values(self.algorithm.preset, section, family):
                 if f"{section}.{name}" not in changed:
                     content[section].pop(name, None)
+        bare = self.task_class.resolve(type(self.task)(name=self.task.name), self.robot_description)
+        for section, default in (
+            ("task", bare),
+            *((name, type(getattr(self, name))()) for name in GROUPS if name != "task"),
+        ):
+            given = presets.values(self.algorithm.preset, section, family) if section in presets.SECTIONS else {}
+            for name in type(default).model_fields:
+                same = getattr(getattr(self, section), name) == getattr(default, name)
+                if name not in ("name", "preset") and same and name not in given:
+                    content[section].pop(name, None)
         content["task"].pop("version", None)
-        bare = type(self.task)(name=self.task.name)
-        resolved = self.task_class.resolve(bare, self.robot_description)
-        for name in type(self.task).model_fields:
-            if name != "name" and getattr(bare, name) != getattr(resolved, name) == getattr(self.task, name):
-                content["task"].pop(name, None)
         if self.stages:
             content.pop("total_steps")
         return content

@@ -13,8 +13,8 @@ from typing import Any, TypeAlias, TypeVar
 
 import anyio
 from fastapi.sse import format_sse_event
-from naojobs.lifecycle import Sessions
-from naojobs.states import JobState
+from naojobs.database import Sessions
+from naojobs.states import WorkState
 
 from naosprint_api.queries import Position, news_of
 from naosprint_api.views import event_view, job_view, log_view
@@ -43,7 +43,7 @@ class Batch:
     position: Position
     #: Whether there is more than fits into one batch.
     more: bool = False
-    state: JobState | None = None
+    state: WorkState | None = None
     error: str | None = None
     updated_at: datetime | None = None
     #: The job itself, as an event.
@@ -53,8 +53,9 @@ class Batch:
 class Feed:
     """Reads and encodes news once for all followers that want the same."""
 
-    def __init__(self, sessions: Sessions) -> None:
+    def __init__(self, sessions: Sessions, *, stale_s: float) -> None:
         self._sessions = sessions
+        self._stale_s = stale_s
         self._limiter = anyio.CapacityLimiter(THREADS)
         #: Reads that have not begun yet, and the turns of those who wait for them. Only these may be joined, for they
         #: will see all that is committed by now.
@@ -85,7 +86,7 @@ class Feed:
         return await self.in_thread(partial(self._read, job_id, seen, kinds))
 
     def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> Batch:
-        news = news_of(self._sessions, job_id, seen, kinds)
+        news = news_of(self._sessions, job_id, seen, kinds, stale_s=self._stale_s)
         if news.job is None:
             return Batch(b"", seen)
         events: list[bytes] = []
@@ -103,5 +104,6 @@ class Feed:
         for event in news.events:
             add("event", event_view(event).model_dump_json(), events=event.id)
         job = news.job
-        state = format_sse_event(event="state", data_str=job_view(job).model_dump_json(), id=str(seen))
+        shown = job_view(job, news.waiting_reason).model_dump_json()
+        state = format_sse_event(event="state", data_str=shown, id=str(seen))
         return Batch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)

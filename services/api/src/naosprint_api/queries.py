@@ -7,13 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
+from naojobs.capabilities import waiting_reasons
+from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.lifecycle import Sessions
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
-from naojobs.schemas import MetricsPublic
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import Select, func, select
+
+from naosprint_api.schemas import MetricsPublic
 
 _log = logging.getLogger(__name__)
 
@@ -25,7 +27,7 @@ MAX_POINTS = 5_000
 class JobFilter:
     """Says which jobs to list."""
 
-    states: Sequence[JobState] = ()
+    states: Sequence[WorkState] = ()
     tags: Sequence[str] = ()
     owner: str | None = None
     group: str | None = None
@@ -227,6 +229,8 @@ class News:
     """Is what has happened to a job since a position."""
 
     job: Job | None
+    #: Why no worker can take the job, if it is queued.
+    waiting_reason: str | None = None
     metrics: list[Metric] = field(default_factory=list)
     logs: list[Log] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -234,7 +238,9 @@ class News:
     more: bool = False
 
 
-def news_of(sessions: Sessions, job_id: str, seen: Position, kinds: frozenset[str], *, limit: int = 500) -> News:
+def news_of(
+    sessions: Sessions, job_id: str, seen: Position, kinds: frozenset[str], *, stale_s: float, limit: int = 500
+) -> News:
     """Return the job and what is new about it, at most `limit` of each kind.
 
     The job is read first: if it has ended, all that came before its end is in the rows read after it.
@@ -243,6 +249,7 @@ def news_of(sessions: Sessions, job_id: str, seen: Position, kinds: frozenset[st
         news = News(session.get(Job, job_id))
         if news.job is None:
             return news
+        news.waiting_reason = waiting_reasons(session, [news.job], stale_s=stale_s).get(job_id)
         if "metrics" in kinds:
             news.metrics = list(
                 session.scalars(

@@ -1,16 +1,18 @@
-"""What every route works with: settings, database, store, doorbell, news and figures."""
+"""Services that every route uses: settings, database, store, wake-up messages, streams and telemetry."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
-from naojobs.database import make_engine, make_sessions
-from naojobs.doorbell import Doorbell, make_celery
+from naojobs.capabilities import waiting_reasons
+from naojobs.database import Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
-from naojobs.lifecycle import Sessions, mark_rung
+from naojobs.lifecycle import record_notification_failure
+from naojobs.models import Evaluation, Job
+from naojobs.notifications import Notifier, make_celery
 from naojobs.store import ArtifactStore, StoreError, job_prefix
 from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
@@ -18,23 +20,25 @@ from sqlalchemy.exc import SQLAlchemyError
 from naosprint_api.broadcast import Broadcaster
 from naosprint_api.feed import Feed
 from naosprint_api.limits import RateLimiter
+from naosprint_api.schemas import EvaluationPublic, JobPublic
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
+from naosprint_api.views import evaluation_view, job_view
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """Bundles what one API process holds open."""
+    """Settings and connections of one API process."""
 
     settings: ApiSettings
     engine: Engine
     sessions: Sessions
-    #: For requests that only look.
+    #: For requests that only read.
     reads: Sessions
     store: ArtifactStore
-    doorbell: Doorbell
+    notifier: Notifier
     broadcaster: Broadcaster
     limiter: RateLimiter
     telemetry: Telemetry
@@ -53,38 +57,58 @@ class Service:
             sessions=sessions,
             reads=reads,
             store=ArtifactStore.from_settings(settings),
-            doorbell=Doorbell(make_celery(settings.broker_url.get_secret_value(), "naosprint_api")),
+            notifier=Notifier(make_celery(settings.broker_url.get_secret_value(), "naosprint_api")),
             broadcaster=Broadcaster(settings.libpq_url),
             limiter=RateLimiter(settings.api_rate_per_s, settings.api_rate_burst),
             telemetry=Telemetry(reads),
-            feed=Feed(reads),
+            feed=Feed(reads, stale_s=settings.lease_s),
         )
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Listen to the database for as long as the context lasts, then let go of everything."""
+        """Listen to the database for as long as the context lasts, then close everything."""
         await self.broadcaster.start()
         try:
             yield
         finally:
             await self.broadcaster.stop()
-            self.doorbell.close()
+            self.notifier.close()
             self.engine.dispose()
 
-    def announce(self, job_id: str, queue: str, priority: int) -> None:
-        """Ring for a queued job; a broker that is down is noted in the job's events, not raised."""
-        error = self.doorbell.ring_job(job_id, queue, priority)
-        if error is not None:
-            self.telemetry.doorbell_failures.inc()
-        try:
-            mark_rung(self.sessions, job_id, error)
-        except (SQLAlchemyError, JobError) as failure:
-            _log.warning("could not note the doorbell of %s: %s", job_id, failure)
+    def wake_up(self, *work: Job | Evaluation) -> None:
+        """Send wake-up messages for queued work; a broker that is down is recorded with the first job, not raised."""
+        for item in work:
+            error = self.notifier.wake_up(item.id, item.queue)
+            if error is None:
+                continue
+            self.telemetry.notification_failures.inc()
+            try:
+                record_notification_failure(self.sessions, item.job_id, error)
+            except (SQLAlchemyError, JobError) as failure:
+                _log.warning("could not record that %s was not announced: %s", item.id, failure)
+            return  # workers poll: the others need not wait for the broker one after the other
 
-    def announce_evaluation(self, evaluation_id: str, queue: str) -> None:
-        """Ring for a queued evaluation; who sweeps rings again if the broker is down."""
-        if self.doorbell.ring_evaluation(evaluation_id, queue) is not None:
-            self.telemetry.doorbell_failures.inc()
+    def show_jobs(self, jobs: Sequence[Job]) -> list[JobPublic]:
+        """Return jobs with the reasons why no worker can take them."""
+        reasons = self._waiting_reasons(jobs)
+        return [job_view(job, reasons.get(job.id)) for job in jobs]
+
+    def show_job(self, job: Job) -> JobPublic:
+        """Return a job with the reason why no worker can take it."""
+        return self.show_jobs([job])[0]
+
+    def show_evaluations(self, evaluations: Sequence[Evaluation]) -> list[EvaluationPublic]:
+        """Return evaluations with the reasons why no worker can take them."""
+        reasons = self._waiting_reasons(evaluations)
+        return [evaluation_view(evaluation, reasons.get(evaluation.id)) for evaluation in evaluations]
+
+    def show_evaluation(self, evaluation: Evaluation) -> EvaluationPublic:
+        """Return an evaluation with the reason why no worker can take it."""
+        return self.show_evaluations([evaluation])[0]
+
+    def _waiting_reasons(self, work: Sequence[Job] | Sequence[Evaluation]) -> dict[str, str]:
+        with self.reads.begin() as session:
+            return waiting_reasons(session, work, stale_s=self.settings.lease_s)
 
     def discard_artifacts(self, job_id: str) -> None:
         """Delete the files of a deleted job; a store that fails keeps them until a worker sweeps."""

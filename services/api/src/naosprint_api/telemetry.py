@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import cast
 
-from naojobs.lifecycle import Sessions
+from naojobs.database import Sessions
 from naojobs.models import Job, Worker
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.platform_collector import PlatformCollector
@@ -18,7 +18,7 @@ from sqlalchemy import func, select, text
 #: Name, help and labels of what is counted in the database.
 _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
-    ("naosprint_workers_alive", "Workers heard of in the last 30 s.", ()),
+    ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
     ("naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", ()),
 )
 
@@ -47,14 +47,16 @@ class _Rows(Collector):
                 .where(Worker.heartbeat_at > func.now() - text("interval '30 seconds'")),
             )
             oldest = session.scalar(
-                select(func.extract("epoch", func.now() - func.min(Job.queued_at))).where(Job.state == JobState.QUEUED),
+                select(func.extract("epoch", func.now() - func.min(Job.queued_at))).where(
+                    Job.state == WorkState.QUEUED
+                ),
             )
-        jobs, workers, waited = self.describe()
-        for state in JobState:
+        jobs, workers, longest = self.describe()
+        for state in WorkState:
             jobs.add_metric([state], counts.get(state, 0))
         workers.add_metric([], alive or 0)
-        waited.add_metric([], float(oldest or 0))
-        yield from (jobs, workers, waited)
+        longest.add_metric([], float(oldest or 0))
+        yield from (jobs, workers, longest)
 
 
 class Telemetry:
@@ -74,8 +76,8 @@ class Telemetry:
         )
         self.followers = Gauge("naosprint_followers", "Open streams.", registry=self._registry)
         self.refused = Counter("naosprint_refused", "Requests refused.", ["reason"], registry=self._registry)
-        self.doorbell_failures = Counter(
-            "naosprint_doorbell_failures", "Messages that the broker did not take.", registry=self._registry
+        self.notification_failures = Counter(
+            "naosprint_notification_failures", "Wake-up messages that the broker did not take.", registry=self._registry
         )
 
     def observe(self, method: str, route: str, status: int, seconds: float) -> None:
@@ -88,7 +90,7 @@ class Telemetry:
         """Return name, kind, labels and help of every figure of the service's own."""
         figures = [(name, "gauge", labels, text) for name, text, labels in _ROWS]
         unread = cls(cast("Sessions", None))  # it asks the database only when it renders
-        for figure in (unread._seconds, unread.followers, unread.refused, unread.doorbell_failures):
+        for figure in (unread._seconds, unread.followers, unread.refused, unread.notification_failures):
             (family,) = figure.describe()
             name = f"{family.name}_total" if family.type == "counter" else family.name
             figures.append((name, family.type, tuple(figure._labelnames), family.documentation))

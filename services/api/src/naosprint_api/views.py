@@ -1,31 +1,43 @@
-"""Public views of rows."""
+"""Schemas of rows."""
 
 from __future__ import annotations
 
+from collections.abc import Container
 from urllib.parse import quote
 
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log
-from naojobs.schemas import CheckpointPublic, EvaluationPublic, EventPublic, FilePublic, JobPublic, LogPublic
+from naojobs.registry import WorkerStatus
+from naojobs.states import WorkState
 from naojobs.store import Manifest
 
+from naosprint_api.schemas import (
+    CheckpointPublic,
+    EvaluationPublic,
+    EventPublic,
+    FilePublic,
+    JobPublic,
+    LogPublic,
+    WorkerPublic,
+)
 
-def job_view(job: Job) -> JobPublic:
-    """Show a job."""
-    return JobPublic.model_validate(job)
+
+def job_view(job: Job, waiting_reason: str | None = None) -> JobPublic:
+    """Return a job, with the reason why no worker can take it."""
+    return JobPublic.model_validate(job).model_copy(update={"waiting_reason": waiting_reason})
 
 
 def event_view(event: Event) -> EventPublic:
-    """Show an event."""
+    """Return an event."""
     return EventPublic.model_validate(event)
 
 
 def log_view(log: Log) -> LogPublic:
-    """Show a line of a log."""
+    """Return a line of a log."""
     return LogPublic.model_validate(log)
 
 
 def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
-    """Show a checkpoint with the addresses of its files."""
+    """Return a checkpoint with the addresses of its files."""
     manifest = Manifest.model_validate(checkpoint.manifest)
     root = f"/checkpoints/{checkpoint.id}"
     return CheckpointPublic(
@@ -40,9 +52,10 @@ def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
     )
 
 
-def evaluation_view(evaluation: Evaluation) -> EvaluationPublic:
-    """Show an evaluation with the addresses of its files."""
-    manifest = Manifest.model_validate(evaluation.manifest) if evaluation.manifest is not None else None
+def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -> EvaluationPublic:
+    """Return an evaluation with the addresses of its files, and the reason why no worker can take it."""
+    succeeded = evaluation.state is WorkState.SUCCEEDED
+    manifest = Manifest.model_validate(evaluation.manifest) if succeeded else None
     root = f"/evaluations/{evaluation.id}"
     return EvaluationPublic.model_validate(
         {
@@ -51,14 +64,29 @@ def evaluation_view(evaluation: Evaluation) -> EvaluationPublic:
             "checkpoint_id": evaluation.checkpoint_id,
             "state": evaluation.state,
             "spec": evaluation.spec,
-            "summary": evaluation.summary,
+            "waiting_reason": waiting_reason,
+            "attempt": evaluation.attempt,
+            "failures": evaluation.failures,
+            "max_attempts": evaluation.max_attempts,
+            "worker": evaluation.lease_owner,
+            "cancel_requested": evaluation.cancel_requested,
+            "time_limit_s": evaluation.time_limit_s,
+            "summary": evaluation.summary if succeeded else None,
             "files": _files(manifest, root) if manifest else [],
             "archive_url": f"{root}/archive" if manifest else None,
             "error": evaluation.error,
             "created_at": evaluation.created_at,
+            "started_at": evaluation.started_at,
             "finished_at": evaluation.finished_at,
         },
     )
+
+
+def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> WorkerPublic:
+    """Return a worker with those of its jobs that are in `visible`, all if it is none."""
+    jobs = [job for job in worker.jobs if visible is None or job in visible]
+    names = (name for name in WorkerPublic.model_fields if name not in ("alive", "jobs"))
+    return WorkerPublic(alive=worker.alive, jobs=jobs, **{name: getattr(worker.row, name) for name in names})
 
 
 def _files(manifest: Manifest, root: str) -> list[FilePublic]:

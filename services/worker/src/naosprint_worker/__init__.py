@@ -1,8 +1,8 @@
-"""Take a training job and see it through: claim, lease, heartbeat, cancel, pause, resume, evaluate.
+"""Worker that claims trainings and evaluations and runs them: lease, heartbeat, cancel, pause, resume, settle.
 
-The database row is the truth of a job. A broker message only says "look at this row now": losing or doubling one is
-harmless. Training runs in a child process in a session of its own, so that it can be stopped as a group and can never
-take the worker down.
+The state of work is its row in the database, which a free worker polls; a broker message only makes it look at once,
+and losing or doubling one is harmless. Training runs in a child process in a session of its own, so that it can be
+stopped as a group and can never take the worker down.
 """
 
 from __future__ import annotations

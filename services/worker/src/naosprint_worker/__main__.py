@@ -1,6 +1,6 @@
 """Start a worker: ``python -m naosprint_worker``; everything else comes from the environment.
 
-``python -m naosprint_worker health`` tells by its exit status whether this host's worker is well.
+The exit status of ``python -m naosprint_worker health`` is 0 if this host's worker is healthy.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="naosprint-worker", description="Train sprint jobs. Settings come from the environment: NAOSPRINT_*."
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
-    commands.add_parser("run", help="take jobs until SIGTERM (the default)")
-    commands.add_parser("health", help="exit 0 if this host's worker was heard of lately, else 1")
+    commands.add_parser("run", help="claim jobs until SIGTERM (the default)")
+    commands.add_parser("health", help="exit 0 if this host's worker has a recent heartbeat, else 1")
     arguments = parser.parse_args(argv)
     try:
         return _health() if arguments.command == "health" else _run()
@@ -41,9 +41,7 @@ def _health() -> int:
 
 
 def _run() -> int:
-    from naojobs.doorbell import Doorbell
-
-    from naosprint_worker.application import make_application, register_tasks, serve
+    from naosprint_worker.application import make_application, serve
     from naosprint_worker.settings import WorkerSettings
     from naosprint_worker.worker import Worker
 
@@ -51,12 +49,10 @@ def _run() -> int:
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     for chatty in ("celery.worker.strategy", "celery.app.trace"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
-    app = make_application(settings)
-    worker = Worker(settings, Doorbell(app))
-    register_tasks(app, worker)
+    worker = Worker(settings)
     worker.start()
     try:
-        return serve(app, worker, settings)
+        return serve(make_application(settings, worker), worker, settings)
     finally:
         worker.close()
 

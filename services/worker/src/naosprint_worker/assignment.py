@@ -1,12 +1,12 @@
-"""What a worker hands to the child process that does the work."""
+"""Assignments that a worker writes for its child processes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Literal, Self
 
-from naojobs.lifecycle import CheckpointRef, Claim, Lease
-from naojobs.records import EvaluationClaim
+from naojobs.checkpoints import CheckpointRef
+from naojobs.lifecycle import EvaluationClaim, JobClaim, Lease
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import BaseModel, ConfigDict
 
@@ -27,7 +27,7 @@ class _Assignment(BaseModel):
 
 
 class TrainingAssignment(_Assignment):
-    """One attempt at a job: train, then evaluate."""
+    """Attempt at a job: train, then evaluate."""
 
     kind: Literal["training"] = "training"
     lease: Lease
@@ -36,13 +36,13 @@ class TrainingAssignment(_Assignment):
     initial_policy: CheckpointRef | None
 
     @classmethod
-    def from_claim(cls, claim: Claim) -> Self:
-        """Return what the child needs of a claim; where to resume it finds out itself."""
+    def from_claim(cls, claim: JobClaim) -> Self:
+        """Return what the child needs of a claim; it looks up by itself where to resume."""
         return cls(lease=claim.lease, spec=claim.spec, evaluation=claim.evaluation, initial_policy=claim.initial_policy)
 
 
 class EvaluationAssignment(_Assignment):
-    """One attempt at an evaluation that a user asked for."""
+    """Attempt at an evaluation that a user requested."""
 
     kind: Literal["evaluation"] = "evaluation"
     claim: EvaluationClaim

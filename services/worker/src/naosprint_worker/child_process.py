@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from naojobs.database import make_sessions
+from naojobs import lifecycle
+from naojobs.database import Sessions, make_sessions
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Sessions
+from naojobs.lifecycle import Lease
 from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, MissingArtifactError, StoreError
 
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
@@ -122,6 +123,12 @@ class Services:
         )
         if error is not None:
             raise error
+
+    def requeue_if_orphaned(self, lease: Lease) -> None:
+        """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""
+        if self.stop.orphaned:
+            with contextlib.suppress(LeaseLostError, *DATABASE_TROUBLE):
+                lifecycle.lose(self.sessions, lease, f"worker {lease.owner} died")
 
 
 def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None = None) -> int:

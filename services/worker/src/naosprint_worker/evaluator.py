@@ -1,4 +1,4 @@
-"""The child process of one attempt at an evaluation that a user asked for.
+"""Child process of one attempt at an evaluation that a user requested.
 
 Run as ``python -m naosprint_worker.evaluator --workdir FOLDER`` by a worker, with the assignment in that folder.
 """
@@ -6,13 +6,16 @@ Run as ``python -m naosprint_worker.evaluator --workdir FOLDER`` by a worker, wi
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
-from naojobs import records
+from naojobs import lifecycle, records
+from naojobs.lifecycle import EvaluationClaim
+from naojobs.states import WorkState
 from naojobs.store import Manifest, StoreError, evaluation_key
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import EvaluationAssignment
-from naosprint_worker.child_process import Services, run_child
+from naosprint_worker.child_process import Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode
@@ -23,30 +26,40 @@ from naosprint_worker.retry import retry
 def work(services: Services) -> ExitCode:
     """Do the assignment in the working folder."""
     claim = EvaluationAssignment.read(services.workdir).claim
-    patience_s = services.settings.worker_patience_s
+    try:
+        return _evaluate(services, claim)
+    except StopRequestedError:
+        services.requeue_if_orphaned(claim.lease)
+        return ExitCode.STOPPED
+
+
+def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
+    lease, patience_s = claim.lease, services.settings.worker_patience_s
     checkpoint, result = services.workdir / "checkpoint", services.workdir / "evaluation"
     with services.stop.interruptible():
         services.fetch(claim.checkpoint.key, checkpoint, Manifest.model_validate(claim.checkpoint.manifest))
+    _database(services, lambda: lifecycle.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
     summary = evaluate_into(
         result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, stop=services.stop
     )
-    add_report(services, result, claim.job_id, claim.checkpoint.step)
-    key = evaluation_key(claim.job_id, claim.id, claim.attempt)
+    add_report(services, result, lease.job_id, claim.checkpoint.step)
+    key = evaluation_key(lease.job_id, lease.id, lease.attempt)
     manifest = retry(
         lambda: services.store.put_directory(key, result),
         what="storing the evaluation",
         transient=(StoreError,),
         patience_s=patience_s,
-    )
-    retry(
-        lambda: records.finish_evaluation(
-            services.sessions, claim, summary=summary, key=key, manifest=manifest.model_dump(mode="json")
-        ),
-        what="recording the evaluation",
-        transient=DATABASE_TROUBLE,
-        patience_s=patience_s,
+    ).model_dump(mode="json")
+    _database(
+        services,
+        lambda: records.record_result(services.sessions, lease, summary=summary, key=key, manifest=manifest),
     )
     return ExitCode.FINISHED
+
+
+def _database(services: Services, call: Callable[[], object]) -> None:
+    patience_s = services.settings.worker_patience_s
+    retry(call, what="recording the evaluation", transient=DATABASE_TROUBLE, patience_s=patience_s)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Carry what a training reports to the database and the store, from threads of its own."""
+"""Reporter of a training that writes to the database and the store from threads of its own."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol, TypeVar
+
+from naojobs.records import Batch, EventRecord, LogLine, MetricsRow, StoredCheckpoint
 
 from naosprint_worker.retry import describe, retry
 
@@ -27,61 +28,11 @@ MAX_PENDING_LOGS = 5_000
 MAX_BATCH = 500
 
 
-@dataclass(frozen=True)
-class MetricsRow:
-    """Figures of one update of the policy."""
-
-    step: int
-    #: All figures by name, the step among them.
-    values: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class LogLine:
-    """One line for the job's log."""
-
-    at: datetime
-    level: str
-    message: str
-
-
-@dataclass(frozen=True)
-class EventRecord:
-    """Something that happened to the attempt."""
-
-    kind: str
-    message: str
-    data: Mapping[str, object]
-
-
-@dataclass(frozen=True)
-class StoredCheckpoint:
-    """A checkpoint whose files all lie in the store."""
-
-    step: int
-    key: str
-    manifest: Mapping[str, object]
-
-
-@dataclass
-class Batch:
-    """What one transaction writes, in the order of reporting within each kind."""
-
-    metrics: list[MetricsRow] = field(default_factory=list)
-    logs: list[LogLine] = field(default_factory=list)
-    events: list[EventRecord] = field(default_factory=list)
-    checkpoints: list[StoredCheckpoint] = field(default_factory=list)
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self.metrics) + len(self.logs) + len(self.events) + len(self.checkpoints)
-
-
 Item = MetricsRow | LogLine | EventRecord | StoredCheckpoint
 
 
 class Sink(Protocol):
-    """Where records go. Both calls may be repeated with the same arguments after an error."""
+    """Destination of records. Both calls may be repeated with the same arguments after an error."""
 
     #: Errors after which a call is tried again.
     transient: tuple[type[Exception], ...]
@@ -128,7 +79,7 @@ class Recorder:
         self._hurry = False
         self._closed = False
         self._abandon = threading.Event()
-        self._told_at: dict[str, float] = {}
+        self._warned_at: dict[str, float] = {}
         self.failure: Exception | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(work,), name=name, daemon=True)
@@ -137,10 +88,10 @@ class Recorder:
         for thread in self._threads:
             thread.start()
 
-    # What a training calls
+    # Interface for the training
 
     def metrics(self, row: dict[str, float]) -> None:
-        """Record the figures of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
+        """Record the metrics of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
         values = {key: float(value) for key, value in row.items() if math.isfinite(value)}
         missing = sorted(row.keys() - values.keys())
         if missing:
@@ -168,16 +119,16 @@ class Recorder:
 
     def log(self, level: str, message: str) -> None:
         """Record a line of the job's log."""
-        self._put(LogLine(datetime.now(UTC), level, message))
+        self._put(LogLine(level, message, datetime.now(UTC)))
 
-    # What the trainer around it calls
+    # Interface for the training process around it
 
     def already_stored(self, step: int) -> None:
         """Take no checkpoint of ``step``: it is the one that the training resumed from."""
         self._taken.add(step)
 
     def event(self, kind: str, message: str, data: Mapping[str, object] | None = None) -> None:
-        """Record something that happened to the attempt."""
+        """Record an event of the attempt."""
         self._put(EventRecord(kind, message, data or {}))
 
     @property
@@ -266,7 +217,7 @@ class Recorder:
                 self._writing = True
             if self._dropped:
                 dropped, self._dropped = self._dropped, 0
-                batch.logs.append(LogLine(datetime.now(UTC), "warning", f"{dropped} log lines were dropped"))
+                batch.logs.append(LogLine("warning", f"{dropped} log lines were dropped", datetime.now(UTC)))
             self._persist(lambda batch=batch: self._sink.write(batch), "writing to the database")  # type: ignore[misc]
             with self._changed:
                 self._writing = False
@@ -314,15 +265,15 @@ class Recorder:
             transient=self._sink.transient,
             patience_s=self._patience_s,
             stop=self._abandon,
-            on_retry=lambda error, pause_s: self._tell(what, error, pause_s),
+            on_retry=lambda error, pause_s: self._warn(what, error, pause_s),
         )
 
-    def _tell(self, what: str, error: Exception, pause_s: float) -> None:
+    def _warn(self, what: str, error: Exception, pause_s: float) -> None:
         """Put a warning into the job's log, at most every ten seconds for each thing that fails."""
         now = time.monotonic()
-        if now - self._told_at.get(what, -math.inf) < 10:
+        if now - self._warned_at.get(what, -math.inf) < 10:
             return
-        self._told_at[what] = now
+        self._warned_at[what] = now
         message = f"{what} failed, next try in {pause_s:.1f} s: {describe(error)}"
         logger.warning(message)
         self.log("warning", message)

@@ -8,8 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from naojobs.models import Job, Metric
-from sqlalchemy import select
+from naojobs import records
 
 from naosprint_worker.child_process import Services, StopRequestedError
 from naosprint_worker.database import DATABASE_TROUBLE
@@ -24,7 +23,7 @@ def add_report(
     """Draw the report of the evaluation in ``evaluation`` and put its files there too, as far as settings want one.
 
     Its learning curve is that of job ``job_id`` up to ``step``. A report that cannot be drawn is left out as a whole
-    and ``warn`` hears why: the figures are worth keeping without it.
+    and ``warn`` is called with the reason: the metrics are worth keeping without it.
 
     Raises:
         StopRequestedError: this process was asked to stop meanwhile.
@@ -35,7 +34,7 @@ def add_report(
     folder, metrics = services.workdir / "report", services.workdir / "metrics.jsonl"
     try:
         with services.stop.interruptible():
-            from naosprint.report import write_report  # Matplotlib takes a while to load
+            from naosprint.analysis.report import write_report  # Matplotlib takes a while to load
 
             title = retry(
                 lambda: _write_metrics(services, job_id, step, metrics),
@@ -51,7 +50,7 @@ def add_report(
     except Exception as error:
         logger.warning("drawing the report failed", exc_info=error)
         if not services.stop.requested():
-            warn(f"the report could not be drawn, the figures are stored without it: {describe(error)}")
+            warn(f"the report could not be drawn, the metrics are stored without it: {describe(error)}")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     if services.stop.requested():  # what was interrupted may have taken the request for an error of its own
@@ -60,8 +59,7 @@ def add_report(
 
 def _write_metrics(services: Services, job_id: str, step: int, path: Path) -> str:
     """Write a job's metrics up to ``step`` as JSON lines and return the job's name."""
-    with services.sessions() as session, path.open("w", encoding="utf-8") as file:
-        rows = select(Metric.values).where(Metric.job_id == job_id, Metric.step <= step).order_by(Metric.step)
-        for values in session.scalars(rows.execution_options(yield_per=500)):
+    with path.open("w", encoding="utf-8") as file:
+        for values in records.metrics_until(services.sessions, job_id, step):
             file.write(json.dumps(values) + "\n")
-        return session.execute(select(Job.name).where(Job.id == job_id)).scalar_one()
+    return records.job_name(services.sessions, job_id)

@@ -1,25 +1,23 @@
-"""See one claimed job or evaluation through: run the child, then settle what became of it."""
+"""Runs of claimed work: run the child process, then settle the state by how it ended."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
+import math
 import os
 import shutil
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeVar
 
 from naojobs import lifecycle, records
 from naojobs.errors import ConflictError, LeaseLostError
-from naojobs.lifecycle import Claim, Orders
-from naojobs.models import Job
-from naojobs.records import EvaluationClaim, LogLine
-from naojobs.states import EvaluationState, JobState
+from naojobs.lifecycle import Claim, JobClaim
+from naojobs.models import WorkKind
+from naojobs.records import LogLine
+from naojobs.states import WorkState
 from naosim.launchers import LABELS_VARIABLE, NETWORK_VARIABLE
 from naosim.simspark.program import PROGRAM_VARIABLE
-from sqlalchemy import select
 
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
 from naosprint_worker.child import Child
@@ -28,205 +26,169 @@ from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.orphans import OWNER_VARIABLE, Owner
 from naosprint_worker.outcome import ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
-from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import MIB, Ending, Intent, Supervisor
 
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+#: Seconds that an evaluator has to stop: it has nothing to save.
+EVALUATOR_GRACE_S = 5.0
 
-class JobRun:
-    """One attempt at a job, from the claim to the state it leaves the job in."""
+#: Module of the child process by kind of work.
+_PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
+
+
+class Run:
+    """One attempt at a piece of work, from the claim to its next state."""
 
     def __init__(self, context: Context, claim: Claim) -> None:
-        """Prepare the working folder."""
         self._context = context
         self._claim = claim
         self._lease = claim.lease
-        self._workdir = context.folder / f"{claim.lease.job_id}-{claim.lease.attempt}"
+        self._program = _PROGRAMS[claim.lease.kind]
+        self._time_limit_s = math.inf if isinstance(claim, JobClaim) else claim.time_limit_s
+        self._workdir = context.folder / f"{claim.lease.id}-{claim.lease.attempt}"
+        sessions, lease_s = context.sessions, context.settings.lease_s
         self._supervisor = Supervisor(
             context.settings,
             start=self._start,
-            beat=lambda: lifecycle.heartbeat(context.sessions, self._lease, lease_s=context.settings.lease_s),
-            look=self._look,
+            beat=lambda: lifecycle.heartbeat(sessions, self._lease, lease_s=lease_s),
+            look=lambda: lifecycle.read_requests(sessions, self._lease),
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
+            time_limit_s=self._time_limit_s,
+            grace_s=context.settings.worker_stop_grace_s if self.kind is WorkKind.JOB else EVALUATOR_GRACE_S,
         )
 
+    @property
+    def kind(self) -> WorkKind:
+        """Kind of the work."""
+        return self._lease.kind
+
     def shut_down(self) -> None:
-        """Let the attempt end with a checkpoint, and the job go on elsewhere."""
+        """End the attempt, a training with a checkpoint, and requeue the work; callable from a signal handler."""
         self._supervisor.shut_down()
 
     def run(self) -> None:
-        """Run the attempt to its end and settle the job's state."""
+        """Run the attempt to its end and settle the state."""
+        logger.info("%s %s attempt %d: begins", self._lease.kind, self._lease.id, self._lease.attempt)
         try:
             try:
                 self._workdir.mkdir(parents=True)
-                TrainingAssignment.from_claim(self._claim).write(self._workdir)
+                self._assignment().write(self._workdir)
                 ending = self._supervisor.run()
             except OSError as error:
-                reason = f"the trainer could not be started: {describe(error)}"
-                _patiently(
-                    self._context,
-                    lambda: lifecycle.lose(self._context.sessions, self._lease, reason),
-                    f"giving job {self._lease.job_id} back",
-                )
+                reason = f"the {self._program} could not be started: {describe(error)}"
+                self._patiently(lambda: lifecycle.lose(self._context.sessions, self._lease, reason))
                 return
-            _patiently(self._context, lambda: self._settle(ending), f"settling job {self._lease.job_id}")
+            self._patiently(lambda: self._settle(ending))
         except LeaseLostError as error:
             logger.warning("%s; leaving it to its new owner", error)
         finally:
             shutil.rmtree(self._workdir, ignore_errors=True)
 
-    def _start(self, on_exit: Callable[[], None]) -> Child:
-        labels = f"job={self._lease.job_id},attempt={self._lease.attempt}"
-        return _start_child("trainer", self._workdir, on_exit, self._context.settings, labels)
+    def _assignment(self) -> TrainingAssignment | EvaluationAssignment:
+        if isinstance(self._claim, JobClaim):
+            return TrainingAssignment.from_claim(self._claim)
+        return EvaluationAssignment(claim=self._claim)
 
-    def _look(self) -> Orders:
-        with self._context.sessions() as session:
-            row = session.execute(
-                select(Job.state, Job.cancel_requested, Job.pause_requested).where(
-                    Job.id == self._lease.job_id,
-                    Job.lease_owner == self._lease.owner,
-                    Job.attempt == self._lease.attempt,
-                )
-            ).one_or_none()
-        if row is None:
-            raise LeaseLostError(f"job {self._lease.job_id} is no longer leased to {self._lease.owner}")
-        return Orders(JobState(row.state), cancel=row.cancel_requested, pause=row.pause_requested)
+    def _start(self, on_exit: Callable[[], None]) -> Child:
+        settings = self._context.settings
+        return Child(
+            [sys.executable, "-m", f"naosprint_worker.{self._program}", "--workdir", str(self._workdir)],
+            env={
+                **os.environ,
+                "PYTHONFAULTHANDLER": "1",
+                "PYTHONUNBUFFERED": "1",
+                OWNER_VARIABLE: str(Owner.current()),
+                PROGRAM_VARIABLE: settings.simserver,
+                NETWORK_VARIABLE: settings.simserver_network or "",
+                LABELS_VARIABLE: f"{self._lease.kind}={self._lease.id},attempt={self._lease.attempt}",
+            },
+            cwd=self._workdir,
+            log_path=self._workdir / "output.log",
+            on_exit=on_exit,
+        )
 
     def _settle(self, ending: Ending) -> None:
-        """Turn how the child ended into the job's next state."""
-        sessions, lease = self._context.sessions, self._lease
-        stopped_well = ending.returncode == ExitCode.STOPPED
-        where = "" if stopped_well else f" without a last checkpoint ({describe_ending('trainer', ending)})"
-        logger.info("job %s attempt %d: %s", lease.job_id, lease.attempt, describe_ending("trainer", ending))
+        """Change the state by how the child ended."""
+        text = describe_ending(self._program, ending)
+        logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
+        without_checkpoint = self.kind is WorkKind.JOB and ending.returncode != ExitCode.STOPPED
+        where = f" without a last checkpoint ({text})" if without_checkpoint else ""
+        cancelled = ending.intent is Intent.CANCEL or (ending.intent is Intent.SHUTDOWN and self._cancel_requested())
         if ending.intent is Intent.LEASE_LOST or ending.returncode == ExitCode.FENCED:
             return
         if ending.returncode == ExitCode.FINISHED:
-            lifecycle.transition(sessions, lease, JobState.SUCCEEDED, message="done")
-        elif ending.intent is Intent.CANCEL:
-            lifecycle.transition(sessions, lease, JobState.CANCELLED, message=f"cancelled as asked{where}")
+            self._transition(WorkState.SUCCEEDED, "done")
+        elif cancelled:
+            self._transition(WorkState.CANCELLED, f"cancelled as requested{where}")
         elif ending.intent is Intent.MEMORY:
-            self._fail(ending, _memory_message("trainer", ending, self._context.settings))
+            self._fail(ending, self._memory_message(ending))
+        elif ending.intent is Intent.TIME_LIMIT:
+            self._fail(ending, f"the {self._program} ran longer than its time limit of {self._time_limit_s:g} s")
         elif ending.intent is Intent.PAUSE:
-            self._give_back(JobState.PAUSED, f"paused as asked{where}")
+            self._give_back(WorkState.PAUSED, f"paused as requested{where}")
         elif ending.intent is Intent.SHUTDOWN:
-            if self._look().cancel:
-                lifecycle.transition(sessions, lease, JobState.CANCELLED, message=f"cancelled as asked{where}")
-            else:
-                self._give_back(JobState.QUEUED, f"worker ends, job goes on elsewhere{where}")
+            self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
         elif ending.returncode == ExitCode.PERMANENT:
-            self._fail(ending, describe_ending("trainer", ending))
+            self._fail(ending, text)
         else:
             self._log_ending(ending)
-            state = lifecycle.lose(sessions, lease, describe_ending("trainer", ending))
-            self._ring_if_queued(state)
+            lifecycle.lose(self._context.sessions, self._lease, text)
 
-    def _give_back(self, target: JobState, message: str) -> None:
-        """End the attempt in ``target``, or in the state that fits when users or the trainer were faster."""
-        sessions, lease = self._context.sessions, self._lease
+    def _cancel_requested(self) -> bool:
+        return lifecycle.read_requests(self._context.sessions, self._lease).cancel
+
+    def _transition(self, target: WorkState, message: str) -> None:
+        lifecycle.transition(self._context.sessions, self._lease, target, message=message)
+
+    def _give_back(self, target: WorkState, message: str) -> None:
+        """End the attempt in ``target``, or in the state that fits where a user or the training was faster."""
         try:
-            lifecycle.transition(sessions, lease, target, message=message)
+            self._transition(target, message)
         except ConflictError:
-            # pausing -> paused where the worker ends meanwhile; evaluating -> queued where a pause came too late
-            target = JobState.PAUSED if target is JobState.QUEUED else JobState.QUEUED
-            lifecycle.transition(sessions, lease, target, message=message)
-        self._ring_if_queued(target)
+            # pausing -> paused where the worker shuts down meanwhile; evaluating -> queued where a pause came too late
+            self._transition(WorkState.PAUSED if target is WorkState.QUEUED else WorkState.QUEUED, message)
 
     def _fail(self, ending: Ending, error: str) -> None:
         self._log_ending(ending)
         data = {"exit": ending.returncode, "kind": ending.outcome.kind if ending.outcome else "killed"}
         lifecycle.transition(
-            self._context.sessions, self._lease, JobState.FAILED, message=error, error=error, data=data
+            self._context.sessions, self._lease, WorkState.FAILED, message=error, error=error, data=data
         )
 
     def _log_ending(self, ending: Ending) -> None:
+        """Put the child's last words into the job's log, which only a job's lease allows to write."""
+        if self.kind is not WorkKind.JOB:
+            return
         lines = [ending.outcome.traceback if ending.outcome else "", ending.last_output if not ending.outcome else ""]
         records.append_logs(
             self._context.sessions, self._lease, [LogLine("error", text) for text in lines if text.strip()]
         )
 
-    def _ring_if_queued(self, state: JobState) -> None:
-        if state is JobState.QUEUED:
-            with contextlib.suppress(*DATABASE_TROUBLE):
-                self._context.announce_job(self._lease.job_id)
-
-
-class EvaluationRun:
-    """One attempt at an evaluation that a user asked for."""
-
-    def __init__(self, context: Context, claim: EvaluationClaim) -> None:
-        """Prepare the working folder."""
-        self._context = context
-        self._claim = claim
-        self._workdir = context.folder / f"{claim.id}-{claim.attempt}"
-        self._supervisor = Supervisor(
-            context.settings,
-            start=self._start,
-            beat=self._beat,
-            look=lambda: _NO_ORDERS,
-            workdir=self._workdir,
-            log_path=self._workdir / "output.log",
+    def _memory_message(self, ending: Ending) -> str:
+        return (
+            f"the {self._program} held {ending.peak_bytes // MIB} MiB of memory, more than the worker's limit of "
+            f"{self._context.settings.worker_memory_mb} MiB; lower n_envs or n_steps, or raise "
+            "NAOSPRINT_WORKER_MEMORY_MB"
         )
 
-    def shut_down(self) -> None:
-        """Stop; the evaluation starts again elsewhere."""
-        self._supervisor.shut_down()
-
-    def run(self) -> None:
-        """Run the evaluation to its end and settle its state."""
+    def _patiently(self, call: Callable[[], T]) -> T | None:
+        """Return ``call()`` once the database answers; give up after a while, since the lease will expire."""
+        what = f"settling {self._lease.kind} {self._lease.id}"
         try:
-            try:
-                self._workdir.mkdir(parents=True)
-                EvaluationAssignment(claim=self._claim).write(self._workdir)
-                ending = self._supervisor.run()
-            except OSError as error:
-                reason = f"the evaluator could not be started: {describe(error)}"
-                _patiently(
-                    self._context,
-                    lambda: records.release_evaluation(self._context.sessions, self._claim, reason),
-                    f"giving evaluation {self._claim.id} back",
-                )
-                return
-            _patiently(self._context, lambda: self._settle(ending), f"settling evaluation {self._claim.id}")
-        except LeaseLostError as error:
-            logger.warning("%s", error)
-        finally:
-            shutil.rmtree(self._workdir, ignore_errors=True)
-
-    def _start(self, on_exit: Callable[[], None]) -> Child:
-        labels = f"evaluation={self._claim.id},attempt={self._claim.attempt}"
-        return _start_child("evaluator", self._workdir, on_exit, self._context.settings, labels)
-
-    def _beat(self) -> Orders:
-        records.heartbeat_evaluation(self._context.sessions, self._claim, lease_s=self._context.settings.lease_s)
-        return _NO_ORDERS
-
-    def _settle(self, ending: Ending) -> None:
-        sessions, claim = self._context.sessions, self._claim
-        what = describe_ending("evaluator", ending)
-        logger.info("evaluation %s attempt %d: %s", claim.id, claim.attempt, what)
-        if ending.returncode in (ExitCode.FINISHED, ExitCode.FENCED) or ending.intent is Intent.LEASE_LOST:
-            return  # the child records its figures itself, as the last thing it does
-        if ending.intent is Intent.MEMORY:
-            error = _memory_message("evaluator", ending, self._context.settings)
-            records.finish_evaluation(sessions, claim, error=error)
-        elif ending.returncode == ExitCode.PERMANENT:
-            records.finish_evaluation(sessions, claim, error=what)
-        else:
-            state = records.release_evaluation(sessions, claim, what, count=ending.intent is not Intent.SHUTDOWN)
-            if state is EvaluationState.QUEUED:
-                with contextlib.suppress(*DATABASE_TROUBLE):
-                    self._context.announce_evaluation(claim.id)
-
-
-_NO_ORDERS = Orders(JobState.EVALUATING, cancel=False, pause=False)
+            return retry(
+                call, what=what, transient=DATABASE_TROUBLE, patience_s=self._context.settings.worker_patience_s
+            )
+        except PatienceExhaustedError:
+            logger.exception("%s; its lease will expire", what)
+            return None
 
 
 def describe_ending(who: str, ending: Ending) -> str:
-    """Say in one or two sentences how a child ended and, where it is known, why."""
+    """Return in one or two sentences how a child ended and, where it is known, why."""
     held = f"it held up to {ending.peak_bytes // MIB} MiB of memory"
     if ending.overstayed:
         return f"the {who} did not stop within the grace period and was killed"
@@ -243,39 +205,3 @@ def describe_ending(who: str, ending: Ending) -> str:
         return f"{text}: killed from outside; {held}"
     last = ending.last_output.splitlines()[-1] if ending.last_output else ""
     return f"{text}; last output: {last}" if last else text
-
-
-def _memory_message(who: str, ending: Ending, settings: WorkerSettings) -> str:
-    return (
-        f"the {who} held {ending.peak_bytes // MIB} MiB of memory, more than the worker's limit of "
-        f"{settings.worker_memory_mb} MiB; lower n_envs or n_steps, or raise NAOSPRINT_WORKER_MEMORY_MB"
-    )
-
-
-def _start_child(
-    module: str, workdir: Path, on_exit: Callable[[], None], settings: WorkerSettings, server_labels: str
-) -> Child:
-    return Child(
-        [sys.executable, "-m", f"naosprint_worker.{module}", "--workdir", str(workdir)],
-        env={
-            **os.environ,
-            "PYTHONFAULTHANDLER": "1",
-            "PYTHONUNBUFFERED": "1",
-            OWNER_VARIABLE: str(Owner.current()),
-            PROGRAM_VARIABLE: settings.simserver,
-            NETWORK_VARIABLE: settings.simserver_network or "",
-            LABELS_VARIABLE: server_labels,
-        },
-        cwd=workdir,
-        log_path=workdir / "output.log",
-        on_exit=on_exit,
-    )
-
-
-def _patiently(context: Context, call: Callable[[], T], what: str) -> T | None:
-    """Return ``call()`` once the database takes it; give up after a while, since the reaper will notice the lease."""
-    try:
-        return retry(call, what=what, transient=DATABASE_TROUBLE, patience_s=context.settings.worker_patience_s)
-    except PatienceExhaustedError:
-        logger.exception("%s; its lease will run out", what)
-        return None

@@ -8,9 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from naojobs.doorbell import QUEUES
 from naojobs.retention import Retention
 from naojobs.settings import ServiceSettings
+from naospec import plugins
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import NoDecode
 
@@ -19,10 +19,13 @@ class WorkerSettings(ServiceSettings):
     """Settings of a worker, read from the environment with the prefix `NAOSPRINT_`."""
 
     worker_queues: Annotated[tuple[str, ...], NoDecode] = Field(
-        ("embedded",), description="Simulators that this worker has, comma separated: embedded, rcssserver3d."
+        ("embedded",), description="Simulators that this worker has, comma separated, for example embedded or server."
     )
     worker_concurrency: int = Field(
-        1, ge=1, le=256, description="Jobs that this worker runs side by side, besides one asked-for evaluation."
+        1,
+        ge=1,
+        le=256,
+        description="Jobs that this worker runs side by side, besides one evaluation that a user requests.",
     )
     worker_dir: Path = Field(
         default_factory=lambda: Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}",
@@ -31,10 +34,12 @@ class WorkerSettings(ServiceSettings):
     worker_min_free_mb: int = Field(
         256, ge=0, description="MiB that must be free on worker_dir's disk for a job to be taken; below it jobs wait."
     )
-    worker_poll_s: float = Field(1.0, gt=0, le=60, description="Seconds between two looks at a job's flags.")
-    worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two looks for lost jobs.")
-    worker_ring_s: float = Field(
-        15.0, gt=0, le=3600, description="Seconds after which a waiting job is announced again while a worker is free."
+    worker_poll_s: float = Field(
+        1.0, gt=0, le=60, description="Seconds between two looks for a request to cancel or pause."
+    )
+    worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two looks for work of lost workers.")
+    worker_claim_s: float = Field(
+        5.0, gt=0, le=600, description="Seconds between two looks of a free worker for waiting jobs and evaluations."
     )
     worker_stop_grace_s: float = Field(
         60.0, gt=0, le=3600, description="Seconds that a training has for its last checkpoint when it is stopped."
@@ -75,7 +80,7 @@ class WorkerSettings(ServiceSettings):
     simserver: str = Field(
         "rcssserver3d",
         min_length=1,
-        description="What each environment of a job on rcssserver3d runs on: a program, `embedded` for `naosim serve`, "
+        description="What runs a NAO on a server: a program, `embedded` for `naosim serve`, "
         "or `docker:IMAGE` for a container of that image.",
     )
     simserver_network: str | None = Field(
@@ -93,10 +98,11 @@ class WorkerSettings(ServiceSettings):
     @field_validator("worker_queues")
     @classmethod
     def _known_queues(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        unknown = [queue for queue in value if queue not in QUEUES]
+        known = plugins.names(plugins.SIMULATORS)
+        unknown = [queue for queue in value if queue not in known]
         if unknown or not value:
             wrong = f"unknown queue {unknown[0]!r}" if unknown else "no queue given"
-            raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(QUEUES)}")
+            raise ValueError(f"worker_queues: {wrong}; choose from {', '.join(known)}")
         return tuple(dict.fromkeys(value))
 
     @field_validator("worker_report")

@@ -1,4 +1,4 @@
-"""Where a recorder's records end up: rows under the job's lease, files under immutable keys."""
+"""Sink of a recorder's records: rows under the job's lease, files under immutable keys."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import logging
 from pathlib import Path
 
 from naojobs import records
-from naojobs.lifecycle import Lease, Sessions
+from naojobs.database import Sessions
+from naojobs.lifecycle import Lease
+from naojobs.records import Batch, StoredCheckpoint
 from naojobs.retention import Retention, prune_checkpoints
 from naojobs.store import ArtifactStore, StoreError, checkpoint_key
 
 from naosprint_worker.database import DATABASE_TROUBLE
-from naosprint_worker.recorder import Batch, StoredCheckpoint
 
 logger = logging.getLogger(__name__)
 
 
 class JobSink:
-    """Write what one attempt at a job reports (`naosprint_worker.recorder.Sink`).
+    """Sink of one attempt at a job (`naosprint_worker.recorder.Sink`).
 
     Every write checks the lease: an attempt that lost it gets `naojobs.errors.LeaseLostError` and changes nothing.
     """
@@ -35,26 +36,8 @@ class JobSink:
         self._checkpoint_ids: dict[int, str] = {}
 
     def write(self, batch: Batch) -> None:
-        """Write ``batch``; what is written is taken out of it, so a repeated call goes on where this one failed."""
-        sessions, lease = self._sessions, self._lease
-        if batch.metrics:
-            records.append_metrics(sessions, lease, [row.values for row in batch.metrics])
-            batch.metrics.clear()
-        if batch.logs:
-            records.append_logs(
-                sessions, lease, [records.LogLine(line.level, line.message, line.at) for line in batch.logs]
-            )
-            batch.logs.clear()
-        while batch.events:
-            event = batch.events[0]
-            records.record_event(sessions, lease, event.kind, event.message, event.data)
-            del batch.events[0]
-        while batch.checkpoints:
-            stored = batch.checkpoints[0]
-            self._checkpoint_ids[stored.step] = records.record_checkpoint(
-                sessions, lease, step=stored.step, key=stored.key, manifest=stored.manifest
-            )
-            del batch.checkpoints[0]
+        """Write all of ``batch`` in one transaction, or nothing of it."""
+        self._checkpoint_ids |= records.write(self._sessions, self._lease, batch)
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
         """Put a checkpoint's files into the store, once those that need not be kept have left it."""

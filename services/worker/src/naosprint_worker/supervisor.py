@@ -1,4 +1,4 @@
-"""Watch one child process from its start to its end: heartbeat, orders, grace periods, memory."""
+"""Supervision of one child process: heartbeat, users' requests, grace periods, time limit, memory."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Orders
-from naojobs.states import JobState
+from naojobs.lifecycle import Requests
+from naojobs.states import WorkState
 
 from naosprint_worker.child import Child
 from naosprint_worker.database import DATABASE_TROUBLE
@@ -31,27 +31,29 @@ MEMORY_PERIOD_S = 1.0
 
 
 class Intent(enum.IntEnum):
-    """Why a child was told to stop; a higher one overrules a lower one."""
+    """Reason to stop a child; a higher one overrules a lower one."""
 
-    #: Nobody told it.
+    #: It was not asked to stop.
     NONE = 0
-    #: The worker is to end; the job goes on elsewhere.
+    #: The worker shuts down; the work resumes on another one.
     SHUTDOWN = 1
-    #: A user wants to go on later.
+    #: A user requested a pause.
     PAUSE = 2
-    #: The database has been out of reach for too long to go on without it.
+    #: The database has been out of reach for too long.
     CUT_OFF = 3
-    #: A user wants no more of it.
-    CANCEL = 4
+    #: It has run longer than it may.
+    TIME_LIMIT = 4
+    #: A user requested its end.
+    CANCEL = 5
     #: It holds more memory than it may.
-    MEMORY = 5
-    #: The job is another worker's now.
-    LEASE_LOST = 6
+    MEMORY = 6
+    #: The lease is lost.
+    LEASE_LOST = 7
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a child ended."""
+    """End of a child."""
 
     intent: Intent
     returncode: int
@@ -65,11 +67,11 @@ class Ending:
 
 
 class Supervisor:
-    """Keep a lease alive while a child works under it, and stop the child when it should not go on.
+    """Supervisor of a child that works under a lease.
 
-    ``beat`` renews the lease and returns the orders; ``look`` only reads them. Both may raise `LeaseLostError` and
-    database errors. Losing the lease kills the child at once; every other reason asks it to stop and leaves
-    it ``worker_stop_grace_s`` seconds.
+    ``beat`` renews the lease and returns the users' requests; ``look`` only reads them. Both may raise `LeaseLostError`
+    and database errors. Losing the lease kills the child at once; for every other reason, ``time_limit_s`` among them,
+    it is asked to stop and has ``grace_s`` seconds (``worker_stop_grace_s`` by default) before it is killed.
     """
 
     def __init__(
@@ -77,18 +79,22 @@ class Supervisor:
         settings: WorkerSettings,
         *,
         start: Callable[[Callable[[], None]], Child],
-        beat: Callable[[], Orders],
-        look: Callable[[], Orders],
+        beat: Callable[[], Requests],
+        look: Callable[[], Requests],
         workdir: Path,
         log_path: Path,
+        time_limit_s: float = math.inf,
+        grace_s: float | None = None,
     ) -> None:
-        """Prepare; ``start`` is given what to call when the child is gone and returns the running child."""
+        """Prepare; ``start`` takes a function to call when the child is gone and returns the running child."""
         self._settings = settings
         self._start = start
         self._beat = beat
         self._look = look
         self._workdir = workdir
         self._log_path = log_path
+        self._time_limit_s = time_limit_s
+        self._grace_s = settings.worker_stop_grace_s if grace_s is None else grace_s
         self._wake = threading.Event()
         self._shutdown = False
         self._intent = Intent.NONE
@@ -98,7 +104,7 @@ class Supervisor:
         self._weighed_at = -math.inf
 
     def shut_down(self) -> None:
-        """Ask for an end because the worker is to end; safe to call from any thread and from a signal handler."""
+        """Request an end because the worker shuts down; safe to call from any thread and from a signal handler."""
         self._shutdown = True
         self._wake.set()
 
@@ -114,7 +120,7 @@ class Supervisor:
         returncode = child.wait()
         assert returncode is not None
         if self._intent is Intent.NONE and self._shutdown and returncode == ExitCode.STOPPED:
-            self._intent = Intent.SHUTDOWN  # whoever told the worker to end has told the child, too
+            self._intent = Intent.SHUTDOWN  # the signal that ended the worker has reached the child, too
         return Ending(
             intent=self._intent,
             returncode=returncode,
@@ -127,7 +133,7 @@ class Supervisor:
 
     def _watch(self, child: Child) -> None:
         settings = self._settings
-        contact = beaten = time.monotonic()
+        started = contact = beaten = time.monotonic()
         while child.runs():
             self._wake.wait(settings.worker_poll_s)
             self._wake.clear()
@@ -136,12 +142,12 @@ class Supervisor:
             now = time.monotonic()
             try:
                 if now - beaten >= settings.heartbeat_s:
-                    orders = self._beat()
+                    requests = self._beat()
                     beaten = now
                 else:
-                    orders = self._look()
+                    requests = self._look()
                 contact = time.monotonic()
-                self._obey(child, orders)
+                self._obey(child, requests)
             except LeaseLostError as error:
                 logger.warning("%s; ending its child", error)
                 self._intent = Intent.LEASE_LOST
@@ -153,6 +159,8 @@ class Supervisor:
                 logger.warning("the database has not answered for %.0f s: %s", away_s, describe(error, 200))
                 if away_s > settings.worker_patience_s:
                     self._stop(child, Intent.CUT_OFF)
+            if time.monotonic() - started > self._time_limit_s:
+                self._stop(child, Intent.TIME_LIMIT)
             if self._shutdown:
                 self._stop(child, Intent.SHUTDOWN)
             self._check_memory(child)
@@ -160,17 +168,17 @@ class Supervisor:
                 self._overstayed = True
                 child.kill()
 
-    def _obey(self, child: Child, orders: Orders) -> None:
-        if orders.cancel:
+    def _obey(self, child: Child, requests: Requests) -> None:
+        if requests.cancel:
             self._stop(child, Intent.CANCEL)
-        elif orders.state is JobState.PAUSING:
+        elif requests.state is WorkState.PAUSING:
             self._stop(child, Intent.PAUSE)
 
     def _stop(self, child: Child, intent: Intent) -> None:
         self._intent = max(self._intent, intent)
         if self._kill_at is None:
             logger.info("stopping child %d: %s", child.pid, intent.name.lower())
-            self._kill_at = time.monotonic() + self._settings.worker_stop_grace_s
+            self._kill_at = time.monotonic() + self._grace_s
             child.terminate()
 
     def _check_memory(self, child: Child) -> None:
@@ -187,7 +195,7 @@ class Supervisor:
 
 
 def _oom_kills() -> int:
-    """Return how many processes the kernel has ended for lack of memory since it started; 0 where it does not tell."""
+    """Return how many processes the kernel has ended for lack of memory since it started; 0 where that is unknown."""
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/vmstat").read_text(encoding="ascii").splitlines():
             if line.startswith("oom_kill "):

@@ -5,25 +5,22 @@ Run as ``python -m naosprint_worker.trainer --workdir FOLDER`` by a worker, with
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import naosprint
 from naojobs import lifecycle, records
-from naojobs.errors import ConflictError, LeaseLostError
+from naojobs.checkpoints import CheckpointRef, checkpoints_of
+from naojobs.errors import ConflictError
 from naojobs.ids import same_id
-from naojobs.lifecycle import CheckpointRef
-from naojobs.models import Checkpoint
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key
 from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
-from sqlalchemy import select
 
 from naosprint_worker.assignment import TrainingAssignment
 from naosprint_worker.child_process import Services, StopRequestedError, run_child
@@ -64,10 +61,8 @@ class Attempt:
             code = ExitCode.STOPPED
         finally:
             self._recorder.abandon()
-        if code is ExitCode.STOPPED and self._services.stop.orphaned:
-            # Nobody is left to settle the job; without this it would wait until the lease has run out.
-            with contextlib.suppress(LeaseLostError, *DATABASE_TROUBLE):
-                lifecycle.lose(self._services.sessions, self._lease, f"worker {self._lease.owner} died")
+        if code is ExitCode.STOPPED:
+            self._services.requeue_if_orphaned(self._lease)
         return code
 
     def _run(self) -> ExitCode:
@@ -88,7 +83,7 @@ class Attempt:
                 ),
                 "starting the attempt",
             )
-            self._enter(JobState.RUNNING, "training")
+            self._enter(WorkState.RUNNING, "training")
         result = train(
             spec,
             workdir=services.workdir / "training",
@@ -109,19 +104,19 @@ class Attempt:
                 raise RuntimeError(f"training ended at step {result.steps} without reporting a checkpoint of it")
             if services.stop.requested():
                 raise StopRequestedError
-            self._enter(JobState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
+            self._enter(WorkState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
             self._evaluate(result, checkpoint_id, evaluation)
         self._recorder.close(services.settings.worker_patience_s * 2)
         return ExitCode.FINISHED
 
     def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
-        # One id for all attempts: the one before may have died between recording its figures and the job's end.
+        # One id for all attempts: the one before may have died between recording its result and the job's end.
         identifier = same_id("eval", checkpoint_id)
         if self._database(lambda: records.has_evaluation(services.sessions, identifier), "looking for the evaluation"):
             return
         folder = services.workdir / "evaluation"
-        threads = self._assignment.spec.simulator_threads
+        threads = self._assignment.spec.runtime.simulator_threads
         summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
         warn = partial(self._recorder.log, "warning")
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
@@ -147,11 +142,13 @@ class Attempt:
             "recording the evaluation",
         )
 
-    # Where to start from
+    # Start
 
     def _fetch_resume(self) -> tuple[CheckpointRef, Path] | None:
-        """Download the newest checkpoint of this job that is whole; tell of those that are not."""
-        for reference in self._database(lambda: list(self._checkpoints(self._lease.job_id)), "listing checkpoints"):
+        """Download the newest checkpoint of this job that is undamaged; record those that are not."""
+        for reference in self._database(
+            lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
+        ):
             try:
                 return reference, self._fetch(reference)
             except (CorruptArtifactError, MissingArtifactError) as error:
@@ -174,16 +171,6 @@ class Attempt:
         )
         return folder
 
-    def _checkpoints(self, job_id: str) -> Iterator[CheckpointRef]:
-        with self._services.sessions() as session:
-            rows = session.scalars(
-                select(Checkpoint)
-                .where(Checkpoint.job_id == job_id)
-                .order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc())
-            )
-            for row in rows:
-                yield CheckpointRef(row.id, row.job_id, row.step, row.key, row.manifest)
-
     def _fetch(self, reference: CheckpointRef) -> Path:
         folder = self._services.workdir / "fetched" / reference.id
         self._services.fetch(
@@ -196,14 +183,14 @@ class Attempt:
 
     # Small helpers
 
-    def _enter(self, state: JobState, message: str) -> None:
+    def _enter(self, state: WorkState, message: str) -> None:
         """Turn the job into ``state``; a pause asked for while the training starts goes first."""
 
         def enter() -> None:
             try:
                 lifecycle.transition(self._services.sessions, self._lease, state, message=message)
             except ConflictError:
-                if state is not JobState.RUNNING:
+                if state is not WorkState.RUNNING:
                     raise
                 # It is pausing: the worker asks this process to stop within a moment.
 

@@ -1,4 +1,4 @@
-"""A worker: its place in the registry, its runs, its sweeps, its end."""
+"""Worker: its place in the registry, its runs, its periodic duties, its end."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import os
 import shutil
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
-from naojobs import lifecycle, records, registry, retention
+from naojobs import lifecycle, registry, retention
 from naojobs.database import make_sessions
-from naojobs.doorbell import Doorbell
+from naojobs.models import Evaluation, Job, WorkKind
 from naojobs.store import ArtifactStore, StoreError
 from sqlalchemy import Engine
 
 from naosprint_worker import __version__
+from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
 from naosprint_worker.orphans import Owner
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
-from naosprint_worker.runs import EvaluationRun, JobRun
+from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import MIB
 
@@ -33,20 +33,14 @@ logger = logging.getLogger(__name__)
 OWNER_FILE = "owner"
 
 
-class Run(Protocol):
-    """Something that keeps a slot of the worker busy."""
-
-    def run(self) -> None:
-        """Do it, to the end."""
-
-    def shut_down(self) -> None:
-        """Bring the end about soon; callable from a signal handler."""
-
-
 class Worker:
-    """Everything of a worker that is not the broker's business."""
+    """Worker process without the broker's part of it.
 
-    def __init__(self, settings: WorkerSettings, doorbell: Doorbell) -> None:
+    Its slots are filled by one thread, which looks for waiting work whenever a wake-up message arrives or a run ends,
+    and every ``worker_claim_s`` seconds in any case.
+    """
+
+    def __init__(self, settings: WorkerSettings) -> None:
         """Prepare; nothing is started or written yet."""
         self._settings = settings
         owner = Owner.current()
@@ -58,20 +52,21 @@ class Worker:
         self._context = Context(
             settings=settings,
             sessions=make_sessions(self._engine),
-            doorbell=doorbell,
             worker_id=self.id,
+            capabilities=installed_capabilities(settings),
             folder=settings.worker_dir / self.id.replace(":", "-"),
         )
         self._store = ArtifactStore.from_settings(settings)
-        self._reaper = Reaper(self._context, free_slots=self._free_slots)
+        self._reaper = Reaper(self._context)
         self._stopping = threading.Event()
         self._short_of_space = False
-        self._runs: set[Run] = set()
-        self._lock = threading.Lock()
+        self._runs: dict[Run, threading.Thread] = {}
+        self._changed = threading.Condition()
+        self._woken = threading.Event()
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Enter the registry and begin to beat and to sweep."""
+        """Enter the registry and start to claim work, without waiting for the broker."""
         settings = self._settings
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
@@ -80,98 +75,103 @@ class Worker:
             ("beat", settings.heartbeat_s, self._beat),
             ("reap", settings.worker_reap_s, self._reaper.sweep),
             ("sweep", settings.worker_sweep_s, self._sweep_store),
-            ("evaluate", settings.worker_poll_s, self._evaluate_beside),
+            ("claim", settings.worker_claim_s, self._claim_work),
         ):
-            thread = threading.Thread(target=self._repeat, args=(name, period_s, duty), name=name, daemon=True)
+            wake = self._woken if duty == self._claim_work else self._stopping
+            thread = threading.Thread(target=self._repeat, args=(name, period_s, duty, wake), name=name, daemon=True)
             thread.start()
             self._threads.append(thread)
+        logger.info("worker %s is ready for %s", self.id, ", ".join(settings.worker_queues))
+
+    def wake_up(self, work_id: str) -> None:
+        """Look for work at once; return only when a slot is free, so that a busy worker holds back further messages."""
+        logger.debug("woken up for %s", work_id)
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopping.is_set() or Job in self._claimable())
+        self._woken.set()
 
     def shut_down(self) -> None:
-        """Take nothing new and end what runs, each with a checkpoint; callable from a signal handler."""
+        """Claim nothing more and end what runs, trainings with a checkpoint; callable from a signal handler."""
         self._stopping.set()
+        self._woken.set()
+        with self._changed:
+            self._changed.notify_all()
         for run in tuple(self._runs):
             run.shut_down()
 
     def close(self) -> None:
-        """Leave the registry; call it when nothing runs any more."""
-        self._stopping.set()
+        """End all runs and leave the registry."""
+        self.shut_down()
         for thread in self._threads:
             thread.join(timeout=10)
+        for thread in tuple(self._runs.values()):
+            thread.join()
         with contextlib.suppress(*DATABASE_TROUBLE):
             registry.leave(self._context.sessions, self.id)
         shutil.rmtree(self._context.folder, ignore_errors=True)
         self._engine.dispose()
 
-    def run_job(self, job_id: str) -> bool:
-        """See a job through if it waits; return False where somebody else has it or it needs no work."""
-        if self._stopping.is_set() or not self._has_space():
-            return False
-        claim = lifecycle.claim(self._context.sessions, job_id, self.id, lease_s=self._settings.lease_s)
-        if claim is None:
-            return False
-        logger.info("job %s: attempt %d begins", job_id, claim.lease.attempt)
-        self._see_through(JobRun(self._context, claim))
-        return True
-
-    def run_evaluation(self, evaluation_id: str) -> bool:
-        """See an evaluation through if it waits; return False where somebody else has it."""
-        if self._stopping.is_set() or not self._has_space():
-            return False
-        claim = records.claim_evaluation(self._context.sessions, evaluation_id, self.id, lease_s=self._settings.lease_s)
-        if claim is None:
-            return False
-        logger.info("evaluation %s: attempt %d begins", evaluation_id, claim.attempt)
-        self._see_through(EvaluationRun(self._context, claim))
-        return True
-
-    def _evaluate_beside(self) -> None:
-        """Run the evaluation that waits longest, while jobs keep every slot busy.
-
-        Who asks how the newest checkpoint of a running job runs wants to see it now, not when the training has ended.
-        """
-        if self._stopping.is_set() or self._free_slots() > 0:
-            return
-        waiting = records.waiting_evaluation(self._context.sessions, self._settings.worker_queues)
-        if waiting is not None:
-            self.run_evaluation(waiting)
-
-    def _see_through(self, run: Run) -> None:
-        with self._occupied(run):
-            run.run()
-
-    @contextlib.contextmanager
-    def _occupied(self, run: Run) -> Iterator[None]:
-        with self._lock:
-            self._runs.add(run)
-        try:
-            if self._stopping.is_set():  # it was set between the first look and here
+    def _claim_work(self) -> None:
+        """Fill the free slots with waiting work."""
+        while models := self._claimable():
+            claim = lifecycle.claim_next(
+                self._context.sessions,
+                self.id,
+                models=models,
+                queues=self._settings.worker_queues,
+                capabilities=self._context.capabilities,
+                lease_s=self._settings.lease_s,
+            )
+            if claim is None:
+                return
+            run = Run(self._context, claim)
+            thread = threading.Thread(target=self._run, args=(run,), name=claim.lease.id)
+            with self._changed:
+                self._runs[run] = thread
+            thread.start()
+            if self._stopping.is_set():  # it was set while the work was claimed
                 run.shut_down()
-            yield
-        finally:
-            with self._lock:
-                self._runs.discard(run)
 
-    def _free_slots(self) -> int:
-        if self._stopping.is_set() or not self._has_space():
-            return 0
-        return self._settings.worker_concurrency - len(self._runs)
+    def _claimable(self) -> tuple[type[Job] | type[Evaluation], ...]:
+        """Return what this worker can take now: beside its slots, one evaluation may run.
+
+        A user who evaluates the newest checkpoint of a running job wants the result now, not when the training has
+        ended.
+        """
+        runs, slots = tuple(self._runs), self._settings.worker_concurrency
+        if self._stopping.is_set() or len(runs) > slots or not self._has_space():
+            return ()
+        if len(runs) < slots:
+            return (Job, Evaluation)
+        return (Evaluation,) if all(run.kind is WorkKind.JOB for run in runs) else (Job,)
+
+    def _run(self, run: Run) -> None:
+        try:
+            run.run()
+        except Exception:
+            logger.exception("a run failed")
+        finally:
+            with self._changed:
+                del self._runs[run]
+                self._changed.notify_all()
+            self._woken.set()
 
     def _has_space(self) -> bool:
-        """Say whether the disk has room for an attempt; what waits is announced again once it has."""
+        """Return whether the disk has room for an attempt; work waits until it has."""
         try:
             free_mb = shutil.disk_usage(self._settings.worker_dir).free // MIB
         except OSError:
-            return True  # the attempt will tell what is wrong with the folder
+            return True  # the attempt will fail with the reason
         enough = free_mb >= self._settings.worker_min_free_mb
         if enough is self._short_of_space:  # it has changed
             self._short_of_space = not enough
             log = logger.info if enough else logger.warning
             log(
-                "%s has %d MiB free, NAOSPRINT_WORKER_MIN_FREE_MB is %d: jobs are %s",
+                "%s has %d MiB free, NAOSPRINT_WORKER_MIN_FREE_MB is %d: this worker %s",
                 self._settings.worker_dir,
                 free_mb,
                 self._settings.worker_min_free_mb,
-                "taken again" if enough else "left to others until there is more",
+                "claims work again" if enough else "claims no work until there is more",
             )
         return enough
 
@@ -182,6 +182,7 @@ class Worker:
             host=self._host,
             pid=os.getpid(),
             queues=self._settings.worker_queues,
+            capabilities=self._context.capabilities,
             version=__version__,
         )
 
@@ -192,9 +193,11 @@ class Worker:
         except StoreError as error:
             logger.warning("sweep: the store did not answer: %s", describe(error, 200))
 
-    def _repeat(self, name: str, period_s: float, duty: Callable[[], None]) -> None:
-        """Do a duty at once and then every ``period_s`` seconds, whatever goes wrong meanwhile."""
+    def _repeat(self, name: str, period_s: float, duty: Callable[[], None], wake: threading.Event) -> None:
+        """Do a duty at once, every ``period_s`` seconds and when ``wake`` is set, whatever goes wrong meanwhile."""
         while True:
+            if wake is not self._stopping:
+                wake.clear()
             try:
                 duty()
             except DATABASE_TROUBLE as error:
@@ -202,7 +205,8 @@ class Worker:
                 logger.warning("%s: the database did not answer: %s", name, describe(error, 200))
             except Exception:
                 logger.exception("%s failed", name)
-            if self._stopping.wait(period_s):
+            wake.wait(period_s)
+            if self._stopping.is_set():
                 return
 
 

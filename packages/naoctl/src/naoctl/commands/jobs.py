@@ -1,23 +1,27 @@
-"""The commands that look at jobs and steer them: list, status, cancel, pause, resume, retry, delete, compare."""
+"""Commands that show and control jobs: list, status, cancel, pause, resume, retry, delete, compare."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
+from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput
+from naoctl.evaluations import headline, newest_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.judgement import headline, newest_evaluation
-from naoctl.render import FIGURES, MISSING, cell, figure, job_details, jobs_table, plain, state_text
+from naoctl.render import MISSING, cell, job_details, jobs_table, plain, state_text
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
     list[str], typer.Argument(metavar="JOB...", help="Ids or names of jobs, or `last`.", autocompletion=complete_job)
 ]
-WaitFlag = Annotated[bool, typer.Option("--wait", help="Return once it is so, not once it is asked for.")]
+#: Beginning of an evaluation's id.
+EVALUATION_PREFIX = "eval_"
+WaitFlag = Annotated[bool, typer.Option("--wait", help="Return when it has happened, not when it is requested.")]
 
 
 def _complete_state(incomplete: str) -> list[str]:
@@ -50,10 +54,11 @@ def list_jobs(
         jobs = list(
             client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
         )
-    if as_json:
+        table = None if as_json else jobs_table(jobs, Descriptions(client), context.out.width)
+    if table is None:
         context.json(jobs)
     elif jobs:
-        context.out.print(jobs_table(jobs, context.out.width))
+        context.out.print(table)
         if len(jobs) == limit:
             context.note(f"The newest {limit}; --limit shows more.")
     else:
@@ -69,14 +74,15 @@ def status(
     ] = "last",
     as_json: JsonFlag = False,
 ) -> None:
-    """Show one job: state, progress, figures, and why it failed if it did."""
+    """Show one job: state, progress, metrics, and why it failed if it did."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
+        metrics = [] if as_json else Descriptions(client).shown(found)
     if as_json:
         context.json(found)
     else:
-        context.out.print(job_details(found))
+        context.out.print(job_details(found, metrics))
 
 
 def _steer(
@@ -85,7 +91,12 @@ def _steer(
     changed = []
     with context.client() as client:
         for reference in references:
-            job = client.post(f"/jobs/{find_job(client, reference)['id']}/{verb}")
+            if verb == "cancel" and reference.startswith(EVALUATION_PREFIX):
+                job = client.post(f"/evaluations/{reference}/cancel")
+                if until:
+                    job = await_evaluation(client, job)
+            else:
+                job = client.post(f"/jobs/{find_job(client, reference)['id']}/{verb}")
             if until and job["state"] not in until:
                 for update in follow(client, job):
                     job = update.job
@@ -99,24 +110,36 @@ def _steer(
         context.json(changed)
 
 
-def cancel(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
-    """Cancel jobs for good; what they saved stays, and `retry` queues them again."""
-    _steer(context_of(ctx), jobs, "cancel", "cancel requested", as_json=as_json, until=ENDED if wait else None)
+def cancel(
+    ctx: typer.Context,
+    work: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="JOB|EVALUATION...",
+            help="Ids or names of jobs, `last`, or ids of evaluations.",
+            autocompletion=complete_job,
+        ),
+    ],
+    wait: WaitFlag = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Cancel jobs or evaluations. What a job saved is kept, and `retry` queues it again."""
+    _steer(context_of(ctx), work, "cancel", "cancel requested", as_json=as_json, until=ENDED if wait else None)
 
 
 def pause(ctx: typer.Context, jobs: Jobs, wait: WaitFlag = False, as_json: JsonFlag = False) -> None:
-    """Pause jobs: they save a checkpoint and give their worker free."""
+    """Pause jobs: they save a checkpoint and free their worker."""
     until = ENDED | {"paused"} if wait else None
     _steer(context_of(ctx), jobs, "pause", "pause requested", as_json=as_json, until=until)
 
 
 def resume(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
-    """Let paused jobs go on from their last checkpoint."""
+    """Resume paused jobs from their last checkpoint."""
     _steer(context_of(ctx), jobs, "resume", "resumed", as_json=as_json)
 
 
 def retry(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
-    """Queue failed or cancelled jobs again; they go on from their last checkpoint."""
+    """Queue failed or cancelled jobs again; they resume from their last checkpoint."""
     _steer(context_of(ctx), jobs, "retry", "queued", as_json=as_json)
 
 
@@ -126,7 +149,7 @@ def delete(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Delete jobs that have ended, with their checkpoints, evaluations and figures."""
+    """Delete jobs that have ended, with their checkpoints, evaluations and metrics."""
     context = context_of(ctx)
     gone = []
     with context.client() as client:
@@ -151,20 +174,20 @@ def compare(
     ],
     as_json: JsonFlag = False,
 ) -> None:
-    """Put jobs side by side: what they were told differently, and what came of it."""
+    """Compare jobs: the settings that differ, and the results."""
     context = context_of(ctx)
     if len(jobs) < 2:
         raise InvalidInput("compare wants two jobs or more", fix="Name another job.")
     with context.client() as client:
         found = [find_job(client, reference) for reference in jobs]
         summaries = [(newest_evaluation(client, job["id"]) or {}).get("summary") for job in found]
+        descriptions = Descriptions(client)
+        metrics = common([descriptions.shown(job) for job in found])
     if len({job["id"] for job in found}) < len(found):
         raise InvalidInput("The same job is named twice", fix="`naoctl list` shows the ids of all.")
-    differing = [
-        field
-        for field in found[0]["spec"]
-        if any(job["spec"].get(field) != found[0]["spec"].get(field) for job in found[1:])
-    ]
+    specs = [flattened(job["spec"]) for job in found]
+    paths = dict.fromkeys(path for spec in specs for path in spec)
+    differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
     if as_json:
         context.json(
             [
@@ -172,11 +195,11 @@ def compare(
                     "id": job["id"],
                     "name": job["name"],
                     "state": job["state"],
-                    "spec": {field: job["spec"].get(field) for field in differing},
+                    "spec": {path: spec.get(path) for path in differing},
                     "latest_metrics": job.get("latest_metrics") or {},
                     "evaluation": summary,
                 }
-                for job, summary in zip(found, summaries, strict=True)
+                for job, spec, summary in zip(found, specs, summaries, strict=True)
             ]
         )
         return
@@ -187,19 +210,29 @@ def compare(
     table.add_row("ID", *(job["id"] for job in found))
     table.add_row("State", *(state_text(job["state"]) for job in found))
     table.add_row("Steps", *(f"{job['progress_step']:,}" for job in found))
-    for field in differing:
-        table.add_row(field, *(cell(job["spec"].get(field)) for job in found))
-    for key, title, form in FIGURES:
-        cells = [figure(job.get("latest_metrics") or {}, key, form) for job in found]
-        if any(cell != MISSING for cell in cells):
-            table.add_row(title, *cells)
-    judged = [headline(summary or {}) for summary in summaries]
-    names = dict.fromkeys(name for figures in judged for name in figures)
+    for path in differing:
+        table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
+    for metric in metrics:
+        cells = [value_text(metric, job.get("latest_metrics") or {}) for job in found]
+        if any(text != MISSING for text in cells):
+            table.add_row(metric.title, *cells)
+    results = [headline(summary or {}) for summary in summaries]
+    names = dict.fromkeys(name for result in results for name in result)
     if names:
         table.add_row("[bold]Evaluation[/bold]", *("" for _ in found))
         for name in names:
-            table.add_row(name, *(figures.get(name, MISSING) for figures in judged))
+            table.add_row(name, *(result.get(name, MISSING) for result in results))
     context.out.print(table)
+
+
+def flattened(value: Any, path: str = "") -> dict[str, Any]:
+    """Return a stored specification by path with dots: ``{"algorithm.learning_rate": 0.0005}``."""
+    if not isinstance(value, dict):
+        return {path: value}
+    found: dict[str, Any] = {}
+    for key, item in value.items():
+        found |= flattened(item, f"{path}.{key}" if path else key)
+    return found
 
 
 def register(app: typer.Typer) -> None:

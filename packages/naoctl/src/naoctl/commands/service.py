@@ -83,17 +83,17 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
         context.json(found)
         return
     table = Table(
-        "ID", "Host", "Process", "Queues", "Jobs", "Heard of", "Version", box=None, pad_edge=False, header_style="bold"
+        "ID", "Host", "Process", "Queues", "Jobs", "Last seen", "Version", box=None, pad_edge=False, header_style="bold"
     )
     for worker in found:
-        heard = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
+        seen = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
         table.add_row(
             cell(worker["id"]),
             cell(worker["host"]),
             str(worker["pid"]),
             ", ".join(worker["queues"]),
             ", ".join(worker["jobs"]) or "-",
-            heard,
+            seen,
             cell(worker["version"]),
             style=None if worker["alive"] else "red",
         )

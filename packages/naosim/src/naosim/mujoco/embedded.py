@@ -149,11 +149,11 @@ class MujocoSimulator(Simulator):
 
     def _require_standing(self, batch: MujocoBatch) -> None:
         height, upright = batch.position[:, 2], batch.rotation[:, 2, 2]
-        fallen = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
-        if fallen.any():
+        down = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
+        if down.any():
             raise ValueError(
                 f"starts: {self.robot.name} does not stand after {self.parameters.settle_steps} steps in "
-                f"{np.count_nonzero(fallen)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
+                f"{np.count_nonzero(down)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
                 "use stiffer ankles (robot.kp.ankle_pitch: 150), less noise in the poses, or fewer "
                 "simulator.settle_steps"
             )

@@ -5,17 +5,18 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, BackgroundTasks, Query, Request, Response
-from naojobs import records
+from naojobs import lifecycle, submission
 from naojobs.errors import NotFoundError
 from naojobs.models import Evaluation
-from naojobs.schemas import CheckpointPublic, EvaluationCreate, EvaluationPublic
+from naojobs.states import WorkState
 from naojobs.store import Manifest
 
 from naosprint_api import queries
 from naosprint_api.dependencies import CheckpointId, EvaluationId, FileName, JobId, Reader, ServiceDep, Submitter
 from naosprint_api.downloads import send_archive, send_file
 from naosprint_api.problems import responses
-from naosprint_api.views import checkpoint_view, evaluation_view
+from naosprint_api.schemas import CheckpointPublic, EvaluationCreate, EvaluationPublic
+from naosprint_api.views import checkpoint_view
 
 router = APIRouter(tags=["artifacts"])
 
@@ -79,7 +80,7 @@ def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, servi
 def list_evaluations(job_id: JobId, principal: Reader, service: ServiceDep) -> list[EvaluationPublic]:
     """List the evaluations of a job, newest first."""
     queries.visible_job(service.reads, principal, job_id)
-    return [evaluation_view(row) for row in queries.evaluations_of(service.reads, job_id)]
+    return service.show_evaluations(queries.evaluations_of(service.reads, job_id))
 
 
 @router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})
@@ -90,26 +91,35 @@ def request_evaluation(
     background: BackgroundTasks,
     body: EvaluationCreate | None = None,
 ) -> EvaluationPublic:
-    """Ask for an evaluation of a checkpoint; look it up again until its state says that it is done."""
+    """Queue an evaluation of a checkpoint; look it up again until it has ended."""
     queries.visible_job(service.reads, principal, job_id)
-    row = records.request_evaluation(
+    body = body or EvaluationCreate.model_validate({})
+    row = submission.request_evaluation(
         service.sessions,
         job_id,
-        checkpoint_id=body.checkpoint_id if body else None,
-        spec=body.spec if body else None,
+        checkpoint_id=body.checkpoint_id,
+        spec=body.spec,
+        time_limit_s=body.time_limit_s,
     )
-    background.add_task(service.announce_evaluation, row.id, row.queue)
-    return evaluation_view(row)
+    background.add_task(service.wake_up, row)
+    return service.show_evaluation(row)
 
 
 @router.get("/evaluations/{evaluation_id}", responses=_READ)
 def get_evaluation(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> EvaluationPublic:
     """Look up one evaluation."""
-    return evaluation_view(queries.visible_evaluation(service.reads, principal, evaluation_id))
+    return service.show_evaluation(queries.visible_evaluation(service.reads, principal, evaluation_id))
+
+
+@router.post("/evaluations/{evaluation_id}/cancel", responses={**_READ, **responses(409)})
+def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service: ServiceDep) -> EvaluationPublic:
+    """Cancel an evaluation. One that runs stops soon; it is cancelled when its state says so."""
+    queries.visible_evaluation(service.reads, principal, evaluation_id)
+    return service.show_evaluation(lifecycle.request_cancel(service.sessions, Evaluation, evaluation_id))
 
 
 def _finished(row: Evaluation) -> tuple[str, Manifest]:
-    if row.key is None or row.manifest is None:
+    if row.state is not WorkState.SUCCEEDED or row.key is None:
         raise NotFoundError(f"evaluation {row.id} is {row.state}; it has no files")
     return row.key, Manifest.model_validate(row.manifest)
 

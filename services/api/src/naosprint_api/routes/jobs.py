@@ -1,25 +1,15 @@
-"""Jobs: submit, look up, steer."""
+"""Jobs: submit, look up, control."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 from fastapi import APIRouter, BackgroundTasks, Query, Response
-from naojobs import lifecycle
+from naojobs import lifecycle, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Job
-from naojobs.schemas import (
-    EventPage,
-    GroupCreate,
-    GroupPublic,
-    JobCreate,
-    JobPage,
-    JobPublic,
-    LogPage,
-    MetricsPublic,
-)
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.tokens import Principal
 
 from naosprint_api import queries
@@ -35,14 +25,24 @@ from naosprint_api.dependencies import (
     Submitter,
 )
 from naosprint_api.problems import responses
+from naosprint_api.schemas import (
+    EventPage,
+    GroupCreate,
+    GroupPublic,
+    JobCreate,
+    JobPage,
+    JobPublic,
+    LogPage,
+    MetricsPublic,
+)
 from naosprint_api.service import Service
-from naosprint_api.views import event_view, job_view, log_view
+from naosprint_api.views import event_view, log_view
 
 router = APIRouter(tags=["jobs"])
 
 READ = responses(401, 403, 404, 422, 429, 503)
 LIST = responses(401, 403, 422, 429, 503)
-STEER = responses(401, 403, 404, 409, 422, 429, 503)
+CONTROL = responses(401, 403, 404, 409, 422, 429, 503)
 SUBMIT = responses(401, 403, 409, 413, 422, 429, 503)
 
 Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
@@ -50,7 +50,7 @@ Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
 
 def job_filter(
     principal: Reader,
-    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    state: Annotated[list[WorkState], Query(description="Any of these states.")] = [],  # noqa: B006
     tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
     owner: Annotated[
         str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
@@ -71,7 +71,7 @@ def job_filter(
     return queries.JobFilter(states=state, tags=tags, owner=owner, group=group, parent=parent, text=q)
 
 
-def steer(service: Service, principal: Principal, job_id: str) -> Job:
+def controllable(service: Service, principal: Principal, job_id: str) -> Job:
     """Return a job that the caller may change. Raises NotFoundError."""
     return queries.visible_job(service.reads, principal, job_id)
 
@@ -85,21 +85,21 @@ def submit_job(
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> JobPublic:
-    """Queue a training. 201 for a new job; 200 if the idempotency key came before with the same body."""
-    job, created = lifecycle.submit(
+    """Queue a training. 201 for a new job; 200 if the idempotency key was used before with the same body."""
+    job, created = submission.submit(
         service.sessions,
-        body,
+        body.request(),
         owner=principal.owner,
         idempotency_key=idempotency_key,
         max_open_jobs=service.settings.api_max_open_jobs,
         see_all=principal.is_admin,
     )
     if created:
-        background.add_task(service.announce, job.id, job.queue, job.priority)
+        background.add_task(service.wake_up, job)
     else:
         response.status_code = 200
     response.headers["Location"] = f"/jobs/{job.id}"
-    return job_view(job)
+    return service.show_job(job)
 
 
 @router.post(
@@ -114,27 +114,26 @@ def submit_group(
     idempotency_key: IdempotencyKey = None,
 ) -> GroupPublic:
     """Queue several trainings that differ in seed or in fields of a grid: all of them, or none."""
-    group_id, jobs, created = lifecycle.submit_group(
+    group_id, jobs, created = submission.submit_group(
         service.sessions,
-        body,
+        body.request(),
         owner=principal.owner,
         idempotency_key=idempotency_key,
         max_open_jobs=service.settings.api_max_open_jobs,
         see_all=principal.is_admin,
     )
     if created:
-        for job in jobs:
-            background.add_task(service.announce, job.id, job.queue, job.priority)
+        background.add_task(service.wake_up, *jobs)
     else:
         response.status_code = 200
-    return GroupPublic(id=group_id, jobs=[job_view(job) for job in jobs])
+    return GroupPublic(id=group_id, jobs=service.show_jobs(jobs))
 
 
 @router.get("/jobs", responses={**LIST, **responses(404)})
 def list_jobs(
     principal: Reader,
     service: ServiceDep,
-    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    state: Annotated[list[WorkState], Query(description="Any of these states.")] = [],  # noqa: B006
     tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
     owner: Annotated[
         str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
@@ -152,7 +151,7 @@ def list_jobs(
     rows = queries.list_jobs(service.reads, wanted, limit=limit + 1, before=cursor)
     page = rows[:limit]
     return JobPage(
-        items=[job_view(job) for job in page],
+        items=service.show_jobs(page),
         next_cursor=page[-1].id if len(rows) > limit else None,
     )
 
@@ -160,45 +159,45 @@ def list_jobs(
 @router.get("/jobs/{job_id}", responses=READ)
 def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
     """Look up one job."""
-    return job_view(queries.visible_job(service.reads, principal, job_id))
+    return service.show_job(queries.visible_job(service.reads, principal, job_id))
 
 
-@router.post("/jobs/{job_id}/cancel", responses=STEER)
+@router.post("/jobs/{job_id}/cancel", responses=CONTROL)
 def cancel_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
     """Cancel a job. One that runs writes a last checkpoint first; it is cancelled when its state says so."""
-    steer(service, principal, job_id)
-    return job_view(lifecycle.request_cancel(service.sessions, job_id))
+    controllable(service, principal, job_id)
+    return service.show_job(lifecycle.request_cancel(service.sessions, Job, job_id))
 
 
-@router.post("/jobs/{job_id}/pause", responses=STEER)
+@router.post("/jobs/{job_id}/pause", responses=CONTROL)
 def pause_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
     """Pause a job. One that runs writes a checkpoint first; it is paused when its state says so."""
-    steer(service, principal, job_id)
-    return job_view(lifecycle.request_pause(service.sessions, job_id))
+    controllable(service, principal, job_id)
+    return service.show_job(lifecycle.request_pause(service.sessions, job_id))
 
 
-@router.post("/jobs/{job_id}/resume", responses=STEER)
+@router.post("/jobs/{job_id}/resume", responses=CONTROL)
 def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
-    """Queue a paused job again; it goes on from its last checkpoint."""
-    steer(service, principal, job_id)
+    """Queue a paused job again; it resumes from its last checkpoint."""
+    controllable(service, principal, job_id)
     job = lifecycle.resume(service.sessions, job_id)
-    background.add_task(service.announce, job.id, job.queue, job.priority)
-    return job_view(job)
+    background.add_task(service.wake_up, job)
+    return service.show_job(job)
 
 
-@router.post("/jobs/{job_id}/retry", responses=STEER)
+@router.post("/jobs/{job_id}/retry", responses=CONTROL)
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
-    """Queue a failed or cancelled job again; it goes on from its last checkpoint."""
-    steer(service, principal, job_id)
+    """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
+    controllable(service, principal, job_id)
     job = lifecycle.retry(service.sessions, job_id)
-    background.add_task(service.announce, job.id, job.queue, job.priority)
-    return job_view(job)
+    background.add_task(service.wake_up, job)
+    return service.show_job(job)
 
 
-@router.delete("/jobs/{job_id}", status_code=204, responses=STEER)
+@router.delete("/jobs/{job_id}", status_code=204, responses=CONTROL)
 def delete_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> None:
     """Delete an ended job with its metrics, logs, checkpoints and evaluations."""
-    steer(service, principal, job_id)
+    controllable(service, principal, job_id)
     lifecycle.delete(service.sessions, job_id)
     background.add_task(service.discard_artifacts, job_id)
 

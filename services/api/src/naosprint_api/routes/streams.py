@@ -14,15 +14,15 @@ from fastapi.responses import StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from naojobs.ids import PATTERN
 from naojobs.models import Job
-from naojobs.states import ENDED, JobState
+from naojobs.states import ENDED, WorkState
 
 from naosprint_api import queries
 from naosprint_api.dependencies import MAX_BIGINT, PLAIN, Follower, JobId, ServiceDep
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
 from naosprint_api.routes.jobs import job_filter
+from naosprint_api.schemas import JobPublic
 from naosprint_api.service import Service
-from naosprint_api.views import job_view
 
 router = APIRouter(tags=["streams"])
 
@@ -115,7 +115,7 @@ async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> da
 
 async def stream_filter(
     principal: Follower,
-    state: Annotated[list[JobState], Query(description="Any of these states.")] = [],  # noqa: B006
+    state: Annotated[list[WorkState], Query(description="Any of these states.")] = [],  # noqa: B006
     tag: Annotated[list[str], Query(max_length=20, description="All of these tags.")] = [],  # noqa: B006
     owner: Annotated[
         str | None, Query(max_length=200, pattern=PLAIN, description="Jobs of this owner; others' need scope admin.")
@@ -144,20 +144,23 @@ async def stream_jobs(
     return EventStream(_news_of_all(service, wanted, since))
 
 
+def _changed_jobs(service: Service, wanted: queries.JobFilter, since: datetime) -> tuple[list[Job], list[JobPublic]]:
+    rows = queries.changed_jobs(service.reads, wanted, since=since)
+    return rows, service.show_jobs(rows)
+
+
 async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datetime) -> AsyncIterator[bytes]:
     sent: dict[str, datetime] = {}
     with _follower(service), service.broadcaster.subscribe() as subscription:
         yield _message("ready", {"since": since.isoformat()}, since.isoformat())
         while not service.broadcaster.closing:
-            rows = await service.feed.in_thread(
-                partial(queries.changed_jobs, service.reads, wanted, since=since),
-            )
+            rows, shown = await service.feed.in_thread(partial(_changed_jobs, service, wanted, since))
             news: list[bytes] = []
-            for job in rows:
+            for job, view in zip(rows, shown, strict=True):
                 since = max(since, job.updated_at)
                 if sent.get(job.id) != job.updated_at:
                     sent[job.id] = job.updated_at
-                    text = job_view(job).model_dump_json()
+                    text = view.model_dump_json()
                     news.append(format_sse_event(event="job", data_str=text, id=since.isoformat()))
             # What lies outside the overlap is not read again, so it need not be remembered.
             sent = {job.id: job.updated_at for job in rows}

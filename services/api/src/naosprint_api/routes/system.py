@@ -1,17 +1,15 @@
-"""The service itself: health, figures, workers, and what a job may consist of."""
+"""The service itself: health, its own metrics, workers."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from naojobs import registry
 from naojobs.database import REVISION
-from naojobs.schemas import JobCreate, WorkerPublic
 from naojobs.store import StoreError
 from naojobs.tokens import Scope
-from naospec import PRESET_SUMMARIES, PRESETS, TASKS, TrainingSpec
 from pydantic import BaseModel, Field
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
@@ -19,6 +17,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from naosprint_api import __version__
 from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
 from naosprint_api.problems import responses
+from naosprint_api.schemas import WorkerPublic
+from naosprint_api.views import worker_view
 
 router = APIRouter(tags=["service"])
 
@@ -47,24 +47,6 @@ class Identity(BaseModel):
 
     owner: str
     scopes: list[Scope]
-
-
-class Preset(BaseModel):
-    """Describes a preset."""
-
-    name: str
-    summary: str
-    spec: TrainingSpec = Field(description="The specification that it stands for.")
-
-
-class TaskPublic(BaseModel):
-    """Describes a task."""
-
-    name: str
-    summary: str
-    max_steps: int
-    min_height_m: float
-    finish_x_m: float | None
 
 
 @router.get("/healthz")
@@ -100,7 +82,7 @@ def readiness(service: ServiceDep, response: Response) -> Readiness:
         database=database,
         schema_revision=revision,
         store=store,
-        broker="ok" if service.doorbell.reachable() else "failed",
+        broker="ok" if service.notifier.reachable() else "failed",
     )
 
 
@@ -136,39 +118,7 @@ def whoami(principal: Reader) -> Identity:
 
 @router.get("/workers", responses=responses(401, 403, 429, 503))
 def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
-    """List the workers, when each was last heard of, and the jobs it holds (one's own, unless the token is admin)."""
+    """List the workers with their capabilities, and the jobs that each holds (one's own, unless the token is admin)."""
     found = registry.workers(service.reads, stale_s=service.settings.lease_s)
-    if principal.is_admin:
-        return found
-    mine = registry.leased_jobs_of(service.reads, principal.owner)
-    return [worker.model_copy(update={"jobs": [job for job in worker.jobs if job in mine]}) for worker in found]
-
-
-@router.get("/spec/schema")
-def spec_schema() -> dict[str, Any]:
-    """Get the JSON schema of what `POST /jobs` takes, for forms and editors."""
-    return JobCreate.model_json_schema()
-
-
-@router.get("/presets")
-def list_presets() -> list[Preset]:
-    """List the presets with all their settings."""
-    return [
-        Preset(name=name, summary=PRESET_SUMMARIES[name], spec=TrainingSpec.model_validate({"preset": name}))
-        for name in PRESETS
-    ]
-
-
-@router.get("/tasks")
-def list_tasks() -> list[TaskPublic]:
-    """List the tasks that can be trained."""
-    return [
-        TaskPublic(
-            name=task.name,
-            summary=task.summary,
-            max_steps=task.max_steps,
-            min_height_m=task.min_height_m,
-            finish_x_m=task.finish_x_m,
-        )
-        for task in TASKS.values()
-    ]
+    mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
+    return [worker_view(worker, mine) for worker in found]

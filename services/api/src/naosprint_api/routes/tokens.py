@@ -8,11 +8,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path
 from naojobs.ids import PATTERN
-from naojobs.schemas import TokenCreate, TokenMade, TokenPublic
 from naojobs.tokens import create_token, get_token, list_tokens, revoke
 
 from naosprint_api.dependencies import Admin, ServiceDep
 from naosprint_api.problems import responses
+from naosprint_api.schemas import TokenCreate, TokenMade, TokenPublic
 
 router = APIRouter(tags=["tokens"])
 

@@ -1,4 +1,4 @@
-/** Who trains: workers, what they can run and when they were last heard of. */
+/** Workers: what they can run and when they were last seen. */
 
 import { call } from "../api.js";
 import { fill, h, icon, scroller } from "../dom.js";
@@ -18,7 +18,7 @@ export async function mount(root, { signal }) {
         return;
       }
       fill(box, scroller("Workers", h("table", null,
-        h("thead", null, h("tr", null, ["Worker", "State", "Runs", "Works on", "Version", "Up for", "Heard of"].map((t, i) => h("th", { scope: "col", class: i > 4 ? "num" : null }, t)))),
+        h("thead", null, h("tr", null, ["Worker", "State", "Runs", "Works on", "Version", "Up for", "Last seen"].map((t, i) => h("th", { scope: "col", class: i > 4 ? "num" : null }, t)))),
         h("tbody", null, workers.map((w) => h("tr", null,
           h("td", null, h("div", null, w.host), h("div", { class: "mono muted" }, w.id)),
           h("td", null, h("span", { class: "state", "data-tone": w.alive ? "green" : "red" }, icon(w.alive ? "check" : "close"), w.alive ? "Alive" : "Silent")),

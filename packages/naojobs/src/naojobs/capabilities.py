@@ -1,0 +1,99 @@
+"""Requirements of work and capabilities of workers: a worker claims only what it can run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+
+from naospec import EvaluationSpec, TrainingSpec, plugins
+from sqlalchemy import ColumnElement, and_, func, select, tuple_
+from sqlalchemy.orm import Session
+
+from naojobs.models import Evaluation, Job, Work, Worker
+from naojobs.states import WorkState
+
+
+@dataclass(frozen=True, slots=True)
+class Requirements:
+    """Task with its version, robot and simulator that a worker must have to run something."""
+
+    task: str
+    task_version: int
+    robot: str
+    simulator: str
+
+    @classmethod
+    def of_training(cls, spec: TrainingSpec) -> Requirements:
+        """Return what a training needs."""
+        return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name)
+
+    @classmethod
+    def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
+        """Return what an evaluation of a checkpoint of `job` needs."""
+        task, version = job.task, job.task_version
+        if spec.task is not None and spec.task.name != job.task:
+            task, version = spec.task.name, plugins.load(plugins.TASKS, spec.task.name).version
+        return cls(task, version, job.robot, spec.simulator or job.simulator)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """Tasks with their versions, robots and simulators that a worker has."""
+
+    tasks: Mapping[str, int]
+    robots: Sequence[str]
+    simulators: Sequence[str]
+
+    def meets(self, work: Work) -> bool:
+        """Return whether a worker with these capabilities can run `work`."""
+        return (
+            self.tasks.get(work.task) == work.task_version
+            and work.robot in self.robots
+            and work.simulator in self.simulators
+        )
+
+    def condition(self, model: type[Job] | type[Evaluation]) -> ColumnElement[bool]:
+        """Return the SQL condition that `meets` is for rows of `model`."""
+        return and_(
+            tuple_(model.task, model.task_version).in_(list(self.tasks.items())),
+            model.robot.in_(self.robots),
+            model.simulator.in_(self.simulators),
+        )
+
+
+def waiting_reasons(session: Session, work: Iterable[Work], *, stale_s: float) -> dict[str, str]:
+    """Return by id why no worker can take queued work; work that some worker can take is left out.
+
+    Workers without a heartbeat in the last `stale_s` seconds do not count.
+    """
+    queued = [item for item in work if item.state is WorkState.QUEUED]
+    if not queued:
+        return {}
+    recently = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
+    workers = session.scalars(select(Worker).where(recently)).all()
+    reasons = {item.id: _reason(item, workers) for item in queued}
+    return {work_id: reason for work_id, reason in reasons.items() if reason is not None}
+
+
+def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
+    if not workers:
+        return "no worker is running"
+    if any(work.queue in worker.queues and _capabilities(worker).meets(work) for worker in workers):
+        return None
+    if not any(work.queue in worker.queues for worker in workers):
+        return f"no worker serves queue {work.queue!r}"
+    if not any(work.simulator in worker.simulators for worker in workers):
+        return f"no worker has simulator {work.simulator!r}"
+    if not any(work.robot in worker.robots for worker in workers):
+        return f"no worker has robot {work.robot!r}"
+    task = f"task {work.task!r} version {work.task_version}"
+    versions = sorted({worker.tasks[work.task] for worker in workers if work.task in worker.tasks})
+    if work.task_version not in versions:
+        others = f" (workers have version {', '.join(map(str, versions))})" if versions else ""
+        return f"no worker has {task}{others}"
+    return f"no single worker has {task}, robot {work.robot!r} and simulator {work.simulator!r}"
+
+
+def _capabilities(worker: Worker) -> Capabilities:
+    return Capabilities(worker.tasks, worker.robots, worker.simulators)

@@ -1,0 +1,45 @@
+"""Recorded checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from naojobs.database import Sessions
+from naojobs.models import Checkpoint
+
+
+@dataclass(frozen=True, slots=True)
+class CheckpointRef:
+    """Reference to a recorded checkpoint."""
+
+    id: str
+    job_id: str
+    step: int
+    key: str
+    manifest: dict[str, Any]
+
+    @classmethod
+    def of(cls, row: Checkpoint) -> Self:
+        """Return the reference to a row."""
+        return cls(row.id, row.job_id, row.step, row.key, row.manifest)
+
+
+def newest_first(job_id: str) -> Select[Checkpoint]:
+    """Return the query of a job's checkpoints: most steps first, the latest attempt first where two have the same."""
+    by_age = (Checkpoint.step.desc(), Checkpoint.attempt.desc())
+    return select(Checkpoint).where(Checkpoint.job_id == job_id).order_by(*by_age)
+
+
+def newest_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
+    """Return the first checkpoint by `newest_first`; none if the job has none."""
+    return session.scalar(newest_first(job_id).limit(1))
+
+
+def checkpoints_of(sessions: Sessions, job_id: str) -> list[CheckpointRef]:
+    """Return references to all checkpoints of a job by `newest_first`."""
+    with sessions() as session:
+        return [CheckpointRef.of(row) for row in session.scalars(newest_first(job_id))]

@@ -1,0 +1,18 @@
+"""Health of a host's worker, by its heartbeat in the registry.
+
+A container asks every half minute, so this uses the driver directly: loading the models alone takes a second.
+"""
+
+from __future__ import annotations
+
+import psycopg
+
+from naojobs.settings import ServiceSettings
+
+_RECENT = "SELECT 1 FROM workers WHERE host = %s AND heartbeat_at > now() - make_interval(secs => %s) LIMIT 1"
+
+
+def has_live_worker(settings: ServiceSettings, host: str) -> bool:
+    """Return whether a worker of `host` has a heartbeat younger than its lease. Raises psycopg.Error."""
+    with psycopg.connect(settings.libpq_url, connect_timeout=5, application_name="naosprint-health") as connection:
+        return connection.execute(_RECENT, (host, settings.lease_s)).fetchone() is not None

@@ -1,0 +1,74 @@
+"""Wake-up messages through Celery: they make free workers look for work at once.
+
+The state of work is its row in the database. A message may be lost, doubled or late without harm, since free workers
+also poll the table; a broker that is down fails nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+# Celery is imported where it is used: child processes need the names of the queues, and no broker.
+if TYPE_CHECKING:
+    from celery import Celery
+
+#: Name of the Celery task behind a wake-up message; its argument is the id of the work.
+WAKE_UP = "naosprint_worker.wake_up"
+
+#: The queue of messages that name none; each simulator has a queue of its name.
+DEFAULT_QUEUE = "embedded"
+
+_log = logging.getLogger(__name__)
+
+
+def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
+    """Return a Celery application with all settings that sender and receiver share."""
+    from celery import Celery
+
+    app = Celery(name, broker=broker_url, set_as_current=False)
+    app.conf.update(
+        task_ignore_result=True,
+        task_store_errors_even_if_ignored=False,
+        task_serializer="json",
+        accept_content=["json"],
+        task_default_queue=DEFAULT_QUEUE,
+        task_create_missing_queues=True,
+        task_track_started=False,
+        broker_connection_retry_on_startup=True,
+        broker_transport_options={"socket_connect_timeout": 2, "socket_timeout": 5},
+        enable_utc=True,
+    )
+    return app
+
+
+class Notifier:
+    """Sender of wake-up messages that never waits long for a broker that is down."""
+
+    def __init__(self, app: Celery) -> None:
+        # A consumer should wait for its broker; a sender gives up at once, since workers poll anyway.
+        self._app = make_celery(app.conf.broker_url, f"{app.main}-notifier")
+        options = {"max_retries": 0, "interval_start": 0, "interval_step": 0, "interval_max": 0}
+        self._app.conf.broker_transport_options |= options
+
+    def wake_up(self, work_id: str, queue: str) -> str | None:
+        """Send a wake-up message for queued work; return none, or the error."""
+        try:
+            self._app.send_task(WAKE_UP, args=[work_id], queue=queue, retry=False, ignore_result=True)
+        except Exception as error:  # a failing broker must not fail what the message was sent for
+            _log.warning("the broker did not take the message for %s: %s", work_id, error)
+            return f"{type(error).__name__}: {error}"
+        return None
+
+    def reachable(self) -> bool:
+        """Return whether the broker answers within a few seconds."""
+        try:
+            with self._app.connection_for_write() as connection:
+                connection.default_channel.client.ping()
+        except Exception:
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close the connections to the broker."""
+        self._app.close()

@@ -1,0 +1,307 @@
+"""Submission of work: trainings, groups of trainings, and evaluations of their checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
+from naospec.flat import nest
+from pydantic import ValidationError
+from sqlalchemy import func, select
+from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
+
+from naojobs.capabilities import Requirements
+from naojobs.checkpoints import newest_checkpoint
+from naojobs.database import Sessions
+from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
+from naojobs.ids import new_id
+from naojobs.lifecycle import add_event, lock
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job
+from naojobs.states import OPEN, WorkState
+
+#: The most jobs of one group.
+MAX_GROUP_SIZE = 256
+#: The most evaluations of one job that may wait or run.
+MAX_OPEN_EVALUATIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class JobRequest:
+    """Training to submit."""
+
+    spec: TrainingSpec = field(default_factory=TrainingSpec)
+    #: Evaluation of the final policy; none for no evaluation.
+    evaluation: EvaluationSpec | None = None
+    name: str | None = None
+    tags: Sequence[str] = ()
+    priority: int = 5
+    max_attempts: int = 3
+    parent_job_id: str | None = None
+    parent_checkpoint_id: str | None = None
+
+    @property
+    def display_name(self) -> str:
+        """Name, or one made of task, preset and seed."""
+        return self.name or f"{self.spec.task.name}-{self.spec.algorithm.preset}-{self.spec.seed}"
+
+    def digest(self) -> str:
+        """Return the SHA-256 that equal requests share."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        text = json.dumps(values, sort_keys=True, default=lambda spec: spec.model_dump(mode="json"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class GroupRequest:
+    """Trainings to submit that differ in their seed or in other fields of the specification."""
+
+    job: JobRequest
+    seeds: Sequence[int] = ()
+    #: Values by field; one job for each combination.
+    grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+
+def submit(
+    sessions: Sessions,
+    request: JobRequest,
+    *,
+    owner: str,
+    idempotency_key: str | None = None,
+    max_open_jobs: int | None = None,
+    see_all: bool = False,
+) -> tuple[Job, bool]:
+    """Queue a new job of `owner`; return it and whether it is new.
+
+    The same `idempotency_key` with the same request returns the existing job.
+
+    Raises:
+        ConflictError: the key was used for another request.
+        InvalidError: the parent job or checkpoint does not exist or does not fit; `see_all` allows others' jobs.
+        QuotaError: `owner` has `max_open_jobs` open jobs.
+    """
+    with sessions.begin() as session:
+        job, created = _submit(session, request, owner, idempotency_key, max_open_jobs, see_all, group_id=None)
+    return job, created
+
+
+def submit_group(
+    sessions: Sessions,
+    request: GroupRequest,
+    *,
+    owner: str,
+    idempotency_key: str | None = None,
+    max_open_jobs: int | None = None,
+    see_all: bool = False,
+) -> tuple[str, list[Job], bool]:
+    """Queue one job for each seed and combination of grid values, or none at all.
+
+    Return the group's id, its jobs and whether they are new. Raises as `submit` does, and InvalidError for a
+    combination that the specification refuses or a group of more than `MAX_GROUP_SIZE` jobs.
+    """
+    requests = expand_group(request)
+    with sessions.begin() as session:
+        group_id = new_id("group")
+        jobs = []
+        new = False
+        for number, item in enumerate(requests):
+            key = None if idempotency_key is None else f"{idempotency_key}#{number}"
+            job, created = _submit(session, item, owner, key, max_open_jobs, see_all, group_id=group_id)
+            new = new or created
+            if not created:
+                group_id = job.group_id or group_id
+            jobs.append(job)
+    return group_id, jobs, new
+
+
+def expand_group(request: GroupRequest) -> list[JobRequest]:
+    """Return the requests of a group's jobs. Raises InvalidError."""
+    axes: dict[str, Sequence[Any]] = dict(request.grid)
+    if request.seeds:
+        if "seed" in axes:
+            raise InvalidError("give the seeds in `seeds` or in `grid`, not in both", "seeds")
+        axes["seed"] = request.seeds
+    if not axes:
+        raise InvalidError("name at least one seed in `seeds` or one field in `grid`", "seeds")
+    for name in axes:
+        try:
+            nest({name: None})
+        except KeyError:
+            raise InvalidError(f"the training specification has no field {name!r}", f"grid.{name}") from None
+    size = math.prod(len(values) for values in axes.values())
+    if size > MAX_GROUP_SIZE:
+        raise InvalidError(f"{size} jobs are more than {MAX_GROUP_SIZE}; give fewer values", "grid")
+    base = request.job.spec.without_preset()
+    jobs = []
+    for values in itertools.product(*axes.values()):
+        point = dict(zip(axes, values, strict=True))
+        label = ",".join(f"{name}={value}" for name, value in point.items())
+        try:
+            spec = TrainingSpec.model_validate(nest(point, base))
+        except ValidationError as error:
+            raise InvalidError(f"{label}: {validation_words(error.errors())}", f"grid.{next(iter(point))}") from error
+        # Without blanks, so that it can be typed as it is.
+        suffix = "".join(f"-{name.rpartition('.')[2]}-{value}" for name, value in point.items()).replace(" ", "")
+        jobs.append(replace(request.job, spec=spec, name=f"{request.job.display_name}{suffix}"[:200]))
+    return jobs
+
+
+def _submit(
+    session: Session,
+    request: JobRequest,
+    owner: str,
+    idempotency_key: str | None,
+    max_open_jobs: int | None,
+    see_all: bool,
+    group_id: str | None,
+) -> tuple[Job, bool]:
+    digest = request.digest() if idempotency_key is not None else None
+    if idempotency_key is not None:
+        earlier = session.scalar(
+            select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key),
+        )
+        if earlier is not None:
+            return _same_request(earlier, digest), False
+    if max_open_jobs is not None:
+        _check_quota(session, owner, max_open_jobs)
+    _check_parent(session, request, owner, see_all)
+    job_id = session.scalar(
+        insert(Job)
+        .values(
+            id=new_id("job"),
+            name=request.display_name,
+            owner=owner,
+            tags=list(dict.fromkeys(request.tags)),
+            spec=request.spec.model_dump(mode="json"),
+            evaluation=request.evaluation.model_dump(mode="json") if request.evaluation else None,
+            queue=request.spec.simulator.name,
+            **asdict(Requirements.of_training(request.spec)),
+            priority=request.priority,
+            state=WorkState.QUEUED,
+            max_attempts=request.max_attempts,
+            parent_job_id=request.parent_job_id,
+            parent_checkpoint_id=request.parent_checkpoint_id,
+            group_id=group_id,
+            idempotency_key=idempotency_key,
+            idempotency_digest=digest,
+            total_steps=request.spec.planned_steps,
+            queued_at=func.now(),
+        )
+        .on_conflict_do_nothing(index_elements=[Job.owner, Job.idempotency_key])
+        .returning(Job.id),
+    )
+    if job_id is None:  # another request with the same key was faster
+        earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key))
+        if earlier is None:
+            raise ConflictError("a job with this key was deleted just now; send the request again", "Idempotency-Key")
+        return _same_request(earlier, digest), False
+    job = session.get_one(Job, job_id, with_for_update=True)
+    add_event(session, job, "queued", "submitted", {"owner": owner})
+    return job, True
+
+
+def _same_request(earlier: Job, digest: str | None) -> Job:
+    if earlier.idempotency_digest != digest:
+        raise ConflictError(
+            f"the key was used for another request, which made job {earlier.id}; use a new key",
+            "Idempotency-Key",
+        )
+    return earlier
+
+
+def _check_quota(session: Session, owner: str, max_open_jobs: int) -> None:
+    # Two submits at once must not both see the last free place.
+    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota:{owner}", 0))))
+    open_jobs = session.scalar(
+        select(func.count()).select_from(Job).where(Job.owner == owner, Job.state.in_(OPEN)),
+    )
+    if (open_jobs or 0) >= max_open_jobs:
+        raise QuotaError(
+            f"{owner} has {open_jobs} open jobs, the most that are allowed; wait until some end, or cancel some",
+        )
+
+
+def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> None:
+    if request.parent_job_id is None:
+        return
+    parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
+    if parent is None or (parent.owner != owner and not see_all):
+        raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
+    robot = parent.spec.get("robot", {}).get("name")
+    if robot in plugins.names(plugins.ROBOTS):
+        family = plugins.load(plugins.ROBOTS, robot).family
+        if family != request.spec.robot_description.family:
+            raise InvalidError(
+                f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
+                f"use a robot of family {family}",
+                "spec.robot",
+            )
+    theirs = parent.spec.get("algorithm", {})
+    for name, value in request.spec.algorithm.policy_shape().items():
+        if theirs.get(name) != value:
+            raise InvalidError(
+                f"the parent's policy has {name} {theirs.get(name)}, this job {value}; they must be the same",
+                f"spec.algorithm.{name}",
+            )
+    if request.parent_checkpoint_id is not None:
+        checkpoint = session.get(Checkpoint, request.parent_checkpoint_id)
+        if checkpoint is None or checkpoint.job_id != parent.id:
+            raise InvalidError(
+                f"job {parent.id} has no checkpoint {request.parent_checkpoint_id}",
+                "parent_checkpoint_id",
+            )
+
+
+def request_evaluation(
+    sessions: Sessions,
+    job_id: str,
+    *,
+    checkpoint_id: str | None = None,
+    spec: EvaluationSpec | None = None,
+    time_limit_s: float = DEFAULT_TIME_LIMIT_S,
+    max_open: int = MAX_OPEN_EVALUATIONS,
+) -> Evaluation:
+    """Queue an evaluation of a job's checkpoint, of the newest if none is named.
+
+    Raises NotFoundError, and ConflictError if the job has no checkpoint yet or too many open evaluations.
+    """
+    with sessions.begin() as session:
+        job = lock(session, Job, job_id)
+        if job is None:
+            raise NotFoundError(f"no job {job_id}")
+        if checkpoint_id is None:
+            checkpoint = newest_checkpoint(session, job_id)
+            if checkpoint is None:
+                raise ConflictError(f"job {job_id} has no checkpoint yet; wait for the first", "checkpoint_id")
+        else:
+            checkpoint = session.get(Checkpoint, checkpoint_id)
+            if checkpoint is None or checkpoint.job_id != job_id:
+                raise NotFoundError(f"job {job_id} has no checkpoint {checkpoint_id}")
+        is_open = (Evaluation.job_id == job_id, Evaluation.state.in_(OPEN))
+        waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
+        if (waiting or 0) >= max_open:
+            raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some end, or cancel some")
+        spec = spec or EvaluationSpec()
+        evaluation = Evaluation(
+            id=new_id("eval"),
+            job_id=job_id,
+            checkpoint_id=checkpoint.id,
+            state=WorkState.QUEUED,
+            spec=spec.model_dump(mode="json"),
+            queue=spec.simulator or job.queue,
+            **asdict(Requirements.of_evaluation(spec, job)),
+            priority=job.priority,
+            time_limit_s=time_limit_s,
+            queued_at=func.now(),
+        )
+        session.add(evaluation)
+        session.flush()
+        add_event(session, evaluation, "queued", "requested")
+        session.refresh(evaluation)
+    return evaluation

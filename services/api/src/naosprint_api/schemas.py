@@ -1,0 +1,295 @@
+"""Schemas of HTTP requests and answers."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal, Self
+
+from naojobs.ids import PATTERN
+from naojobs.models import DEFAULT_TIME_LIMIT_S
+from naojobs.scopes import Scope
+from naojobs.states import WorkState
+from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naospec import EvaluationSpec, TrainingSpec
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
+Name = Annotated[
+    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]*$")
+]
+Id = Annotated[str, StringConstraints(pattern=PATTERN)]
+
+EvaluationState = Literal["queued", "starting", "running", "succeeded", "failed", "cancelled"]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Public(BaseModel):
+    model_config = ConfigDict(from_attributes=True)
+
+
+class JobCreate(_Request):
+    """Job to submit."""
+
+    name: Name | None = Field(None, description="What to call it; left out, task, preset and seed name it.")
+    tags: list[Tag] = Field(
+        default_factory=list,
+        max_length=20,
+        description="Words to find it by: letters, digits and ._:/=- (at most 50 characters each).",
+    )
+    spec: TrainingSpec = Field(
+        default_factory=TrainingSpec,
+        description="What to train; a field left out takes the preset's value.",
+    )
+    evaluation: EvaluationSpec | None = Field(
+        default_factory=EvaluationSpec,
+        description="How to evaluate the final policy, by default on the training's task; null for no evaluation.",
+    )
+    priority: int = Field(5, ge=0, le=9, description="0 to 9; jobs with a higher priority start first.")
+    max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the job fails.")
+    parent_job_id: Id | None = Field(None, description="Start from the policy of this job.")
+    parent_checkpoint_id: Id | None = Field(
+        None,
+        description="Start from this checkpoint; left out, from the parent job's newest when this job starts.",
+    )
+
+    @model_validator(mode="after")
+    def _checkpoint_needs_job(self) -> Self:
+        if self.parent_checkpoint_id is not None and self.parent_job_id is None:
+            raise ValueError("parent_job_id: give the job that parent_checkpoint_id belongs to")
+        return self
+
+    def request(self) -> JobRequest:
+        """Return the job for `naojobs.submission`."""
+        return JobRequest(**{name: getattr(self, name) for name in type(self).model_fields})
+
+
+class GroupCreate(_Request):
+    """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
+
+    job: JobCreate = Field(description="What all of them share.")
+    seeds: list[int] = Field(default_factory=list, max_length=MAX_GROUP_SIZE, description="One job for each seed.")
+    grid: dict[str, Annotated[list[Any], Field(min_length=1, max_length=MAX_GROUP_SIZE)]] = Field(
+        default_factory=dict,
+        max_length=8,
+        description=(
+            "Settings of the training, by short name (learning_rate) or by path (algorithm.learning_rate), each with "
+            "its values; one job for each combination."
+        ),
+    )
+
+    def request(self) -> GroupRequest:
+        """Return the group for `naojobs.submission`."""
+        return GroupRequest(self.job.request(), self.seeds, self.grid)
+
+
+class JobPublic(_Public):
+    """Job."""
+
+    id: str
+    name: str
+    owner: str
+    tags: list[str]
+    state: WorkState
+    priority: int
+    queue: str = Field(description="The queue of the broker that its wake-up message goes to.")
+    waiting_reason: str | None = Field(
+        None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
+    )
+    spec: dict[str, Any] = Field(description="What it trains, as it was stored.")
+    evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for not at all.")
+    attempt: int = Field(description="How often a worker has claimed it.")
+    failures: int = Field(description="Attempts lost since the last submit or retry.")
+    max_attempts: int = Field(description="The job fails when failures reaches it.")
+    worker: str | None = Field(validation_alias="lease_owner", description="Id of the worker that holds it.")
+    heartbeat_at: datetime | None
+    cancel_requested: bool
+    pause_requested: bool
+    parent_job_id: str | None
+    parent_checkpoint_id: str | None
+    group_id: str | None
+    progress_step: int = Field(description="Environment steps done.")
+    total_steps: int = Field(description="Environment steps to do: whole rollouts.")
+    latest_metrics: dict[str, float] = Field(description="The newest row of metrics.")
+    error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
+    created_at: datetime
+    queued_at: datetime | None
+    started_at: datetime | None
+    finished_at: datetime | None
+    updated_at: datetime
+
+
+class JobPage(BaseModel):
+    """Page of jobs, newest first."""
+
+    items: list[JobPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
+class GroupPublic(BaseModel):
+    """Group and its jobs."""
+
+    id: str
+    jobs: list[JobPublic]
+
+
+class MetricsPublic(BaseModel):
+    """Metrics by column; every column has one value per row, null where a row has none."""
+
+    columns: dict[str, list[float | None]]
+    rows: int = Field(description="Rows in this answer.")
+    total_rows: int = Field(description="Rows after `after_step`, before thinning.")
+    last_seq: int = Field(description="Give it as `metrics_after` to a stream to continue behind these rows.")
+
+
+class EventPublic(_Public):
+    """Event in the history of a job."""
+
+    id: int
+    at: datetime
+    kind: str
+    attempt: int
+    message: str
+    data: dict[str, Any]
+
+
+class EventPage(BaseModel):
+    """Page of events, oldest first."""
+
+    items: list[EventPublic]
+    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+
+
+class LogPublic(_Public):
+    """Line of a job's log."""
+
+    id: int
+    at: datetime
+    attempt: int
+    level: str
+    message: str
+
+
+class LogPage(BaseModel):
+    """Page of log lines, oldest first."""
+
+    items: list[LogPublic]
+    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+
+
+class FilePublic(BaseModel):
+    """File of an artifact."""
+
+    name: str
+    size: int = Field(description="Bytes.")
+    sha256: str
+    url: str = Field(description="Where to download it, below the API's root.")
+
+
+class CheckpointPublic(BaseModel):
+    """Checkpoint."""
+
+    id: str
+    job_id: str
+    attempt: int
+    step: int
+    created_at: datetime
+    size: int = Field(description="Bytes of all files.")
+    files: list[FilePublic]
+    archive_url: str = Field(description="Where to download all files as one tar archive.")
+
+
+class EvaluationPublic(BaseModel):
+    """Evaluation of a checkpoint."""
+
+    id: str
+    job_id: str
+    checkpoint_id: str
+    state: EvaluationState
+    spec: dict[str, Any] = Field(description="How it evaluates, as it was stored.")
+    waiting_reason: str | None = Field(
+        description="Why no worker can take the queued evaluation; null if a worker can, and in all other states."
+    )
+    attempt: int = Field(description="How often a worker has claimed it.")
+    failures: int = Field(description="Attempts that were lost.")
+    max_attempts: int = Field(description="The evaluation fails when failures reaches it.")
+    worker: str | None = Field(description="Id of the worker that holds it.")
+    cancel_requested: bool
+    time_limit_s: float = Field(description="Seconds that one attempt may take.")
+    summary: dict[str, Any] | None = Field(description="Metrics over all episodes; null until it has succeeded.")
+    files: list[FilePublic]
+    archive_url: str | None
+    error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+
+class EvaluationCreate(_Request):
+    """Evaluation to run."""
+
+    checkpoint_id: Id | None = Field(None, description="Which checkpoint to evaluate; left out, the newest.")
+    spec: EvaluationSpec | None = Field(
+        None, description="How to evaluate it; left out, 1000 episodes of the job's task."
+    )
+    time_limit_s: float = Field(
+        DEFAULT_TIME_LIMIT_S,
+        gt=0,
+        le=30 * 86_400,
+        description="Seconds that one attempt may take; then the evaluation fails.",
+    )
+
+
+class TokenCreate(_Request):
+    """Token to make."""
+
+    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
+        description="Whose jobs it opens."
+    )
+    name: Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
+        "", description="What it is for."
+    )
+    scopes: list[Scope] = Field(
+        default_factory=lambda: [Scope.SUBMIT],
+        min_length=1,
+        max_length=len(Scope),
+        description="read: see one's own jobs; submit: also submit and control them; admin: all jobs, and tokens.",
+    )
+    expires_in_days: float | None = Field(None, gt=0, le=36_500, description="Days until it expires; null for never.")
+
+
+class TokenPublic(_Public):
+    """Token without its secret."""
+
+    id: str
+    name: str
+    owner: str
+    scopes: list[Scope]
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+
+
+class TokenMade(TokenPublic):
+    """New token with its secret."""
+
+    token: str = Field(description="The secret. It is shown only here: the service keeps only its SHA-256.")
+
+
+class WorkerPublic(_Public):
+    """Worker."""
+
+    id: str
+    host: str
+    pid: int
+    queues: list[str]
+    tasks: dict[str, int] = Field(description="Version by name of each task that it can run.")
+    robots: list[str]
+    simulators: list[str]
+    version: str
+    started_at: datetime
+    heartbeat_at: datetime
+    alive: bool = Field(description="Whether its last heartbeat is recent.")
+    jobs: list[str] = Field(description="The jobs it holds a lease on.")

@@ -1,0 +1,217 @@
+"""An exported policy is the policy."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import onnx
+import onnxruntime  # type: ignore[import-untyped]
+import pytest
+import torch
+from naosim import robots
+from naosim.robots import nao_model
+from naosim.robots.actuation import Actuation
+from naosim.simspark import centre_of_mass
+from naosim.simspark.control import motor_speeds
+from naospec import TrainingSpec
+from naosprint.export import describe, export_policy, policy_arrays
+from naosprint.export.nao import kinematics
+from naosprint.rl.checkpoint import CheckpointError, Manifest
+from naosprint.rl.policy import Policy, load_policy
+from naosprint.tasks.environment import open_environment
+
+if TYPE_CHECKING:
+    from naosprint.tasks.environment import Environment
+
+AGENT = Path(__file__).parents[4] / "packages/naosprint/examples/run_policy.py"
+
+
+@pytest.fixture(scope="module")
+def exported(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the exported files."""
+    return export_policy(checkpoint, tmp_path_factory.mktemp("export"))[0].parent
+
+
+@pytest.fixture(scope="module")
+def agent() -> ModuleType:
+    """Return the example agent as a module."""
+    spec = importlib.util.spec_from_file_location("run_policy", AGENT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def raw_observations(checkpoint: Path, count: int = 200) -> np.ndarray:
+    """Return observations spread as widely as the policy has seen them, and some beyond."""
+    policy, _ = load_policy(checkpoint)
+    rng = np.random.default_rng(0)
+    spread = 4.0 * rng.standard_normal((count, len(policy.mean)))
+    return np.asarray(policy.mean + spread / np.minimum(policy.scale, 1e3))
+
+
+def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> None:
+    """The runtime, our NumPy policy and torch agree."""
+    observations = raw_observations(checkpoint)
+    session = onnxruntime.InferenceSession(exported / "policy.onnx", providers=["CPUExecutionProvider"])
+    (found,) = session.run(None, {"observations": observations.astype(np.float32)})
+    policy, _ = load_policy(checkpoint)
+    hidden = torch.from_numpy(policy.standardize(observations))
+    for i, (weights, bias) in enumerate(policy.layers):
+        hidden = torch.nn.functional.linear(hidden, torch.from_numpy(weights), torch.from_numpy(bias))
+        hidden = torch.tanh(hidden) if i < len(policy.layers) - 1 else hidden.clamp(-1.0, 1.0)
+    np.testing.assert_allclose(found, hidden.numpy(), atol=2e-5)
+    np.testing.assert_allclose(found, policy.act(observations), atol=2e-5)
+    assert found.std() > 1e-3
+
+
+def test_onnx_file_is_small_and_well_formed(exported: Path) -> None:
+    """Names, shapes and an operator set that old runtimes know."""
+    model = onnx.load(exported / "policy.onnx")
+    onnx.checker.check_model(model, full_check=True)
+    assert [entry.name for entry in model.graph.input] == ["observations"]
+    assert [entry.name for entry in model.graph.output] == ["actions"]
+    assert model.opset_import[0].version <= 17
+
+
+def test_description_names_what_goes_in_and_out(checkpoint: Path, exported: Path) -> None:
+    """In the network's order, with the joints' ranges."""
+    document = json.loads((exported / "policy.json").read_text())
+    _, manifest = load_policy(checkpoint)
+    assert tuple(document["observations"]) == manifest.observations
+    assert [action["joint"] for action in document["actions"]] == list(manifest.actions)
+    knee = next(action for action in document["actions"] if action["joint"] == "llj4")
+    assert (knee["minus_one_deg"], knee["plus_one_deg"], knee["sign"]) == (-1.0, 130.0, -1.0)
+    assert knee["zero_deg"] == 64.5
+    assert document["controller"] == {"gain_per_s": 7.0, "cycle_s": 0.02}
+
+
+@pytest.mark.parametrize("robot", robots.names())
+def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
+    """For every robot, ``clip(middle + reach @ action, low, high)`` is what the environment drives the joints to."""
+    spec = TrainingSpec.model_validate({"robot": robot, "task": {"name": "sprint1"}})
+    actuation = Actuation(robots.get(robot))
+    names = tuple(f"o{i}" for i in range(3))
+    manifest = Manifest.model_construct(
+        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actuation.names
+    )
+    layers = ((np.zeros((actuation.n_actions, 3), np.float32), np.zeros(actuation.n_actions, np.float32)),)
+    policy = Policy(np.zeros(3), np.ones(3), np.inf, layers, np.zeros(actuation.n_actions, np.float32))
+    arrays = policy_arrays(policy, manifest)
+    rng = np.random.default_rng(0)
+    for action in rng.uniform(-1.5, 1.5, (20, actuation.n_actions)):
+        wanted = arrays["middle_rad"] + arrays["reach_rad"] @ np.clip(action, -1, 1)
+        found = np.clip(wanted, arrays["low_rad"], arrays["high_rad"])
+        np.testing.assert_allclose(found, actuation.targets(action[None])[0], atol=1e-12)
+        seen = arrays["joint_view"] @ found
+        np.testing.assert_allclose(seen, actuation.angles(np.rad2deg(found)[None])[0], atol=1e-12)
+    document = describe(policy, manifest)
+    nominal = dict(zip(actuation.names, np.rad2deg(actuation.nominal), strict=True))
+    for entry in document["actions"]:
+        assert entry["minus_one_deg"] <= entry["zero_deg"] <= entry["plus_one_deg"]
+        if robots.get(robot).action_range_rad is not None:
+            assert entry["zero_deg"] == pytest.approx(nominal[entry["joint"]], abs=1e-5)
+    json.dumps(document, allow_nan=False)
+
+
+def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
+    """Nothing is written then."""
+    with pytest.raises(CheckpointError, match="no checkpoint here"):
+        export_policy(tmp_path / "nothing", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def _message(environment: Environment) -> str:
+    """Write what the robot perceives as a server does, with two decimals."""
+    perceptors, robot = environment.simulator.perceptors, environment.world.robot
+
+    def numbers(values: np.ndarray) -> str:
+        return " ".join(f"{value:.2f}" for value in values)
+
+    gyro, accel = numbers(perceptors["gyro"][0]), numbers(perceptors["accel"][0])
+    parts = ["(time (now 1.00))(GS (t 0.00)(pm PlayOn))", f"(GYR (n torso) (rt {gyro}))(ACC (n torso) (a {accel}))"]
+    parts += [
+        f"(HJ (n {name}) (ax {angle:.2f}))"
+        for name, angle in zip(robot.joint_names, perceptors["joint_angles"][0], strict=True)
+    ]
+    for name, foot in (("rf", perceptors["foot_right"][0]), ("lf", perceptors["foot_left"][0])):
+        if not np.isnan(foot).any():
+            parts.append(f"(FRP (n {name}) (c {numbers(foot[:3])}) (f {numbers(foot[3:])}))")
+    return "".join(parts)
+
+
+def test_example_agent_sees_and_does_what_the_environment_does(
+    checkpoint: Path, exported: Path, agent: ModuleType
+) -> None:
+    """From a server's messages it computes the same observations and joint speeds, step by step through a whole run."""
+    policy, manifest = load_policy(checkpoint)
+    environment = open_environment(manifest.spec, 1, threads=1)
+    environment.load_starts(environment.task.starts(1, 0, 2.0))
+    environment.restart(np.arange(1), np.zeros(1, dtype=np.int64))
+    actuation = environment.actuation
+    runner: Any = agent.Runner(exported / "policy.npz")
+    rng = np.random.default_rng(1)
+    for step in range(400):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = environment.simulator.truth.torso_rotation[0], environment.simulator.truth.torso_position[0]
+        seen = runner.observe(_message(environment), pose)
+        np.testing.assert_allclose(seen, environment.observations[0], atol=1e-6, err_msg=f"step {step}")
+        actions = policy.act(environment.observations)
+        targets = runner.act(seen)
+        np.testing.assert_allclose(targets, actuation.targets(actions)[0], atol=1e-5)
+        speeds = dict(part.split() for part in runner.command(targets).replace("(syn)", "")[1:-1].split(")("))
+        angles, limits = environment.simulator.perceptors["joint_angles"], runner.max_speed
+        expected = motor_speeds(actuation.targets(actions), angles, limits)[0]
+        ours = [float(speeds[joint.effector]) for joint in environment.world.robot.joints]
+        np.testing.assert_allclose(ours, expected, atol=2e-4)
+        # some noise, so that it falls and both feet leave the ground
+        environment.step(actions + 0.3 * rng.standard_normal(actions.shape))
+        if environment.terminated[0]:
+            break
+    assert step > 20
+
+
+@pytest.mark.parametrize("robot_type", range(5))
+def test_exported_kinematics_give_the_centre_of_mass(robot_type: int, exported: Path, agent: ModuleType) -> None:
+    """For every robot type the example's forward kinematics are the engine's."""
+    model = nao_model.model(robot_type)
+    runner: Any = agent.Runner(exported / "policy.npz")
+    vars(runner).update(kinematics(model))
+    rng = np.random.default_rng(robot_type)
+    for angles in rng.uniform(model.low_deg, model.high_deg, (5, len(model.joints))):
+        runner.angles = angles
+        np.testing.assert_allclose(runner.centre_of_mass(), centre_of_mass(robot_type, angles[None])[0], atol=1e-5)
+
+
+def test_example_agent_reads_the_torso_from_a_scene_graph(agent: ModuleType) -> None:
+    """Matrices come column after column; the mesh has one of its own, which does not count."""
+    scene = (
+        "((time 0))(RSG 0 1)((nd TRF (SLT 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1)"
+        "(nd TRF (SLT 0 -1 0 0 1 0 0 0 0 0 1 0 -13.9 0.1 0.36 1)"
+        "(nd TRF (SLT -1 0 0 0 0 0 1 0 0 1 0 0 0 0 0 1)(nd StaticMesh (setVisible 1) (load models/naobody.obj) "
+        "(sSc 0.1 0.1 0.1)(resetMaterials matNum1 matLeft naoblack naowhite))))))"
+    )
+    pose = agent.torso_pose(scene)
+    np.testing.assert_allclose(pose[:3, 3], [-13.9, 0.1, 0.36])
+    # the front, its second column, faces +x
+    np.testing.assert_allclose(pose[:3, 1], [1, 0, 0])
+    assert agent.torso_pose("((time 0.02))(RDS 0 1)((nd)(nd (SLT 1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1)))") is None
+
+
+def test_example_agent_needs_numpy_alone() -> None:
+    """No module of ours, and nothing but NumPy besides the standard library."""
+    program = (
+        "import sys, runpy\n"
+        f"runpy.run_path({str(AGENT)!r}, run_name='agent')\n"
+        "roots = {name.partition('.')[0] for name in sys.modules}\n"
+        "assert not roots & {'naosim', 'naosprint', 'naospec', 'torch', 'onnx'}, roots\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

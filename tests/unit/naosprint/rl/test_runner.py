@@ -1,0 +1,201 @@
+"""Trainings from end to end on small specifications."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.robots.actuation import Actuation
+from naospec import TrainingSpec
+from naosprint import CheckpointError, train
+from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
+from naosprint.rl.columns import columns
+from naosprint.rl.policy import load_policy
+
+from ..checkpoints import assert_same
+
+Make = Callable[..., TrainingSpec]
+
+def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """One row per update with all documented metrics, checkpoints at the start, the interval and the end."""
+    spec = make_spec(total_steps=2000, n_steps=64, checkpoint_interval_steps=1000)
+    result = train(spec, workdir=tmp_path, reporter=recorder)
+    assert (result.status, result.steps) == ("finished", 2048)
+    assert [row["step"] for row in recorder.rows] == [512, 1024, 1536, 2048]
+    assert [step for _, step in recorder.checkpoints] == [0, 1024, 2048]
+    assert result.checkpoint == recorder.checkpoints[-1][0]
+    assert read_manifest(result.checkpoint).steps == 2048
+    documented = {metric.name for metric in columns(spec)}
+    # an embedded simulator has no servers, and there are no stages
+    assert recorder.rows[-1].keys() == documented - {"server_failures", "stage"}
+    for row in recorder.rows:
+        assert all(isinstance(value, float) and math.isfinite(value) for value in row.values())
+
+
+def test_metrics_without_a_value_are_left_out(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """Before the first episode ends there is no distance."""
+    train(make_spec(n_envs=2, n_steps=4, batch_size=8, total_steps=8), workdir=tmp_path, reporter=recorder)
+    assert "distance_m" not in recorder.rows[0]
+    assert recorder.rows[0]["episodes"] == 0.0
+
+
+def test_same_seed_gives_the_same_weights(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """And another seed gives others."""
+    runs = {
+        name: train(make_spec(seed=seed), workdir=tmp_path / name, reporter=recorder).checkpoint
+        for name, seed in (("a", 3), ("b", 3), ("c", 4))
+    }
+    assert_same(runs["a"], runs["b"])
+    assert not np.array_equal(
+        read_arrays(runs["a"] / POLICY)["action_net.weight"], read_arrays(runs["c"] / POLICY)["action_net.weight"]
+    )
+
+
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorder: Any, preset: str) -> None:
+    """Training 2k steps, and being stopped after 1k and then resumed, end in the same state in every array."""
+    settings = {"preset": preset, "n_steps": 128, "final_log_std": -2.0 if preset == "fast" else None}
+    whole = train(make_spec(total_steps=2048, **settings), workdir=tmp_path / "whole", reporter=recorder)
+    updates = len(recorder.rows)
+    half = train(
+        make_spec(total_steps=2048, **settings),
+        workdir=tmp_path / "half",
+        reporter=recorder,
+        stop=lambda: len(recorder.rows) > updates,
+    )
+    assert (half.status, half.steps) == ("stopped", 1024)
+    rest = train(
+        make_spec(total_steps=2048, **settings),
+        workdir=tmp_path / "rest",
+        reporter=recorder,
+        resume=half.checkpoint,
+    )
+    assert rest.steps == whole.steps == 2048
+    assert_same(rest.checkpoint, whole.checkpoint)
+
+
+def test_threads_change_nothing_in_the_simulator(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """The same training with one and with two simulator threads."""
+    one = train(make_spec(), workdir=tmp_path / "1", reporter=recorder)
+    two = train(make_spec(simulator_threads=2), workdir=tmp_path / "2", reporter=recorder)
+    assert_same(one.checkpoint, two.checkpoint)
+
+
+def test_stopping_in_a_rollout_saves_the_last_update(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """The stopped training, resumed, ends where the uninterrupted one does."""
+    spec = make_spec(total_steps=1024)
+    calls = 0
+
+    def stop() -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > 2 * spec.algorithm.n_steps + 7
+
+    stopped = train(spec, workdir=tmp_path / "stopped", reporter=recorder, stop=stop)
+    assert (stopped.status, stopped.steps) == ("stopped", 512)
+    assert recorder.checkpoints[-1] == (stopped.checkpoint, 512)
+    resumed = train(spec, workdir=tmp_path / "resumed", reporter=recorder, resume=stopped.checkpoint)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    assert_same(resumed.checkpoint, whole.checkpoint)
+
+
+def test_stopping_at_once_leaves_the_first_checkpoint(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """There is always something to resume from."""
+    result = train(make_spec(), workdir=tmp_path, reporter=recorder, stop=lambda: True)
+    assert (result.status, result.steps) == ("stopped", 0)
+    assert read_manifest(result.checkpoint).steps == 0
+    assert recorder.rows == []
+
+
+def test_resuming_a_finished_training_is_finished(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """Nothing is left to do, and the result says where the checkpoint is."""
+    result = train(make_spec(), workdir=tmp_path, reporter=recorder, resume=checkpoint)
+    assert (result.status, result.steps) == ("finished", 512)
+    assert_same(result.checkpoint, checkpoint)
+
+
+@pytest.mark.parametrize(
+    ("fields", "word"),
+    [({"seed": 1}, "seed"), ({"clip_range": 0.3}, "algorithm.clip_range"), ({"task": "sprint2"}, "task.name")],
+)
+def test_checkpoint_of_another_specification_is_refused(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any, fields: dict[str, Any], word: str
+) -> None:
+    """The message names the field and both values."""
+    with pytest.raises(CheckpointError, match=f"{word}: the checkpoint was trained with"):
+        train(make_spec(**fields), workdir=tmp_path, reporter=recorder, resume=checkpoint)
+
+
+def test_initial_policy_gives_weights_and_statistics(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """A new training starts from another's policy, with its own seed, task and counters."""
+    spec = make_spec(seed=8, task="sprint2", total_steps=256)
+    started = train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint, stop=lambda: True).checkpoint
+    theirs, ours = read_arrays(checkpoint / POLICY), read_arrays(started / POLICY)
+    for name in theirs:
+        if not name.startswith("observation_"):
+            assert np.array_equal(ours[name], theirs[name]), name
+    assert ours["observation_count"][0] == theirs["observation_count"][0] + spec.algorithm.n_envs
+    assert read_manifest(started).steps == 0
+
+
+def test_initial_policy_of_another_shape_is_refused(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """The message says what to set."""
+    with pytest.raises(CheckpointError, match=r"this training has \[8, 8\]; set algorithm.hidden_sizes to \["):
+        train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
+
+
+def test_a_robot_with_toes_starts_from_the_policy_of_one_without(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """It does with all other joints what the policy did, whatever its toes do, and holds these straight; and learns."""
+    spec = make_spec(robot="nao-4", total_steps=256)
+    began = train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint, stop=lambda: True).checkpoint
+    (theirs, before), (ours, after) = load_policy(checkpoint), load_policy(began)
+    new = sorted(set(after.observations) - set(before.observations))
+    assert new == ["llj7", "llj7_rate", "rlj7", "rlj7_rate"]
+    seen = np.random.default_rng(0).normal(size=(5, len(after.observations)))
+    known = seen[:, [after.observations.index(name) for name in before.observations]]
+    moved = [after.actions.index(name) for name in before.actions]
+    # the new robot's first observations are part of its statistics already
+    np.testing.assert_allclose(ours.act(seen)[:, moved], theirs.act(known), atol=0.02)
+    toes = Actuation(robots.get("nao-4")).targets(ours.act(seen))[:, [16, 23]]
+    np.testing.assert_allclose(toes, 0.0, atol=1e-6)
+    finished = train(spec, workdir=tmp_path / "on", reporter=recorder, initial_policy=checkpoint)
+    assert finished.status == "finished"
+
+
+def test_resume_and_initial_policy_exclude_each_other(
+    make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
+) -> None:
+    """One of them has to go."""
+    with pytest.raises(ValueError, match="exclude each other"):
+        train(make_spec(), workdir=tmp_path, reporter=recorder, resume=checkpoint, initial_policy=checkpoint)
+
+
+@pytest.mark.parametrize("robot_type", range(5))
+def test_every_robot_type_trains(make_spec: Make, tmp_path: Path, recorder: Any, robot_type: int) -> None:
+    """The toes of type 4 included."""
+    result = train(make_spec(robot=f"nao-{robot_type}", total_steps=256), workdir=tmp_path, reporter=recorder)
+    manifest = read_manifest(result.checkpoint)
+    assert len(manifest.actions) == (22 if robot_type == 4 else 20)
+
+
+def test_a_short_training_learns(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """In a few thousand steps the reward per step grows: the whole chain learns, not only runs."""
+    spec = make_spec(
+        n_envs=32, n_steps=64, batch_size=512, n_epochs=5, total_steps=60_000, learning_rate=1e-3, hidden_sizes=(64, 64)
+    )
+    train(spec, workdir=tmp_path, reporter=recorder)
+    speeds = [row["speed_mps"] for row in recorder.rows]
+    assert np.mean(speeds[-3:]) > np.mean(speeds[:3]) + 0.15

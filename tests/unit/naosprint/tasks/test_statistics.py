@@ -1,0 +1,52 @@
+"""Confidence intervals against known values and by simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from naosprint.tasks.statistics import bootstrap_mean, wilson
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # Newcombe (1998), table I, method 3
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
+def test_wilson_gives_published_intervals(successes: int, trials: int, low: float, high: float) -> None:
+    """The score interval of four published examples."""
+    assert wilson(successes, trials, 0.95) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_wilson_reaches_the_ends() -> None:
+    """Never below nothing or above everything."""
+    assert wilson(0, 7, 0.95)[0] == 0.0
+    assert wilson(7, 7, 0.95)[1] == 1.0
+
+
+def test_bootstrap_covers_the_mean_as_often_as_it_says() -> None:
+    """Of many samples, about 90 in 100 give an interval that holds the true mean."""
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(300):
+        low, high = bootstrap_mean(rng.normal(5.0, 2.0, 60), confidence=0.9, resamples=300, rng=rng)
+        hits += low <= 5.0 <= high
+    assert 0.84 < hits / 300 < 0.95
+
+
+def test_bootstrap_of_one_value_is_that_value() -> None:
+    """There is nothing to resample."""
+    interval = bootstrap_mean(np.array([3.0]), confidence=0.95, resamples=100, rng=np.random.default_rng(0))
+    assert interval == (3.0, 3.0)
+
+
+def test_bootstrap_works_in_blocks() -> None:
+    """A sample too large to resample at once still gets all its resamples."""
+    values = np.random.default_rng(1).normal(size=300_000)
+    low, high = bootstrap_mean(values, confidence=0.95, resamples=100, rng=np.random.default_rng(0))
+    assert low < values.mean() < high
+    assert high - low == pytest.approx(2 * 1.96 / np.sqrt(300_000), rel=0.4)

@@ -1,0 +1,56 @@
+"""What users send."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naospec import TrainingSpec
+from naosprint_api.schemas import GroupCreate, JobCreate
+from pydantic import ValidationError
+
+
+@pytest.mark.parametrize(
+    ("body", "task"),
+    [
+        ({}, "sprint1"),
+        ({"spec": {"task": "sprint2"}}, "sprint2"),
+        ({"spec": {"task": "sprint2"}, "evaluation": {"episodes": 5}}, "sprint2"),
+        ({"spec": {"task": "sprint2"}, "evaluation": {"task": "sprint1"}}, "sprint1"),
+    ],
+)
+def test_a_job_is_evaluated_on_the_task_that_it_trains_by_default(body: dict[str, Any], task: str) -> None:
+    job = JobCreate.model_validate(body)
+    assert job.evaluation is not None
+    assert job.evaluation.applied_to(job.spec).task.name == task
+
+
+def test_every_field_is_described() -> None:
+    for model in (JobCreate, GroupCreate):
+        assert all(field.description for field in model.model_fields.values())
+
+
+def test_a_job_survives_json() -> None:
+    job = JobCreate(name="x", tags=["a"], spec=TrainingSpec(task="sprint2", seed=3), priority=1)
+    assert JobCreate.model_validate_json(job.model_dump_json()) == job
+
+
+@pytest.mark.parametrize("tag", ["", " ", "a b", "-a", "a\n", "x" * 51, "\N{SNOWMAN}"])
+def test_strange_tags_are_refused(tag: str) -> None:
+    with pytest.raises(ValidationError, match=r"tags\.0"):
+        JobCreate(tags=[tag])
+
+
+def test_groups_have_a_largest_size() -> None:
+    GroupCreate(job=JobCreate(), seeds=list(range(MAX_GROUP_SIZE)))
+    with pytest.raises(ValidationError, match="seeds"):
+        GroupCreate(job=JobCreate(), seeds=list(range(MAX_GROUP_SIZE + 1)))
+
+
+def test_a_request_has_every_field_of_its_schema() -> None:
+    spec = TrainingSpec(task="sprint2", seed=3)
+    job = JobCreate(name="x", tags=["a"], spec=spec, priority=1, max_attempts=2, evaluation=None)
+    assert job.request() == JobRequest(spec=spec, name="x", tags=["a"], priority=1, max_attempts=2)
+    group = GroupCreate(job=job, seeds=[1], grid={"n_epochs": [1, 2]})
+    assert group.request() == GroupRequest(job.request(), [1], {"n_epochs": [1, 2]})
