@@ -83,6 +83,11 @@ class WorkerSettings(ServiceSettings):
         description="What runs a NAO on a server: a program, `embedded` for `naosim serve`, "
         "or `docker:IMAGE` for a container of that image.",
     )
+    rcssservermj: str = Field(
+        "",
+        description="What runs a T1 or K1 on a server: a program, or `docker:IMAGE` for a container of that image; "
+        "left out: the server that is installed with the worker.",
+    )
     simserver_network: str | None = Field(
         None,
         description="Docker network of those containers, or `own` for one of each job's own where the worker itself is "

@@ -70,16 +70,16 @@ def _labels() -> dict[str, str]:
     return labels
 
 
-def reap_servers(program: str) -> int:
+def reap_servers(*programs: str) -> int:
     """Remove server containers whose owner has died; return how many.
 
     Args:
-        program: value of a server's variable; only containers need this, processes end with their owner.
+        programs: values of servers' variables; only containers need this, processes end with their owner.
 
     Raises:
         OSError: if no Docker engine answers.
     """
-    return Reaper().sweep() if program.startswith(DOCKER_PREFIX) else 0
+    return Reaper().sweep() if any(program.startswith(DOCKER_PREFIX) for program in programs) else 0
 
 
 def most_servers() -> int:

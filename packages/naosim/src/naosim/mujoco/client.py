@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from naosim.fleet import Act, Fleet, Rows
+from naosim.fleet import Act, Fleet
 from naosim.launchers import Address, Launcher
 from naosim.mujoco._mujoco import Exchange
 from naosim.mujoco.batch import PERCEPTORS
@@ -104,8 +104,6 @@ class MujocoFleet(Fleet):
         self.time: Floats = views["time"]
         self.rotation: Floats = views["rotation"]
         self._idle[:] = robot.nominal
-        self._spoken_to = np.zeros(self.n)  # when a message was last sent to each server, s
-        self._awaited = np.zeros(self.n, dtype=np.bool_)  # servers whose reply has not been read yet
         self._closing = threading.Event()
         self._start()
         beat = threading.Thread(
@@ -115,24 +113,13 @@ class MujocoFleet(Fleet):
 
     # steps
 
-    def _dispatch(self, commands: Floats, rows: Rows) -> None:
-        chosen = slice(None) if rows is None else rows.view(np.bool_)
-        self._idle[chosen] = commands[chosen]
-        self._spoken_to[chosen] = time.monotonic()
-        self._awaited[chosen] = True
-        super()._dispatch(commands, rows)
-
-    def _gather(self, rows: Rows) -> None:
-        super()._gather(rows)
-        self._awaited[slice(None) if rows is None else rows.view(np.bool_)] = False
-
     def step_idle(self) -> None:
         """Step the servers to which nothing has been sent for a while; their robots hold the last command."""
         with self._lock:
-            late = time.monotonic() - self._spoken_to > _SILENCE_S
-            mask = late & ~self._awaited & ~self.failed
-            if mask.any() and not self._closing.is_set():
-                self.step(self._idle.copy(), mask)
+            if self._closing.is_set():
+                return
+            if self._exchange.renew(_SILENCE_S, self._timeout_s) != np.count_nonzero(self.failed):
+                self._note_failures()
 
     @contextmanager
     def keep_alive(self, interval_s: float = _SILENCE_S) -> Iterator[None]:
@@ -218,8 +205,6 @@ class MujocoFleet(Fleet):
             )
         if mode != _MODE:
             exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")
-        self._spoken_to[row] = time.monotonic()
-        self._awaited[row] = False
 
 
 def _beat(fleet: weakref.ref[MujocoFleet], closing: threading.Event) -> None:
