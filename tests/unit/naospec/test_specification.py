@@ -207,7 +207,7 @@ def test_stages_override_algorithm_and_task() -> None:
         ([{"steps": 10, "algorithm": {"preset": "paper"}}], "stages.0.algorithm.preset: cannot differ between stages"),
         ([{"steps": 10, "task": {"name": "sprint2"}}], "stages.0.task.name: cannot differ between stages"),
         ([{"steps": 10}, {"steps": 10, "algorithm": {"hidden_sizes": [8]}}], "stages.1.algorithm: all stages train"),
-        ([{"steps": 10, "robot": "nao-1"}], "stages.0.robot"),
+        ([{"steps": 10, "robot": "nao-9"}], "stages.0.robot: unknown robot"),
         ([{"steps": 10, "task": {"min_height_m": 0.385}}], "stages.0: task.min_height_m: 0.385"),
         ([{"steps": 10, "algorithm": {"batch_size": 5000}}], "stages.0.algorithm: batch_size: 5000 does not divide"),
     ],
