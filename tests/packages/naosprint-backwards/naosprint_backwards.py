@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from naosim.simulator import STEP_S
-from naosprint.tasks import (
-    Chart,
-    End,
-    Metric,
-    ObservationBlock,
-    Presentation,
-    Reference,
-    RewardTerm,
-    Task,
-    TaskSettings,
-)
+from naosprint.tasks import Chart, End, Metric, ObservationBlock, Presentation, RewardTerm, Task, TaskSettings
 from pydantic import Field
 
+TARGET_MPS = 0.5  # speed above which there is no more reward
 BACKWARD = Metric("backward_m", "Distance backwards", "m", "Displacement towards the robot's back.", 2, "higher")
 FALL_RATE = Metric("backward_fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
-SPEED = Metric("backward_mps", "Speed backwards", "m/s", "Distance backwards divided by duration.", 2, "higher", live=False)
+SPEED = Metric(
+    "backward_mps", "Speed backwards", "m/s", "Distance backwards divided by duration.", 2, "higher", live=False
+)
 
 
 class RunBackwardsSettings(TaskSettings):
@@ -32,14 +25,6 @@ class RunBackwardsSettings(TaskSettings):
         title="Gait period",
         description="Period of the clock that the policy observes.",
         json_schema_extra={"unit": "s"},
-    )
-    target_mps: float = Field(
-        default=0.5,
-        gt=0.0,
-        le=5.0,
-        title="Target speed",
-        description="Speed backwards above which there is no more reward.",
-        json_schema_extra={"unit": "m/s"},
     )
 
 
@@ -55,7 +40,6 @@ class RunBackwards(Task):
         charts=(Chart("Distance backwards", ("backward_m",)), Chart("Falls", ("backward_fall_rate",))),
         listed=("backward_m", "backward_fall_rate"),
         headline=("backward_m", "backward_mps", "backward_fall_rate"),
-        references=(Reference("backward_m", 5.0, "5 m"),),
     )
     max_steps = 1000
 
@@ -76,7 +60,7 @@ class RunBackwards(Task):
 
     def reward_terms(self):
         """Return displacement backwards up to the target speed, and as much for every step on its feet, in metres."""
-        most = self.parameters.target_mps * STEP_S
+        most = TARGET_MPS * STEP_S
         return (
             RewardTerm("backward", 1.0, lambda rows: np.clip(self._back[rows], -most, most)),
             RewardTerm("on its feet", 0.5 * most, lambda rows: ~self._fell[rows]),

@@ -1,4 +1,8 @@
-"""Jobs that are known to work, as YAML files beside this module: what ``POST /jobs`` takes, and a summary."""
+"""Jobs that are known to work, as YAML files beside this module.
+
+A file has a ``summary`` and what ``POST /jobs`` takes. It may name a bundled policy to start from, ``from_policy``,
+because stages are of one robot and one policy.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ def summary(name: str) -> str:
 
 
 def job(name: str) -> dict[str, Any]:
-    """Return the job of a recipe: name, tags, spec and evaluation, nothing of it validated yet.
+    """Return the job of a recipe, not validated yet: name, tags, spec, evaluation, and ``from_policy`` if it has one.
 
     Raises:
         ValueError: if there is no such recipe; the message lists those that exist.
