@@ -63,14 +63,15 @@ def swinging(robot: Robot, steps: int, n: int = 1) -> np.ndarray:
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_servers_conform(check: Check) -> None:
-    check(Subject(lambda n: remote(T1, n), lose, tolerance_deg=0.05))
+    # a robot at rest does not change if it waits for another simulator's servers
+    check(Subject(lambda n: remote(T1, n, settle_steps=150), lose, tolerance_deg=0.1))
 
 
 @pytest.mark.parametrize(
     "check", [robots_start_where_they_should, starts_are_repeated], ids=lambda check: check.__name__
 )
 def test_k1_starts_on_servers(check: Check) -> None:
-    check(Subject(lambda n: remote(K1, n), lose, tolerance_deg=0.05))
+    check(Subject(lambda n: remote(K1, n), lose, tolerance_deg=0.1))
 
 
 @BOTH
@@ -93,6 +94,9 @@ def test_a_server_and_an_embedded_world_print_the_same_numbers(robot: Robot) -> 
                 np.testing.assert_array_equal(server.perceptors[name], values, err_msg=f"{name} before step {step}")
             assert np.abs(server.truth.torso_position - embedded.truth.torso_position).max() < 0.02  # 5 ms old
             assert np.abs(server.truth.torso_rotation - embedded.truth.torso_rotation).max() < 0.03
+            everyone = slice(0, 1)
+            assert np.abs(server.torque_shares(everyone) - embedded.torque_shares(everyone)).max() < 0.02
+            assert not server.airborne().any()
             server.step(targets)
             embedded.step(targets)
         assert np.abs(server.bodies()[..., :3] - embedded.bodies()[..., :3]).max() < 0.03
