@@ -11,6 +11,9 @@ import sys
 
 import numpy as np
 
+# where the robot starts, metres, and the direction it faces: +x
+START, YAW_DEG = (-14.0, 0.0), -90.0
+
 
 class Runner:
     """Turn a server's messages into observations, and those into joint speeds."""
@@ -52,7 +55,7 @@ class Runner:
         values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
         for i in range(self.layers):
             values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
-        return self.middle_rad + self.reach_rad @ np.clip(values, -1, 1)
+        return np.clip(self.middle_rad + self.reach_rad @ np.clip(values, -1, 1), self.low_rad, self.high_rad)
 
     def command(self, targets):
         speeds = np.clip(self.gain * (targets - np.radians(self.angles)), -self.max_speed, self.max_speed)
@@ -77,17 +80,18 @@ def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
     ask(agent, f"(scene rsg/agent/nao/nao_hetero.rsg {runner.robot_type})(syn)")
     message, torso, cycle, settled = ask(agent, "(init (unum 1)(teamname A))(syn)"), None, 0, 2 + runner.settling_cycles
     move = "(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {} {} {} {}))"
-    ask(monitor, move.format(*runner.start))
+    x, y = START
+    ask(monitor, move.format(x, y, runner.standing_height_m + runner.drop_m, YAW_DEG))
     while select.select([monitor], [], [], 0.2)[0]:
         monitor.recv(1 << 16)
     # a symmetric policy does not run from a perfectly symmetric start, which no training begins with
     pose = runner.start_pose_rad + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.start_pose_rad)))
-    while cycle < settled or (torso[2, 3] > 0.25 and torso[0, 3] < 14 and cycle < 3000):
+    while cycle < settled or (torso[2, 3] > 0.25 and torso[0, 3] < -START[0] and cycle < 3000):
         runner.perceive(message)
         command = runner.command(pose if cycle < settled else runner.act(runner.observe(message, torso)))
         # a full scene is asked for a cycle ahead
         message, torso, cycle = ask(agent, command), torso_pose(ask(monitor, "(reqfullstate)")), cycle + 1
-    seconds, metres = (cycle - settled) * runner.cycle_s, torso[0, 3] - runner.start[0]
+    seconds, metres = (cycle - settled) * runner.cycle_s, torso[0, 3] - x
     print(f"{metres:.2f} m in {seconds:.2f} s: {metres / seconds:.2f} m/s")
 
 

@@ -1,4 +1,4 @@
-"""Share small trainings between tests."""
+"""Small trainings that several tests share."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from naospec import TrainingSpec
+from naospec.flat import nest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """Keep what a training reports."""
+    """Reporter that keeps everything."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
@@ -21,31 +22,28 @@ class Recorder:
         self.lines: list[tuple[str, str]] = []
 
     def metrics(self, row: dict[str, float]) -> None:
-        """Keep the figures."""
         self.rows.append(row)
 
     def checkpoint(self, path: Path, step: int) -> None:
-        """Keep the checkpoint."""
         self.checkpoints.append((path, step))
 
     def log(self, level: str, message: str) -> None:
-        """Keep the line."""
         self.lines.append((level, message))
 
 
-def small_spec(**fields: Any) -> TrainingSpec:
-    """Return a specification that trains in a fraction of a second."""
+def small_spec(*, stages: Any = (), **settings: Any) -> TrainingSpec:
+    """Return a specification that trains in a fraction of a second, with settings by their short names."""
     defaults: dict[str, Any] = {
         "n_envs": 8,
         "n_steps": 32,
         "batch_size": 64,
         "n_epochs": 2,
-        "total_steps": 512,
         "hidden_sizes": (16, 16),
         "simulator_threads": 1,
-        "torch_threads": 1,
+        "learner_threads": 1,
+        **({} if stages else {"total_steps": 512}),
     }
-    return TrainingSpec.model_validate({**defaults, **fields})
+    return TrainingSpec.model_validate({**nest({**defaults, **settings}), "stages": stages})
 
 
 @pytest.fixture

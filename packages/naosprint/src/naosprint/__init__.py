@@ -1,12 +1,14 @@
 """How simulated robots learn: tasks, PPO, evaluation and reports.
 
 Importing this package is cheap: PyTorch is loaded by the first use of :func:`train`, so that a process can still call
-:func:`naosprint.threads.quiet_openmp` before. It registers its tasks with Gymnasium.
+:func:`naosprint.threads.quiet_openmp` before. With Gymnasium, every installed task is one of its environments; see
+:mod:`naosprint.envs`.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,3 +47,9 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
+
+
+if find_spec("gymnasium") is not None:
+    from naosprint.registration import register_envs
+
+    register_envs()

@@ -1,30 +1,35 @@
-"""The command line for people without the service: ``python -m naosprint --help``."""
+"""The command line for use without the service: ``python -m naosprint --help``."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import threading
+import typing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import naopolicies
-from naosim.simulator import ServerLostError
-from naospec import EvaluationSpec, TrainingSpec
+from naosim.simulator import STEP_S, ServerLostError
+from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
+from naospec.flat import nest, settings
 from pydantic import ValidationError
+from pydantic_core import PydanticUndefined
 
 from naosprint.threads import quiet_openmp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pydantic import BaseModel
+    from pydantic.fields import FieldInfo
 
 EXIT_USAGE = 2
 EXIT_FAILURE = 1
 
-_CHECKPOINT_HELP = "checkpoint directory, or the name of a shipped policy"
+_CHECKPOINT_HELP = "checkpoint directory, or the name of a bundled policy"
+_REPLAY_FIELDS = ("task", "seed", "simulator", "start_noise_deg")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,43 +41,48 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(options)
     except ValidationError as error:
         for problem in error.errors():
-            name = "".join(f"--{part} ".replace("_", "-") for part in problem["loc"] if isinstance(part, str))
-            sys.stderr.write(f"{name.strip() or 'error'}: {problem['msg'].removeprefix('Value error, ')}\n")
+            message = problem["msg"].removeprefix("Value error, ")
+            sys.stderr.write(f"{_flag_at(problem['loc']) or 'error'}: {message}\n")
         return EXIT_USAGE
-    except (OSError, ValueError, ServerLostError) as error:
+    except (OSError, ValueError, ServerLostError, plugins.BrokenPluginError) as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="naosprint", description="Train, judge, show and export sprint policies.")
+    parser = argparse.ArgumentParser(prog="naosprint", description="Train, evaluate, replay and export policies.")
     commands = parser.add_subparsers(required=True, metavar="command")
 
-    train = commands.add_parser("train", help="train a policy", description="Train a policy; Ctrl-C saves and ends.")
+    train = commands.add_parser(
+        "train", help="train a policy", description="Train a policy; Ctrl-C saves a checkpoint and ends the training."
+    )
     train.add_argument("workdir", type=Path, help="directory for checkpoints and metrics.jsonl")
+    train.add_argument("--recipe", choices=recipes.names(), help="start from this recipe's specification")
     train.add_argument("--resume", type=Path, metavar="CHECKPOINT", help="continue this training")
     train.add_argument(
-        "--initial-policy", metavar="CHECKPOINT", help="start from the weights of this checkpoint or shipped policy"
+        "--from-policy", metavar="CHECKPOINT", help="start from the weights of this checkpoint or bundled policy"
     )
-    _add_fields(train, TrainingSpec)
+    _add_settings(train)
     train.set_defaults(run=_train)
 
-    evaluate = commands.add_parser("evaluate", help="judge a policy", description="Run a policy and print its figures.")
+    evaluate = commands.add_parser(
+        "evaluate", help="evaluate a policy", description="Run episodes with a policy and print the results."
+    )
     evaluate.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     evaluate.add_argument("--output", type=Path, help="directory for evaluation.json, trajectories.npz and replay.json")
     evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
-    _add_fields(evaluate, EvaluationSpec)
+    _add_fields(evaluate, EvaluationSpec.model_fields)
     evaluate.set_defaults(run=_evaluate)
 
     report = commands.add_parser(
         "report",
         help="write a page about a policy",
-        description="Write a self-contained page, pictures, tables and a film about an evaluated policy.",
+        description="Write a self-contained page, plots, tables and a film about an evaluated policy.",
     )
     report.add_argument("evaluation", type=Path, help="directory that `evaluate --output` wrote")
-    report.add_argument("output", type=Path, help="directory for report.html and what belongs to it")
-    report.add_argument("--metrics", type=Path, metavar="FILE", help="the training's metrics.jsonl, for its curve")
-    report.add_argument("--title", default="Sprint", help="headline (default: Sprint)")
+    report.add_argument("output", type=Path, help="directory for report.html and the files beside it")
+    report.add_argument("--metrics", type=Path, metavar="FILE", help="the training's metrics.jsonl, for its curves")
+    report.add_argument("--title", help="headline (default: the task's name)")
     report.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
     report.set_defaults(run=_report)
 
@@ -87,46 +97,92 @@ def _parser() -> argparse.ArgumentParser:
 
     replay = commands.add_parser(
         "replay",
-        help="let a policy run, and film it",
+        help="record and film an episode",
         description="Run one episode; write replay.json, replay.npz and the film replay.mp4.",
     )
     replay.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     replay.add_argument("output", type=Path, help="directory for the files")
     replay.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
     replay.add_argument("--film-seconds", type=float, metavar="S", help="film the first S seconds (default: all)")
-    _add_fields(replay, EvaluationSpec, only=("task", "seed", "simulator", "start_noise_deg"))
+    _add_fields(replay, {name: EvaluationSpec.model_fields[name] for name in _REPLAY_FIELDS})
     replay.set_defaults(run=_replay)
 
-    policies = commands.add_parser("policies", help="list the shipped policies", description="List shipped policies.")
+    policies = commands.add_parser("policies", help="list the bundled policies", description="List bundled policies.")
     policies.set_defaults(run=_policies)
     return parser
 
 
-def _add_fields(parser: argparse.ArgumentParser, model: type[BaseModel], *, only: Sequence[str] | None = None) -> None:
-    """Add an option for each field of a specification, or some; pydantic reads and checks the values."""
-    group = parser.add_argument_group("specification")
-    for name, field in model.model_fields.items():
-        if only is not None and name not in only:
-            continue
-        default = "from the preset or the task" if field.default is None else field.default
-        text = f"{field.description} (default: {default})"
-        group.add_argument(
-            f"--{name.replace('_', '-')}", dest=f"field_{name}", metavar="VALUE", help=text.replace("%", "%%")
-        )
+# --- options and specifications -----------------------------------------------------------------------------------
 
 
-def _fields(options: argparse.Namespace) -> dict[str, Any]:
-    given = {
-        key.removeprefix("field_"): value
-        for key, value in vars(options).items()
-        if key.startswith("field_") and value is not None
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add an option for every setting of a training's specification, grouped by section."""
+    groups: dict[str, Any] = {}
+    for name, setting in settings().items():
+        title = setting.path[0] if len(setting.path) == 2 else "training"
+        if title not in groups:
+            groups[title] = parser.add_argument_group(title)
+        _add_option(groups[title], name, setting.info, choices=setting.choices, owners=setting.plugins)
+
+
+def _add_fields(parser: argparse.ArgumentParser, fields: Mapping[str, FieldInfo]) -> None:
+    """Add an option for each of some fields of an evaluation's specification."""
+    group = parser.add_argument_group("evaluation")
+    for name, info in fields.items():
+        _add_option(group, name, info)
+
+
+def _add_option(
+    group: Any, name: str, info: FieldInfo, *, choices: Sequence[str] = (), owners: Sequence[str] = ()
+) -> None:
+    parts = [info.description or info.title or ""]
+    if choices:
+        parts.append(f"One of {', '.join(choices)}.")
+    if owners:
+        parts.append(f"Only {', '.join(owners)}.")
+    if info.default is not None and info.default is not PydanticUndefined:
+        default = ",".join(map(str, info.default)) if isinstance(info.default, tuple) else info.default
+        parts.append(f"(default: {default})")
+    text = " ".join(parts).replace("%", "%%")
+    group.add_argument(_flag(name), dest=f"setting_{name}", metavar="VALUE", help=text)
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _given(options: argparse.Namespace, fields: Mapping[str, FieldInfo]) -> dict[str, Any]:
+    """Return the values of the options that were given, by name."""
+    return {
+        name: _parsed(text, info)
+        for name, info in fields.items()
+        if (text := getattr(options, f"setting_{name}", None)) is not None
     }
-    parsed: dict[str, Any] = {name: None if value in ("null", "none") else value for name, value in given.items()}
-    if isinstance(parsed.get("hidden_sizes"), str):
-        parsed["hidden_sizes"] = [part for part in parsed["hidden_sizes"].replace(",", " ").split() if part]
-    if "sensor_digits" in parsed and str(parsed["sensor_digits"]).isdigit():
-        parsed["sensor_digits"] = int(parsed["sensor_digits"])
-    return parsed
+
+
+def _parsed(text: str, info: FieldInfo) -> Any:
+    """Return an option's text as JSON would have it; pydantic checks the value."""
+    if text in ("null", "none"):
+        return None
+    if typing.get_origin(info.annotation) in (tuple, list):
+        return text.replace(",", " ").split()
+    if info.annotation is str:
+        return text
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _flag_at(place: Sequence[int | str]) -> str:
+    """Return the option that sets what an error is about, or the path of a setting without one."""
+    path = tuple(str(part) for part in place)
+    for name, setting in settings().items():
+        if path in (setting.path, setting.path[:1] if setting.choices else setting.path):
+            return _flag(name)
+    if len(path) == 1 and path[0] in EvaluationSpec.model_fields:
+        return _flag(path[0])
+    return ".".join(path)
 
 
 def _stop_on_signals() -> threading.Event:
@@ -143,22 +199,30 @@ def _stop_on_signals() -> threading.Event:
     return stop
 
 
-def _train(options: argparse.Namespace) -> int:
-    fields = _fields(options)
-    if options.resume is not None:
-        from naosprint.checkpoint import read_manifest
+# --- commands -----------------------------------------------------------------------------------------------------
 
-        known = read_manifest(options.resume).spec.model_dump(mode="json")
-        spec = TrainingSpec.model_validate({**known, **fields})
-    else:
-        spec = TrainingSpec.model_validate(fields)
-    initial_policy = None if options.initial_policy is None else naopolicies.resolve(options.initial_policy)
+
+def _train(options: argparse.Namespace) -> int:
+    given = _given(options, {name: setting.info for name, setting in settings().items()})
+    base: Mapping[str, Any] = {}
+    policy = options.from_policy
+    if options.recipe is not None:
+        job = recipes.job(options.recipe)
+        base = job["spec"]
+        if options.resume is None:
+            policy = policy or job.get("from_policy")
+    if options.resume is not None:
+        from naosprint.rl.checkpoint import read_manifest
+
+        base = read_manifest(options.resume).spec.model_dump(mode="json")
+    spec = TrainingSpec.model_validate(nest(given, base))
+    initial_policy = None if policy is None else naopolicies.resolve(policy)
     stop = _stop_on_signals()
 
     from naosprint.console import ConsoleReporter
-    from naosprint.training import TrainingDivergedError, train
+    from naosprint.rl.runner import TrainingDivergedError, train
 
-    with ConsoleReporter(options.workdir, spec.planned_steps) as reporter:
+    with ConsoleReporter(options.workdir, spec) as reporter:
         try:
             result = train(
                 spec,
@@ -176,13 +240,13 @@ def _train(options: argparse.Namespace) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    spec = EvaluationSpec.model_validate(_fields(options))
+    spec = EvaluationSpec.model_validate(_given(options, EvaluationSpec.model_fields))
     checkpoint = naopolicies.resolve(options.checkpoint)
     stop = _stop_on_signals()
 
     from rich.progress import Progress
 
-    from naosprint.evaluation import evaluate
+    from naosprint.analysis.evaluation import evaluate
 
     with Progress(transient=True) as progress:
         bar = progress.add_task("episodes", total=spec.episodes)
@@ -204,7 +268,7 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from naosprint.report import write_report
+    from naosprint.analysis.report import write_report
 
     page = write_report(
         options.output,
@@ -226,12 +290,11 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    spec = EvaluationSpec.model_validate({**_fields(options), "episodes": 1})
+    spec = EvaluationSpec.model_validate({**_given(options, EvaluationSpec.model_fields), "episodes": 1})
     checkpoint = naopolicies.resolve(options.checkpoint)
 
-    from naosprint.actuation import CYCLE_S
-    from naosprint.evaluation import evaluate
-    from naosprint.film import write_mp4
+    from naosprint.analysis.evaluation import evaluate
+    from naosprint.analysis.film import write_mp4
 
     replay = evaluate(checkpoint, spec).replay
     options.output.mkdir(parents=True, exist_ok=True)
@@ -240,12 +303,12 @@ def _replay(options: argparse.Namespace) -> int:
         written.append(options.output / "replay.mp4")
         count = len(replay.positions)
         if options.film_seconds is not None:
-            count = min(count, max(1, round(options.film_seconds / CYCLE_S)))
+            count = min(count, max(1, round(options.film_seconds / STEP_S)))
         write_mp4(replay, written[-1], frames=range(count))
     for path in written:
         sys.stdout.write(f"{path}\n")
-    end = "arrived" if replay.arrived else "fell" if replay.fallen else "stopped"
-    sys.stderr.write(f"{replay.distance_m:.2f} m in {replay.duration_s:.2f} s, {end}\n")
+    end = (replay.end or "time limit").lower()
+    sys.stderr.write(f"{replay.moved_m():.2f} m from the start in {replay.duration_s:.2f} s, {end}\n")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Show a training in a terminal and keep its figures in a file."""
+"""Display of a training in a terminal."""
 
 from __future__ import annotations
 
@@ -8,17 +8,29 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from naosprint.rl.columns import columns
+from naosprint.tasks.metrics import format_value
+
 if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    from naospec import TrainingSpec
+
 
 class ConsoleReporter:
-    """Draw a progress bar with the latest figures, and append each row to ``metrics.jsonl`` in ``workdir``."""
+    """Progress bar with the latest metrics, which also go to ``metrics.jsonl`` in ``workdir``.
 
-    def __init__(self, workdir: Path, total_steps: int) -> None:
+    Args:
+        workdir: made if it is missing.
+        spec: the training, whose task decides which metrics are shown.
+    """
+
+    def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
         self._file = (workdir / "metrics.jsonl").open("a", buffering=1)
+        known = {metric.name: metric for metric in columns(spec)}
+        self._listed = [known[name] for name in spec.task_class.presentation.listed if name in known]
         self._console = Console(stderr=True)
         self._progress = Progress(
             BarColumn(),
@@ -27,7 +39,7 @@ class ConsoleReporter:
             TimeRemainingColumn(),
             console=self._console,
         )
-        self._bar = self._progress.add_task("starting", total=total_steps)
+        self._bar = self._progress.add_task("starting", total=spec.planned_steps)
 
     def __enter__(self) -> ConsoleReporter:
         """Start drawing."""
@@ -42,13 +54,14 @@ class ConsoleReporter:
         self._file.close()
 
     def metrics(self, row: dict[str, float]) -> None:
-        """Show and keep the figures of one update."""
+        """Show and store the metrics of one update."""
         self._file.write(json.dumps(row, allow_nan=False) + "\n")
         parts = [f"{row['steps_per_s']:,.0f} steps/s"]
-        if "distance_m" in row:
-            parts.append(f"{row['distance_m']:.2f} m")
-            parts.append(f"{row['speed_mps']:.2f} m/s")
-            parts.append(f"{100 * row['fall_rate']:.0f} % falls")
+        parts += [
+            f"{metric.title.lower()} {format_value(metric, row[metric.name])}"
+            for metric in self._listed
+            if metric.name in row
+        ]
         self._progress.update(self._bar, completed=int(row["step"]), description=", ".join(parts))
 
     def checkpoint(self, path: Path, step: int) -> None:

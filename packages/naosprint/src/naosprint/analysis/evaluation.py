@@ -180,9 +180,8 @@ def _require_fit(environment: Environment, observations: tuple[str, ...]) -> Non
     if environment.observer.names == observations:
         return
     differing = sorted(set(observations).symmetric_difference(environment.observer.names))
-    raise ValueError(
-        f"task: the policy was trained with other observations: {', '.join(differing[:8]) or 'the same in another order'}"
-    )
+    names = ", ".join(differing[:8]) or "the same in another order"
+    raise ValueError(f"task: the policy was trained with other observations: {names}")
 
 
 class _Recorder:
@@ -280,7 +279,7 @@ class _Recorder:
             self.angles.append(environment.actuation.angles(world.perceptors["joint_angles"][row : row + 1])[0])
         watched = rows[episode[rows] < self.shown]
         if len(watched):
-            poses = simulator.bodies()
+            poses = simulator.bodies() if world.robot.shapes else np.zeros((environment.n, 0, 7))
             for row in watched.tolist():
                 self.bodies[int(episode[row])].append(poses[row].copy())
 

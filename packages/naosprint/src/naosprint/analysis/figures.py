@@ -1,4 +1,4 @@
-"""Draw the pictures of a report, as matplotlib figures that belong to no window."""
+"""Plots of a report, as matplotlib figures that belong to no window."""
 
 from __future__ import annotations
 
@@ -7,28 +7,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from naosim.robots.actuation import Actuation
+from naosim.simulator import CONTACT_N, STEP_S
 
-from naosprint.actuation import CYCLE_S
-from naosprint.scene import LEFT_COLOUR, RIGHT_COLOUR, Camera, robot_collection
+from naosprint.analysis.scene import LEFT_COLOUR, RIGHT_COLOUR, Camera, robot_collection, scale
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
+    from naosim.robots import Robot
 
+    from naosprint.analysis.replay import Replay
     from naosprint.arrays import BoolArray, FloatArray
-    from naosprint.replay import Replay
+    from naosprint.tasks.metrics import Chart, Metric, Reference
 
-SPEEDS_TO_BEAT_MPS = ((2.60, "2.60 m/s, best before the paper"), (3.91, "3.91 m/s, the paper"))
-"""Top speeds that the paper reports, in metres per second, and what they are."""
+MAX_CHARTS = 4
+"""Most charts of learning curves in one figure."""
 
-CONTACT_N = 0.01
-"""Force from which a foot counts as on the ground, newtons."""
+MAX_JOINT_PANELS = 6
+"""Most pairs of joints in one figure."""
 
 _INK = "#22262b"
 _FAINT = "#d7dbe0"
-_ACCENT = "#1b8a6b"
-_SECOND = "#8a6fb8"
+_REFERENCE = "#b3402e"
+_PALETTE = ("#1b8a6b", "#8a6fb8", "#2c6fbb", "#b58a1e")
 
 _STYLE: dict[str, Any] = {
     "font.size": 10,
@@ -57,113 +60,121 @@ def style() -> dict[Any, Any]:
     return dict(_STYLE)
 
 
-def learning_curve(rows: Sequence[Mapping[str, float]], evaluated: tuple[float, float] | None = None) -> Figure:
-    """Draw speed and distance of the latest episodes of training against its steps.
+def has_curves(rows: Sequence[Mapping[str, float]], charts: Sequence[Chart]) -> bool:
+    """Return whether a training's metrics contain anything that the charts show."""
+    return any(name in row for row in rows for chart in charts for name in chart.metrics)
+
+
+def learning_curves(
+    rows: Sequence[Mapping[str, float]],
+    charts: Sequence[Chart],
+    metrics: Mapping[str, Metric],
+    references: Sequence[Reference] = (),
+    evaluated: tuple[float, Mapping[str, float]] | None = None,
+) -> Figure:
+    """Plot a training's metrics against its steps, one panel for each of the first charts.
 
     Args:
-        rows: metrics of each update; rows without episodes are left out.
-        evaluated: steps and top speed in m/s of the evaluated policy, if there is one.
+        rows: metrics of each update; those without a value are left out.
+        charts: which metrics belong together.
+        metrics: metrics by name.
+        references: values to compare with.
+        evaluated: steps of the evaluated policy and its results by name, if there is one.
     """
-    kept = [row for row in rows if "speed_mps" in row]
-    steps = np.array([row["step"] for row in kept]) / 1e6
-    figure, (upper, lower) = _panels(2, height=5.6, sharex=True)
-    upper.plot(steps, [row["speed_mps"] for row in kept], color=_ACCENT, lw=1.6, label="training, exploring")
-    for speed, label in SPEEDS_TO_BEAT_MPS:
-        upper.axhline(speed, color="#b3402e", lw=1.0, ls="--")
-        upper.annotate(
-            label,
-            (0.0, speed),
-            (4, 3),
-            xycoords=("axes fraction", "data"),
-            textcoords="offset points",
-            fontsize=8.5,
-            color="#b3402e",
-        )
-    if evaluated is not None:
-        upper.plot(
-            [evaluated[0] / 1e6], [evaluated[1]], "o", ms=6, color=_INK, label="top speed of the evaluated policy"
-        )
-    upper.set_ylim(0.0, 4.4)
-    upper.set_ylabel("mean speed, m/s")
-    upper.legend(loc="lower right", fontsize=8.5)
-    lower.plot(steps, [row["distance_m"] for row in kept], color=_ACCENT, lw=1.6, label="distance")
-    lower.set_ylabel("distance, m")
-    lower.set_ylim(0.0, None)
-    falls = lower.twinx()
-    falls.plot(steps, [100.0 * row["fall_rate"] for row in kept], color=_SECOND, lw=1.0, label="falls")
-    falls.set_ylabel("episodes that end in a fall, %", color=_SECOND)
-    falls.set_ylim(0.0, 105.0)
-    falls.grid(visible=False)
-    lower.set_xlabel("environment steps, millions")
+    shown = [chart for chart in charts if has_curves(rows, [chart])][:MAX_CHARTS]
+    columns = 1 if len(shown) == 1 else 2
+    figure = Figure(figsize=(9.0, 2.8 * -(-len(shown) // columns)), layout="constrained")
+    grid = figure.subplots(-(-len(shown) // columns), columns, sharex=True, squeeze=False)
+    borders = [rows[i]["step"] / 1e6 for i in range(1, len(rows)) if rows[i].get("stage") != rows[i - 1].get("stage")]
+    for axes in grid.flat[len(shown) :]:
+        axes.axis("off")
+    for axes, chart in zip(grid.flat, shown, strict=False):
+        known = [metrics[name] for name in chart.metrics if name in metrics]
+        for metric, colour in zip(known, _PALETTE, strict=False):
+            points = [(row["step"] / 1e6, factor(metric) * row[metric.name]) for row in rows if metric.name in row]
+            if not points:
+                continue
+            axes.plot(*zip(*points, strict=True), color=colour, lw=1.4, label=metric.title)
+            value = None if evaluated is None else evaluated[1].get(metric.name)
+            if evaluated is not None and value is not None:
+                axes.plot([evaluated[0] / 1e6], [factor(metric) * value], "o", ms=5, color=_INK)
+            draw_references(axes, metric, references)
+        for border in borders:
+            axes.axvline(border, color="#9aa3ad", lw=0.8, ls=":")
+        axes.set_title(chart.title)
+        if known:
+            axes.set_ylabel(unit_label(known[0]))
+        if len(known) > 1:
+            axes.legend(fontsize=8.5)
+        _start_at_zero(axes)
+        axes.set_xlabel("steps, millions")
     return figure
 
 
-def speed_profile(lines: Sequence[Mapping[str, Any]], confidence: float) -> Figure:
-    """Draw mean and fastest speed against the start line, by the paper's measure and over all episodes."""
+def result_table(table: Mapping[str, Any], references: Sequence[Reference] = (), confidence: float = 0.95) -> Figure:
+    """Plot one of the tables of an evaluation's document: each column's results against the table's axis."""
+    from naosprint.analysis.results import metric_of
+
     figure, (axes,) = _panels(1, height=3.8)
-    for key, colour, label in (("paper", _ACCENT, "paper's measure"), ("all", _SECOND, "all episodes")):
-        rows = [(line["line_m"], line[key]) for line in lines if line[key]["mean"] is not None]
+    metric = None
+    for column, colour in zip(table["columns"], _PALETTE, strict=False):
+        rows = [(at, result) for at, result in zip(table["at"], column["results"], strict=True)]
+        rows = [(at, result) for at, result in rows if result["value"] is not None]
         if not rows:
             continue
-        at = [line for line, _ in rows]
-        axes.fill_between(
-            at, [r["ci"][0] for _, r in rows], [r["ci"][1] for _, r in rows], color=colour, alpha=0.25, lw=0
+        metric = metric_of(rows[0][1])
+        by = factor(metric)
+        at = [place for place, _ in rows]
+        results = [result for _, result in rows]
+        banded = [result["interval"] or (result["value"],) * 2 for result in results]
+        axes.fill_between(at, [by * a for a, _ in banded], [by * b for _, b in banded], color=colour, alpha=0.25, lw=0)
+        axes.plot(
+            at, [by * result["value"] for result in results], "o-", ms=4, lw=1.6, color=colour, label=column["title"]
         )
-        axes.plot(at, [r["mean"] for _, r in rows], "o-", ms=4, lw=1.6, color=colour, label=f"mean, {label}")
-        axes.plot(at, [r["max"] for _, r in rows], "^:", ms=4, lw=1.0, color=colour, label=f"fastest, {label}")
-    for speed, label in SPEEDS_TO_BEAT_MPS:
-        axes.axhline(speed, color="#b3402e", lw=1.0, ls="--")
-        axes.annotate(
-            label,
-            (1.0, speed),
-            (-2, 3),
-            xycoords=("axes fraction", "data"),
-            textcoords="offset points",
-            fontsize=8.5,
-            color="#b3402e",
-            ha="right",
-        )
-    axes.set_ylim(0.0, None)
-    axes.set_xlabel("start line, m after the start")
-    axes.set_ylabel("forward speed, m/s")
-    axes.set_title(f"bands: {confidence:.0%} bootstrap interval of the mean", fontsize=8.5)
-    if axes.get_legend_handles_labels()[0]:
+        extreme = {"higher": "high", "lower": "low", None: None}[metric.better]
+        if extreme is not None and all(result[extreme] is not None for result in results):
+            best = [by * result[extreme] for result in results]
+            axes.plot(at, best, "^:", ms=4, lw=1.0, color=colour, label=f"{column['title']}, best episode")
+    axes.set_xlabel(_with_unit(table["axis"]["title"], table["axis"]["unit"]))
+    axes.set_title(f"bands: {confidence:.0%} confidence interval of the mean", fontsize=8.5)
+    if metric is not None:
+        draw_references(axes, metric, references)
+        axes.set_ylabel(_with_unit(metric.title, metric.unit))
+        _start_at_zero(axes)
         axes.legend(loc="lower right", fontsize=8.5, ncols=2)
     return figure
 
 
-def trajectories(x: FloatArray, y: FloatArray, finish_x_m: float | None) -> Figure:
-    """Draw the paths of (k, T) episodes on the field."""
+def trajectories(x: FloatArray, y: FloatArray) -> Figure:
+    """Plot the paths of (k, T) episodes, seen from above."""
     figure, (axes,) = _panels(1, height=3.4)
     for row_x, row_y in zip(x, y, strict=True):
-        axes.plot(row_x, row_y, color=_ACCENT, lw=0.7, alpha=0.45)
+        axes.plot(row_x, row_y, color=_PALETTE[0], lw=0.7, alpha=0.45)
         kept = np.flatnonzero(~np.isnan(row_x))
-        if finish_x_m is not None and row_x[kept[-1]] < finish_x_m:
-            axes.plot(row_x[kept[-1]], row_y[kept[-1]], "x", ms=4, color="#b3402e")
-    if finish_x_m is not None:
-        axes.axvline(finish_x_m, color=_INK, lw=1.0)
-    # the field's own lines: 30 m by 20 m
-    axes.plot([-15, 15, 15, -15, -15], [-10, -10, 10, 10, -10], color="#9aa3ad", lw=1.0)
-    axes.axvline(0.0, color="#9aa3ad", lw=0.8)
-    widest = float(np.nanmax(np.abs(y), initial=0.0))
-    axes.set_xlim(-15.3, 15.3)
-    axes.set_ylim(*((-10.3, 10.3) if widest > 5.0 else (-5.2, 5.2)))
+        axes.plot(row_x[kept[0]], row_y[kept[0]], "o", ms=3, color=_INK)
+        axes.plot(row_x[kept[-1]], row_y[kept[-1]], "x", ms=4, color=_REFERENCE)
+    # a straight run is a thin line: give it room to both sides, so that deviations can be seen
+    centre_x, centre_y = (float(np.nanmin(v) + np.nanmax(v)) / 2.0 for v in (x, y))
+    half_x = max(float(np.nanmax(x) - np.nanmin(x)) / 2.0 * 1.08, 1.0)
+    half_y = max(float(np.nanmax(y) - np.nanmin(y)) / 2.0 * 1.1, half_x / 4.0)
+    axes.set_xlim(centre_x - half_x, centre_x + half_x)
+    axes.set_ylim(centre_y - half_y, centre_y + half_y)
     axes.set_aspect("equal")
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
-    axes.set_title("a cross marks a fall", fontsize=8.5)
+    axes.set_title("dots: starts; crosses: where episodes ended", fontsize=8.5)
     return figure
 
 
 def gait_diagram(left_n: FloatArray, right_n: FloatArray, first: int) -> Figure:
-    """Draw when each foot is on the ground, and the forces on them, over (T,) samples that begin at cycle ``first``."""
-    time = (first + np.arange(len(left_n))) * CYCLE_S
+    """Plot when each foot is on the ground, and the forces on them, over (T,) samples that begin at step ``first``."""
+    time = (first + np.arange(len(left_n))) * STEP_S
     figure, (upper, lower) = _panels(2, height=3.9, sharex=True, ratios=(1, 2))
     for level, forces, colour in ((1, left_n, LEFT_COLOUR), (0, right_n, RIGHT_COLOUR)):
-        spans = [(time[a] - CYCLE_S / 2, (b - a) * CYCLE_S) for a, b in _spans(np.abs(forces) > CONTACT_N)]
+        spans = [(time[a] - STEP_S / 2, (b - a) * STEP_S) for a, b in _spans(np.abs(forces) > CONTACT_N)]
         upper.broken_barh(spans, (level - 0.36, 0.72), facecolors=colour, lw=0)
     for a, b in _spans((np.abs(left_n) <= CONTACT_N) & (np.abs(right_n) <= CONTACT_N)):
-        upper.axvspan(time[a] - CYCLE_S / 2, time[a] + (b - a - 0.5) * CYCLE_S, color="#f0e6c8", lw=0, zorder=0)
+        upper.axvspan(time[a] - STEP_S / 2, time[a] + (b - a - 0.5) * STEP_S, color="#f0e6c8", lw=0, zorder=0)
     upper.set_yticks([0, 1], ["right foot", "left foot"])
     upper.set_ylim(-0.6, 1.6)
     upper.grid(visible=False)
@@ -177,48 +188,47 @@ def gait_diagram(left_n: FloatArray, right_n: FloatArray, first: int) -> Figure:
     return figure
 
 
-_JOINT_PANELS = (
-    ("hip pitch", "lj3"),
-    ("knee", "lj4"),
-    ("ankle pitch", "lj5"),
-    ("hip roll", "lj2"),
-    ("ankle roll", "lj6"),
-    ("shoulder pitch", "aj1"),
-)
+def joint_angles(angles_rad: FloatArray, robot: Robot, first: int) -> Figure:
+    """Plot the joints that move most over (T, A) samples in the policy convention, from step ``first`` on.
 
-
-def joint_angles(angles_rad: FloatArray, names: Sequence[str], first: int) -> Figure:
-    """Draw the main joints of both sides over (T, A) samples in the policies' convention, from cycle ``first`` on."""
-    time = (first + np.arange(len(angles_rad))) * CYCLE_S
-    figure = Figure(figsize=(9.0, 4.8), layout="constrained")
-    grid = figure.subplots(2, 3, sharex=True)
-    for axes, (title, joint) in zip(grid.flat, _JOINT_PANELS, strict=True):
-        for side, colour, label in (("l", LEFT_COLOUR, "left"), ("r", RIGHT_COLOUR, "right")):
-            if side + joint in names:
-                column = list(names).index(side + joint)
-                axes.plot(time, np.degrees(angles_rad[:, column]), color=colour, lw=1.3, label=label)
-        axes.set_title(title)
-        axes.set_xlim(time[0], time[-1])
+    Left and right partners share a panel.
+    """
+    names = Actuation(robot).names
+    time = (first + np.arange(len(angles_rad))) * STEP_S
+    by_name = {joint.name: joint for joint in robot.joints}
+    groups = [tuple(dict.fromkeys((name, by_name[name].mirror))) for name in names if by_name[name].side != "right"]
+    columns = {name: np.degrees(angles_rad[:, i]) for i, name in enumerate(names)}
+    most = sorted(groups, key=lambda group: -max(float(np.ptp(columns[name])) for name in group if name in columns))
+    shown = [group for group in groups if group in most[:MAX_JOINT_PANELS]]
+    across = min(3, len(shown))
+    figure = Figure(figsize=(9.0, 2.4 * -(-len(shown) // across)), layout="constrained")
+    grid = figure.subplots(-(-len(shown) // across), across, sharex=True, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.axis("off")
+    colours = {"left": LEFT_COLOUR, "right": RIGHT_COLOUR, "centre": _INK}
+    for axes, group in zip(grid.flat, shown, strict=False):
+        for name in group:
+            if name in columns:
+                axes.plot(time, columns[name], color=colours[by_name[name].side], lw=1.3, label=name)
+        axes.set_title(", ".join(group))
+        axes.set_xlim(time[0], max(time[-1], time[0] + STEP_S))
+        axes.set_xlabel("time, s")
     for axes in grid[:, 0]:
         axes.set_ylabel("angle, degrees")
-    for axes in grid[1]:
-        axes.set_xlabel("time, s")
-    grid[0, 2].legend(loc="upper right", fontsize=8.5)
     return figure
 
 
 def frame_strip(replay: Replay, frames: Sequence[int], camera: Camera | None = None) -> Figure:
-    """Draw the robot of some cycles side by side, with the time below each."""
+    """Draw the robot of some steps side by side, with the time below each."""
     camera = camera or Camera()
-    pitch = 0.44
-    bottom, top = -0.15, 0.62
+    size = scale(replay.robot)
+    pitch, bottom, top = 0.44 * size, -0.15 * size, 0.62 * size
     figure = Figure(figsize=(9.0, 9.0 * (top - bottom) / (pitch * len(frames))))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     for place, frame in enumerate(frames):
         axes.add_collection(robot_collection(replay, frame, camera, shift=(place * pitch, 0.0)))
-        axes.annotate(
-            f"{(frame - frames[0]) * CYCLE_S * 1000:.0f} ms", (place * pitch, bottom + 0.02), ha="center", fontsize=8.5
-        )
+        label = f"{(frame - frames[0]) * STEP_S * 1000:.0f} ms"
+        axes.annotate(label, (place * pitch, bottom + 0.02 * size), ha="center", fontsize=8.5)
     axes.set_xlim(-0.5 * pitch, (len(frames) - 0.5) * pitch)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
@@ -227,15 +237,15 @@ def frame_strip(replay: Replay, frames: Sequence[int], camera: Camera | None = N
 
 
 def stride(left_n: FloatArray, first: int, count: int) -> list[int]:
-    """Choose ``count`` evenly spaced cycles of one stride of the left foot that begins after cycle ``first``.
+    """Choose ``count`` evenly spaced steps of one stride of the left foot that begins after step ``first``.
 
     Args:
         left_n: (T,) force on the left foot.
         first: where to start looking.
-        count: number of cycles.
+        count: number of steps to choose.
 
     Returns:
-        Cycles from one touchdown up to the next; of the 25 cycles after ``first`` where there is no such stride.
+        Steps from one touchdown up to the next; of the 25 after ``first`` where there is no such stride.
     """
     loaded = np.abs(left_n) > CONTACT_N
     touchdowns = np.flatnonzero(loaded[1:] & ~loaded[:-1]) + 1
@@ -246,6 +256,44 @@ def stride(left_n: FloatArray, first: int, count: int) -> list[int]:
             begin, end = a, b
             break
     return [round(frame) for frame in np.linspace(begin, end, count, endpoint=False)]
+
+
+def factor(metric: Metric) -> float:
+    """Return the factor from a metric's values to the numbers on its axis."""
+    return 100.0 if metric.unit == "%" else 1.0
+
+
+def unit_label(metric: Metric) -> str:
+    """Return the label of an axis whose chart has a title of its own."""
+    return metric.unit or metric.title.lower()
+
+
+def draw_references(axes: Axes, metric: Metric, references: Sequence[Reference]) -> None:
+    """Draw a dashed line at each reference value of a metric."""
+    for reference in references:
+        if reference.metric != metric.name:
+            continue
+        level = factor(metric) * reference.value
+        axes.axhline(level, color=_REFERENCE, lw=1.0, ls="--")
+        axes.annotate(
+            reference.title,
+            (0.0, level),
+            (4, 3),
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+            fontsize=8.5,
+            color=_REFERENCE,
+        )
+
+
+def _with_unit(title: str, unit: str) -> str:
+    return f"{title}, {unit}" if unit else title
+
+
+def _start_at_zero(axes: Axes) -> None:
+    """Let the vertical axis begin at 0 unless something lies below."""
+    if axes.dataLim.ymin >= 0.0:
+        axes.set_ylim(0.0, None)
 
 
 def _panels(

@@ -6,6 +6,7 @@ A replay is one JSON file, which a web page can play, and an ``.npz`` file for c
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +58,18 @@ class Replay:
 
     @property
     def displacement_m(self) -> tuple[float, float]:
-        """Displacement of the torso in x and y in metres."""
+        """Displacement of the torso in x and y in metres; 0 for a robot that cannot be drawn."""
+        if not self.robot.shapes:
+            return 0.0, 0.0
         moved = self.positions[-1, 0] - self.positions[0, 0]
         return float(moved[0]), float(moved[1])
+
+    def moved_m(self, first: int = 0, last: int = -1) -> float:
+        """Return the horizontal distance between the torso's places in two steps, metres."""
+        if not self.robot.shapes:
+            return 0.0
+        x, y = (self.positions[last, 0] - self.positions[first, 0])[:2].tolist()
+        return math.hypot(x, y)
 
     def to_json(self) -> str:
         """Return the replay as one JSON object: positions to 0.1 mm, quaternions to four decimals."""

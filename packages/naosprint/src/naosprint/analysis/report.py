@@ -1,7 +1,7 @@
-"""Write a report: what was trained, how it learnt, how it runs.
+"""Reports: what was trained, how it learned, how it runs.
 
-The page is one HTML file that needs nothing else. Beside it lie the pictures as SVG and PNG, their figures as CSV and
-JSON, and the film as MP4 and GIF.
+The page is one HTML file that needs nothing else. Beside it are the plots as SVG and PNG, their data as CSV and JSON,
+and the film as MP4 and GIF. Everything shown comes from the evaluation's document and the task's presentation.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from naosim.robots import nao_model
-from naospec import TrainingSpec, task
+from naosim.simulator import CONTACT_N, STEP_S
+from naospec import TrainingSpec, validation_words
+from pydantic import ValidationError
 
-from naosprint import figures
-from naosprint.actuation import CYCLE_S, Actuation
-from naosprint.film import write_gif, write_mp4
-from naosprint.replay import Replay, load_replay
+from naosprint.analysis import figures
+from naosprint.analysis.evaluation import FORMAT
+from naosprint.analysis.film import write_gif, write_mp4
+from naosprint.analysis.replay import Replay, load_replay
+from naosprint.analysis.results import by_name, headline, interval_text, value_text
+from naosprint.rl.columns import columns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,22 +35,28 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import FloatArray
 
-WINDOW_CYCLES = 100
-"""Cycles that gait and joint pictures show: two seconds."""
+REPORT_FORMAT = 1
+"""Version of ``report.json``."""
 
-FILM_CYCLES = 1000
-"""Longest film, cycles."""
+WINDOW_STEPS = 100
+"""Steps that plots of gait and joints show: two seconds."""
 
-GIF_CYCLES = 150
-"""Length of the GIF, cycles."""
+FILM_STEPS = 1000
+"""Longest film, steps."""
+
+GIF_STEPS = 150
+"""Length of the GIF, steps."""
+
+_REQUIRED = ("training", "evaluation", "checkpoint", "task", "episodes", "results", "headline", "tables")
+_PATH_COLUMNS = ("x", "y", "height", "left_foot_force", "right_foot_force")
 
 
 class ReportError(ValueError):
-    """Say which input of a report is missing or damaged."""
+    """Input of a report that is missing or damaged."""
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _Plot:
     name: str
     title: str
     caption: str
@@ -75,36 +84,40 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 
 
 def write_report(
-    directory: Path, *, evaluation: Path, metrics: Path | None = None, title: str = "Sprint", film: bool = True
+    directory: Path, *, evaluation: Path, metrics: Path | None = None, title: str | None = None, film: bool = True
 ) -> Path:
     """Write a report to ``directory`` and return the path of its page.
 
     Args:
         directory: made if it is missing; files of the same names are replaced.
-        evaluation: directory that :meth:`naosprint.evaluation.Evaluation.save` wrote.
-        metrics: the training's ``metrics.jsonl``; without it there is no learning curve.
-        title: headline of the page.
+        evaluation: directory that :meth:`naosprint.analysis.evaluation.Evaluation.save` wrote.
+        metrics: the training's ``metrics.jsonl``; without it there are no learning curves.
+        title: headline of the page; the task's name if None.
         film: whether to film the replay, which takes most of the time.
 
     Raises:
         ReportError: if an input is missing or damaged.
         ReplayError: if the replay is.
     """
-    summary, paths = _read_evaluation(evaluation)
+    summary, spec, paths = _read_evaluation(evaluation)
     replay = load_replay(evaluation / "replay.json")
     rows = read_metrics(metrics) if metrics is not None else []
+    title = title or str(summary["task"]["name"])
+    film = film and bool(replay.robot.shapes)
     directory.mkdir(parents=True, exist_ok=True)
     with mpl.rc_context(figures.style()):
-        pictures = _pictures(summary, paths, replay, rows)
-        drawings = {picture.name: _save(picture.figure, directory / picture.name) for picture in pictures}
+        plots = _plots(summary, spec, paths, replay, rows)
+        drawings = {plot.name: _save(plot.figure, directory / plot.name) for plot in plots}
     _write_tables(directory, summary, paths, rows)
+    steps = len(replay.positions)
     if film:
-        begin = _window(len(replay.positions))[0]
-        write_mp4(replay, directory / "run.mp4", frames=range(min(len(replay.positions), FILM_CYCLES)))
-        write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_CYCLES, len(replay.positions))))
-    (directory / "report.json").write_text(json.dumps({"title": title, "evaluation": summary}, indent=2) + "\n")
+        begin = _window(steps)[0]
+        write_mp4(replay, directory / "run.mp4", frames=range(min(steps, FILM_STEPS)))
+        write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
+    document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
+    (directory / "report.json").write_text(json.dumps(document, indent=2) + "\n")
     environment = Environment(
-        loader=PackageLoader("naosprint"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("naosprint.analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     page = directory / "report.html"
     page.write_text(
@@ -112,93 +125,95 @@ def write_report(
             title=title,
             summary=summary,
             headline=_headline(summary),
-            details=_details(summary, rows),
-            pictures=[(picture, drawings[picture.name]) for picture in pictures],
+            details=_details(summary, spec, rows),
+            plots=[(plot, drawings[plot.name]) for plot in plots],
             film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
-            replay=replay,
-            speeds=figures.SPEEDS_TO_BEAT_MPS,
+            film_caption=film_caption(replay),
+            references=[reference.title for reference in spec.task_class.presentation.references],
         )
     )
     return page
 
 
-def _read_evaluation(directory: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-    figures_file, paths_file = directory / "evaluation.json", directory / "trajectories.npz"
+def film_caption(replay: Replay) -> str:
+    """Return what a report says below the film of an episode: the same numbers as its last picture."""
+    moved = f"{replay.moved_m():.2f} m from the start in {replay.duration_s:.2f} s"
+    caption = f"The median one of the first episodes: {moved}, {(replay.end or 'time limit').lower()}."
+    if len(replay.positions) > FILM_STEPS:
+        caption += f" The film shows the first {FILM_STEPS * STEP_S:.0f} s."
+    return f"{caption} Lines on the ground are half a metre apart; the speed is that of the last half second."
+
+
+def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dict[str, FloatArray]]:
+    results, paths_file = directory / "evaluation.json", directory / "trajectories.npz"
     try:
-        summary: dict[str, Any] = json.loads(figures_file.read_bytes())
-        for name in ("training", "evaluation", "speed_by_line", "paper", "distance_m", "falls"):
+        summary: dict[str, Any] = json.loads(results.read_bytes())
+        if not isinstance(summary, dict) or summary.get("format") != FORMAT:
+            raise ReportError(f"{results}: not an evaluation of format {FORMAT}")
+        for name in _REQUIRED:
             if name not in summary:
-                raise ReportError(f"{figures_file}: {name}: missing")
+                raise ReportError(f"{results}: {name}: missing")
+        spec = TrainingSpec.model_validate({**summary["training"], "stages": [], "task": summary["task"]["settings"]})
         with np.load(paths_file, allow_pickle=False) as archive:
             paths = {name: np.array(archive[name], dtype=np.float64) for name in archive.files}
     except ReportError:
         raise
+    except ValidationError as error:
+        raise ReportError(f"{results}: {validation_words(error.errors())}") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ReportError(f"{directory}: no complete evaluation: {error}") from error
-    return summary, paths
+    return summary, spec, paths
 
 
 def _window(samples: int) -> tuple[int, int]:
-    """Return the half-open range of cycles that shows the gait: the middle of the run."""
-    begin = max(0, (samples - WINDOW_CYCLES) // 2)
-    return begin, min(begin + WINDOW_CYCLES, samples)
+    """Return the half-open range of steps that shows the gait: the middle of the run."""
+    begin = max(0, (samples - WINDOW_STEPS) // 2)
+    return begin, min(begin + WINDOW_STEPS, samples)
 
 
-def _pictures(
-    summary: Mapping[str, Any], paths: Mapping[str, FloatArray], replay: Replay, rows: Sequence[Mapping[str, float]]
-) -> list[_Picture]:
-    spec = TrainingSpec.model_validate(summary["training"])
-    finish = task(summary["evaluation"]["task"]).finish_x_m
-    steps = summary["checkpoint"]["step"]
-    top = summary["paper"]["top_speed_mps"]
+def _plots(
+    summary: Mapping[str, Any],
+    spec: TrainingSpec,
+    paths: Mapping[str, FloatArray],
+    replay: Replay,
+    rows: Sequence[Mapping[str, float]],
+) -> list[_Plot]:
+    presentation = spec.task_class.presentation
+    references, confidence = presentation.references, summary["evaluation"]["confidence"]
+    found = []
+    if figures.has_curves(rows, presentation.charts):
+        values = {name: result["value"] for name, result in by_name(summary).items() if result["value"] is not None}
+        curves = figures.learning_curves(
+            rows,
+            presentation.charts,
+            {metric.name: metric for metric in columns(spec)},
+            references,
+            (summary["checkpoint"]["step"], values),
+        )
+        caption = "Means of the latest 100 episodes of training, with exploration. Dots: the evaluated policy, without."
+        found.append(_Plot("learning-curve", "Learning curves", caption, curves))
+    for table in summary["tables"]:
+        figure = figures.result_table(table, references, confidence)
+        found.append(_Plot(table["name"].replace("_", "-"), table["title"], table["description"], figure))
+    if len(paths["x"]):
+        figure = figures.trajectories(paths["x"], paths["y"])
+        caption = f"Paths of the first {len(paths['x'])} episodes, from above."
+        found.append(_Plot("trajectories", "Trajectories", caption, figure))
     begin, end = _window(len(replay.positions))
     left, right = replay.foot_forces[:, 0].astype(np.float64), replay.foot_forces[:, 1].astype(np.float64)
-    names = Actuation(nao_model.model(spec.robot_type)).names
-    first, last = _window(len(paths["joint_angles"]))
-    found = []
-    if any("speed_mps" in row for row in rows):
-        found.append(
-            _Picture(
-                "learning-curve",
-                "Learning curve",
-                "Means of the latest 100 episodes of training, in which the policy explores and falls more than it "
-                "would. Dashed: the speeds to beat.",
-                figures.learning_curve(rows, (steps, top) if top is not None else None),
-            )
-        )
-    found += [
-        _Picture(
-            "speed-profile",
-            "Speed by start line",
-            "Speed from a line behind the start to the last sample. The paper's measure leaves out episodes with fewer "
-            "than 200 samples beyond the line.",
-            figures.speed_profile(summary["speed_by_line"], summary["evaluation"]["confidence"]),
-        ),
-        _Picture(
-            "trajectories",
-            "Trajectories",
-            f"Paths of the first {len(paths['x'])} episodes.",
-            figures.trajectories(paths["x"], paths["y"], finish),
-        ),
-        _Picture(
-            "frames",
-            "One stride",
-            "From one touchdown of the left foot to the next. Blue: left, orange: right.",
-            figures.frame_strip(replay, figures.stride(left, begin, 8)),
-        ),
-        _Picture(
-            "gait",
-            "Gait",
-            "Foot contacts by the force perceptors, two seconds in the middle of the run.",
-            figures.gait_diagram(left[begin:end], right[begin:end], begin),
-        ),
-        _Picture(
-            "joints",
-            "Joint angles",
-            "As policies see them: hips forward negative, knees bent positive, the right side mirrored.",
-            figures.joint_angles(paths["joint_angles"][first:last], names, first),
-        ),
-    ]
+    if replay.robot.shapes:
+        figure = figures.frame_strip(replay, figures.stride(left, begin, 8))
+        caption = "From one touchdown of the left foot to the next. Blue: left, orange: right."
+        found.append(_Plot("frames", "One stride", caption, figure))
+    if (np.abs(replay.foot_forces) > CONTACT_N).any():
+        figure = figures.gait_diagram(left[begin:end], right[begin:end], begin)
+        caption = "Foot contacts by the force perceptors, at most two seconds in the middle of the run."
+        found.append(_Plot("gait", "Gait", caption, figure))
+    if paths["joint_angles"].size:
+        first, last = _window(len(paths["joint_angles"]))
+        figure = figures.joint_angles(paths["joint_angles"][first:last], spec.robot_description, first)
+        caption = "The joints that move most, as policies see them: equal angles on both sides are a symmetric posture."
+        found.append(_Plot("joints", "Joint angles", caption, figure))
     return found
 
 
@@ -218,73 +233,88 @@ def _write_tables(
     paths: Mapping[str, FloatArray],
     rows: Sequence[Mapping[str, float]],
 ) -> None:
-    def table(name: str, header: Sequence[str], lines: Sequence[Sequence[Any]]) -> None:
-        with (directory / name).open("w", newline="") as stream:
+    """Write everything that the plots show as CSV files."""
+
+    def write(name: str, header: Sequence[str], lines: Sequence[Sequence[Any]]) -> None:
+        with (directory / f"{name}.csv").open("w", newline="") as stream:
             writer = csv.writer(stream)
             writer.writerow(header)
             writer.writerows(lines)
 
     if rows:
-        columns = sorted({name for row in rows for name in row}, key=lambda name: (name != "step", name))
-        table("learning-curve.csv", columns, [[row.get(name, "") for name in columns] for row in rows])
-    header = ["line_m", "measure", "episodes", "mean", "sd", "min", "max", "ci_low", "ci_high"]
-    lines = []
-    for line in summary["speed_by_line"]:
-        for measure in ("paper", "all"):
-            entry = line[measure]
-            low, high = entry["ci"] or ("", "")
-            lines.append([line["line_m"], measure, *(entry[name] for name in header[2:7]), low, high])
-    table("speed-profile.csv", header, lines)
+        names = sorted({name for row in rows for name in row}, key=lambda name: (name != "step", name))
+        write("learning-curve", names, [[row.get(name, "") for name in names] for row in rows])
+    numbers = ("value", "sd", "low", "high", "count", "episodes")
+
+    def cells(result: Mapping[str, Any]) -> list[Any]:
+        values = [result[name] for name in numbers] + list(result["interval"] or (None, None))
+        return [result["name"], result["unit"], *("" if value is None else value for value in values)]
+
+    header = ["name", "unit", *numbers, "interval_low", "interval_high"]
+    write("results", header, [cells(result) for result in summary["results"]])
+    for table in summary["tables"]:
+        lines = [
+            [at, column["title"], *cells(result)]
+            for column in table["columns"]
+            for at, result in zip(table["at"], column["results"], strict=True)
+        ]
+        write(table["name"].replace("_", "-"), ["at", "column", *header], lines)
     samples = [
-        [episode, cycle, round(cycle * CYCLE_S, 2), *(f"{paths[name][episode, cycle]:.4f}" for name in _PATH_COLUMNS)]
+        [episode, step, round(step * STEP_S, 2), *(f"{paths[name][episode, step]:.4f}" for name in _PATH_COLUMNS)]
         for episode in range(len(paths["x"]))
-        for cycle in range(int((~np.isnan(paths["x"][episode])).sum()))
+        for step in range(int((~np.isnan(paths["x"][episode])).sum()))
     ]
-    table("trajectories.csv", ["episode", "cycle", "time_s", *_PATH_COLUMNS], samples)
-
-
-_PATH_COLUMNS = ("x", "y", "height", "left_foot_force", "right_foot_force")
+    write("trajectories", ["episode", "step", "time_s", *_PATH_COLUMNS], samples)
 
 
 def _headline(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return what to know first: label, value, and what it means."""
-    paper, falls = summary["paper"], summary["falls"]
-    top = paper["top_speed_mps"]
-    low, high = falls["ci"]
-    level = summary["evaluation"]["confidence"]
+    """Return the task's headline results: title, value, and the interval or what it means."""
+    confidence = summary["evaluation"]["confidence"]
     return [
-        (
-            "top speed",
-            "none" if top is None else f"{top:.2f} m/s",
-            "the paper's measure; no episode is long enough" if top is None else "the paper's measure",
-        ),
-        ("mean speed", f"{summary['speed_mps']['mean']:.2f} m/s", "all episodes, start included"),
-        ("distance", f"{summary['distance_m']['mean']:.2f} m", f"mean of {summary['episodes']} episodes"),
-        ("falls", f"{falls['rate']:.1%}", f"{level:.0%} interval {low:.1%} to {high:.1%}"),
-        ("deviation", f"{paper['deviation_deg']['mean']:.2f}°", f"sd {paper['deviation_deg']['sd']:.2f}°"),
+        (result["title"], value_text(result), interval_text(result, confidence) or result["description"])
+        for result in headline(summary)
     ]
 
 
-def _details(summary: Mapping[str, Any], rows: Sequence[Mapping[str, float]]) -> list[tuple[str, str]]:
-    spec = TrainingSpec.model_validate(summary["training"])
-    challenge = summary["run_challenge"]
-    details = [
-        ("task", f"{spec.task}, minimum height {spec.fall_height_m:g} m"),
-        ("robot type", str(spec.robot_type)),
-        ("preset", spec.preset),
-        *[(f"  {name}", f"{value}") for name, value in spec.departures().items()],
-        ("seed", str(spec.seed)),
-        ("training steps", f"{summary['checkpoint']['step']:,}"),
-        ("simulator", summary["evaluation"]["simulator"] or spec.simulator),
-        ("evaluated on", f"{summary['evaluation']['task']}, {summary['episodes']} episodes"),
-        ("both feet off the ground", f"{summary['both_feet_off_ground']['mean']:.1%} of the time"),
-        ("run challenge score", f"{challenge['score']['mean']:.3f}"),
-        ("low at the end (below 0.33 m)", f"{summary['paper']['low_at_end']['rate']:.1%}"),
-        ("specification", summary["checkpoint"]["spec_sha256"][:16]),
+def _details(
+    summary: Mapping[str, Any], spec: TrainingSpec, rows: Sequence[Mapping[str, float]]
+) -> list[tuple[str, str, str]]:
+    """Return name, value and meaning of the other results, and the settings of training and evaluation."""
+    first = set(summary["headline"])
+    training, evaluation, checkpoint = summary["training"], summary["evaluation"], summary["checkpoint"]
+    task = [
+        f"{name} {value}"
+        for name, value in summary["task"]["settings"].items()
+        if name not in ("name", "version") and value is not None
     ]
-    if rows and "time_s" in rows[-1]:
-        details.insert(6, ("training time", f"{rows[-1]['time_s'] / 60.0:.1f} min"))
-    return details
+    trained = TrainingSpec.model_validate(training)
+    settings = [
+        ("Task", f"{summary['task']['name']}, version {summary['task']['version']}: {', '.join(task)}"),
+        ("Robot", spec.robot.name),
+        ("Simulator", summary["simulator"]),
+        ("Preset", spec.algorithm.preset),
+        *[(f"  {name}", f"{value}") for name, value in trained.overrides().items()],
+        *[
+            (f"  stage {number}", f"{stage.steps:,} steps, {json.dumps({**stage.algorithm, **stage.task})}")
+            for number, stage in enumerate(trained.stages, start=1)
+        ],
+        ("Seed", str(spec.seed)),
+        ("Training steps", f"{checkpoint['step']:,}"),
+        *([("Training time", _duration(rows[-1]["time_s"]))] if rows and "time_s" in rows[-1] else []),
+        ("Evaluation", f"{summary['episodes']:,} episodes, seed {evaluation['seed']}"),
+        ("Specification", checkpoint["spec_sha256"][:16]),
+    ]
+    others = [
+        (result["title"], value_text(result), result["description"])
+        for result in summary["results"]
+        if result["name"] not in first
+    ]
+    return [*others, *((name, value, "") for name, value in settings)]
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 def _data_url(path: Path, kind: str) -> str:

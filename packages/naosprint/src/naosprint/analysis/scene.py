@@ -1,4 +1,4 @@
-"""Draw a robot of a replay with matplotlib: flat-shaded solids, back to front, over the ground they stand on."""
+"""Drawing of a replay's robot with matplotlib: flat-shaded solids, back to front, over the ground they stand on."""
 
 from __future__ import annotations
 
@@ -7,33 +7,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.collections import PolyCollection
-from naosim.robots import nao_model
+from matplotlib.colors import to_rgb
 
 if TYPE_CHECKING:
-    from naosim.robots.nao_model import Body
+    from naosim.robots import Robot, Shape
 
+    from naosprint.analysis.replay import Replay
     from naosprint.arrays import FloatArray
-    from naosprint.replay import Replay
 
 LEFT_COLOUR = "#2c6fbb"
-"""Colour of whatever belongs to the left side."""
+"""Colour of everything on the left side."""
 
 RIGHT_COLOUR = "#d9772b"
-"""Colour of whatever belongs to the right side."""
+"""Colour of everything on the right side."""
 
 BODY_COLOUR = "#c9ced6"
 """Colour of torso, neck and head."""
 
+UNIT_HEIGHT_M = 0.385
+"""Standing height of the robot for which sizes in pictures are chosen, metres; taller robots get larger ones."""
+
+_COLOURS = {"left": LEFT_COLOUR, "right": RIGHT_COLOUR, "centre": BODY_COLOUR}
 _LIGHT = np.array([0.35, -0.55, 0.76])
 _SHADOW = (0.80, 0.82, 0.84, 1.0)
-# bodies that only carry a joint are smaller than a limb is thick; drawn so, limbs would come apart
+# parts that only connect two joints are smaller than a limb is thick; limbs would come apart if drawn so
 _JOINT_RADIUS_M = 0.026
-_DISC_SIDES = 20
+_SIDES = 20
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Look at the scene from afar, without perspective.
+    """Camera that looks at the scene from afar, without perspective.
 
     Attributes:
         azimuth_deg: direction the camera stands in, counter-clockwise from the world's -y, so that 0 shows a robot that
@@ -61,6 +65,11 @@ class _Face:
     depth: float
 
 
+def scale(robot: Robot) -> float:
+    """Return the size of a robot in pictures, 1 for one of :data:`UNIT_HEIGHT_M`."""
+    return robot.standing_height_m / UNIT_HEIGHT_M
+
+
 def robot_collection(
     replay: Replay, frame: int, camera: Camera, *, shift: tuple[float, float] = (0.0, 0.0)
 ) -> PolyCollection:
@@ -68,38 +77,39 @@ def robot_collection(
 
     Args:
         replay: the episode.
-        frame: index of the cycle.
+        frame: index of the step.
         camera: where to look from.
         shift: where the point of the ground below the torso comes to lie, metres of the picture.
     """
     view = camera.axes()
     positions = replay.positions[frame].astype(np.float64)
     below = np.array([positions[0, 0], positions[0, 1], 0.0])
+    size = scale(replay.robot)
     shadows: list[FloatArray] = []
     faces: list[_Face] = []
-    for body, position, quaternion in zip(
-        nao_model.model(replay.robot_type).bodies, positions - below, replay.rotations[frame], strict=True
+    for shape, position, quaternion in zip(
+        replay.robot.shapes, positions - below, replay.rotations[frame], strict=True
     ):
         rotation = _rotation(quaternion.astype(np.float64))
-        base = np.array(_rgb(body))
-        if body.shape.kind == "box":
-            faces += _box(body, position, rotation, view, base)
-            shadows += _shadows(_corners(body) @ rotation.T + position, view)
+        red, green, blue = to_rgb(_COLOURS[shape.side])
+        base = np.array([red, green, blue])
+        if shape.kind == "sphere":
+            radius = max(shape.size_m[0], _JOINT_RADIUS_M * size)
+            centre = position @ view.T
+            disc = centre[:2] + radius * _circle()
+            faces.append(_Face(disc, _shade(base, view[2]), float(centre[2])))
+            continue
+        outline = _outline(shape) @ rotation.T + position
+        shadows.append(_hull((np.column_stack([outline[:, :2], np.zeros(len(outline))]) @ view.T)[:, :2]))
+        if shape.kind == "box":
+            faces += _box(shape, position, rotation, view, base)
         else:
-            faces.append(_disc(body, position, view, base))
+            faces += _round(shape, outline, position, rotation, view, base)
     faces.sort(key=lambda face: face.depth)
     polygons = [points + shift for points in [*shadows, *(face.points for face in faces)]]
     colours = [_SHADOW] * len(shadows) + [(*face.colour, 1.0) for face in faces]
     edges = [(0.0, 0.0, 0.0, 0.0)] * len(shadows) + [(*(0.55 * np.array(face.colour)), 1.0) for face in faces]
     return PolyCollection(polygons, facecolors=colours, edgecolors=edges, linewidths=0.5, joinstyle="round")
-
-
-def _rgb(body: Body) -> tuple[float, float, float]:
-    from matplotlib.colors import to_rgb
-
-    side = (body.limb or " ")[0]
-    red, green, blue = to_rgb({"l": LEFT_COLOUR, "r": RIGHT_COLOUR}.get(side, BODY_COLOUR))
-    return red, green, blue
 
 
 def _rotation(quaternion: FloatArray) -> FloatArray:
@@ -113,18 +123,51 @@ def _rotation(quaternion: FloatArray) -> FloatArray:
     )
 
 
-_UNIT_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-
-# corners of each face in turn, by their index in _UNIT_CORNERS
-_BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-
-
-def _corners(body: Body) -> FloatArray:
-    return np.asarray(_UNIT_CORNERS * np.array(body.shape.size))
+def _circle() -> FloatArray:
+    """Return the (k, 2) points of a unit circle."""
+    turn = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+    return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def _box(body: Body, position: FloatArray, rotation: FloatArray, view: FloatArray, base: FloatArray) -> list[_Face]:
-    half = np.array(body.shape.size) / 2.0
+def _outline(shape: Shape) -> FloatArray:
+    """Return (k, 3) points in the shape's frame whose convex hull is the shape, or near it for a capsule."""
+    if shape.kind == "box":
+        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        return np.asarray(corners * np.array(shape.size_m))
+    radius, length, _ = shape.size_m
+    rings = [(radius, length / 2.0)]
+    if shape.kind == "capsule":
+        rings += [(radius * np.cos(angle), length / 2.0 + radius * np.sin(angle)) for angle in (0.5, 1.0, np.pi / 2)]
+    ring = _circle()
+    return np.concatenate(
+        [
+            np.column_stack([width * ring, np.full(_SIDES, end * height)])
+            for width, height in rings
+            for end in (-1.0, 1.0)
+        ]
+    )
+
+
+def _hull(points: FloatArray) -> FloatArray:
+    """Return the convex hull of (k, 2) points, counter-clockwise (Andrew's monotone chain)."""
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
+
+    def chain(line: list[list[float]]) -> list[list[float]]:
+        kept: list[list[float]] = []
+        for x, y in line:
+            while len(kept) > 1:
+                (ax, ay), (bx, by) = kept[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
+                    break
+                kept.pop()
+            kept.append([x, y])
+        return kept[:-1]
+
+    return np.array(chain(ordered) + chain(ordered[::-1]))
+
+
+def _box(shape: Shape, position: FloatArray, rotation: FloatArray, view: FloatArray, base: FloatArray) -> list[_Face]:
+    half = np.array(shape.size_m) / 2.0
     faces = []
     for axis in range(3):
         for side in (-1.0, 1.0):
@@ -144,22 +187,25 @@ def _box(body: Body, position: FloatArray, rotation: FloatArray, view: FloatArra
     return faces
 
 
-def _disc(body: Body, position: FloatArray, view: FloatArray, base: FloatArray) -> _Face:
-    radius = body.shape.size[0] if body.shape.collides else _JOINT_RADIUS_M
-    turn = np.linspace(0.0, 2.0 * np.pi, _DISC_SIDES, endpoint=False)
-    centre = position @ view.T
-    points = centre[:2] + radius * np.column_stack([np.cos(turn), np.sin(turn)])
-    return _Face(points, _shade(base, view[2]), float(centre[2]))
+def _round(
+    shape: Shape, outline: FloatArray, position: FloatArray, rotation: FloatArray, view: FloatArray, base: FloatArray
+) -> list[_Face]:
+    """Return the outline of a capsule or cylinder, and the end of a cylinder that faces the camera."""
+    depth = float(position @ view[2])
+    axis = rotation[:, 2]
+    across = view[2] - (view[2] @ axis) * axis
+    facing = across / max(float(np.linalg.norm(across)), 1e-9)
+    faces = [_Face(_hull((outline @ view.T)[:, :2]), _shade(base, facing), depth)]
+    if shape.kind == "cylinder":
+        end = 1.0 if axis @ view[2] > 0.0 else -1.0
+        radius, length, _ = shape.size_m
+        ring = np.column_stack([radius * _circle(), np.full(_SIDES, end * length / 2.0)])
+        points = ((ring @ rotation.T + position) @ view.T)[:, :2]
+        faces.append(_Face(points, _shade(base, end * axis), depth + 1e-4))
+    return faces
 
 
 def _shade(base: FloatArray, normal: FloatArray) -> tuple[float, float, float]:
     bright = 0.62 + 0.38 * max(float(normal @ _LIGHT), 0.0)
     red, green, blue = np.clip(base * bright, 0.0, 1.0).tolist()
     return red, green, blue
-
-
-def _shadows(corners: FloatArray, view: FloatArray) -> list[FloatArray]:
-    """Return the picture of a box's six faces dropped straight down onto the ground; together they are its shadow."""
-    flat = np.column_stack([corners[:, :2], np.zeros(len(corners))])
-    seen = (flat @ view.T)[:, :2]
-    return [seen[list(face)] for face in _BOX_FACES]

@@ -1,4 +1,4 @@
-"""Test training from end to end on small specifications."""
+"""Trainings from end to end on small specifications."""
 
 from __future__ import annotations
 
@@ -9,38 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim.robots import nao_model
+from naosim import robots
+from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
-from naosprint.actuation import Actuation
-from naosprint.checkpoint import ENVIRONMENT, LEARNER, POLICY, read_arrays, read_manifest
-from naosprint.columns import COLUMNS
-from naosprint.policy import load_policy
+from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
+from naosprint.rl.columns import columns
+from naosprint.rl.policy import load_policy
+
+from ..checkpoints import assert_same
 
 Make = Callable[..., TrainingSpec]
 
-DOCUMENTED = set(COLUMNS) - {"server_failures"}  # embedded here
-
-
-def contents(checkpoint: Path) -> dict[str, Any]:
-    """Return every array of a checkpoint."""
-    return {
-        f"{name}:{key}": value
-        for name in (POLICY, LEARNER, ENVIRONMENT)
-        for key, value in read_arrays(checkpoint / name).items()
-    }
-
-
-def assert_same(first: Path, second: Path) -> None:
-    """Compare two checkpoints bit for bit."""
-    ours, theirs = contents(first), contents(second)
-    assert ours.keys() == theirs.keys()
-    for name in ours:
-        assert np.array_equal(ours[name], theirs[name]), name
-
-
 def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """One row per update with all documented figures, checkpoints at the start, the interval and the end."""
+    """One row per update with all documented metrics, checkpoints at the start, the interval and the end."""
     spec = make_spec(total_steps=2000, n_steps=64, checkpoint_interval_steps=1000)
     result = train(spec, workdir=tmp_path, reporter=recorder)
     assert (result.status, result.steps) == ("finished", 2048)
@@ -48,12 +30,14 @@ def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, r
     assert [step for _, step in recorder.checkpoints] == [0, 1024, 2048]
     assert result.checkpoint == recorder.checkpoints[-1][0]
     assert read_manifest(result.checkpoint).steps == 2048
-    assert recorder.rows[-1].keys() == DOCUMENTED
+    documented = {metric.name for metric in columns(spec)}
+    # an embedded simulator has no servers, and there are no stages
+    assert recorder.rows[-1].keys() == documented - {"server_failures", "stage"}
     for row in recorder.rows:
         assert all(isinstance(value, float) and math.isfinite(value) for value in row.values())
 
 
-def test_figures_without_a_value_are_left_out(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+def test_metrics_without_a_value_are_left_out(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
     """Before the first episode ends there is no distance."""
     train(make_spec(n_envs=2, n_steps=4, batch_size=8, total_steps=8), workdir=tmp_path, reporter=recorder)
     assert "distance_m" not in recorder.rows[0]
@@ -110,7 +94,7 @@ def test_stopping_in_a_rollout_saves_the_last_update(make_spec: Make, tmp_path: 
     def stop() -> bool:
         nonlocal calls
         calls += 1
-        return calls > 2 * spec.n_steps + 7
+        return calls > 2 * spec.algorithm.n_steps + 7
 
     stopped = train(spec, workdir=tmp_path / "stopped", reporter=recorder, stop=stop)
     assert (stopped.status, stopped.steps) == ("stopped", 512)
@@ -139,7 +123,7 @@ def test_resuming_a_finished_training_is_finished(
 
 @pytest.mark.parametrize(
     ("fields", "word"),
-    [({"seed": 1}, "seed"), ({"clip_range": 0.3}, "clip_range"), ({"task": "sprint2"}, "task")],
+    [({"seed": 1}, "seed"), ({"clip_range": 0.3}, "algorithm.clip_range"), ({"task": "sprint2"}, "task.name")],
 )
 def test_checkpoint_of_another_specification_is_refused(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any, fields: dict[str, Any], word: str
@@ -159,7 +143,7 @@ def test_initial_policy_gives_weights_and_statistics(
     for name in theirs:
         if not name.startswith("observation_"):
             assert np.array_equal(ours[name], theirs[name]), name
-    assert ours["observation_count"][0] == theirs["observation_count"][0] + spec.n_envs
+    assert ours["observation_count"][0] == theirs["observation_count"][0] + spec.algorithm.n_envs
     assert read_manifest(started).steps == 0
 
 
@@ -167,15 +151,15 @@ def test_initial_policy_of_another_shape_is_refused(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
     """The message says what to set."""
-    with pytest.raises(CheckpointError, match=r"this training has \[8, 8\]; set hidden_sizes to \["):
+    with pytest.raises(CheckpointError, match=r"this training has \[8, 8\]; set algorithm.hidden_sizes to \["):
         train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
 
 
-def test_a_robot_with_toes_goes_on_from_the_policy_of_one_without(
+def test_a_robot_with_toes_starts_from_the_policy_of_one_without(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
     """It does with all other joints what the policy did, whatever its toes do, and holds these straight; and learns."""
-    spec = make_spec(robot_type=4, total_steps=256)
+    spec = make_spec(robot="nao-4", total_steps=256)
     began = train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint, stop=lambda: True).checkpoint
     (theirs, before), (ours, after) = load_policy(checkpoint), load_policy(began)
     new = sorted(set(after.observations) - set(before.observations))
@@ -185,7 +169,7 @@ def test_a_robot_with_toes_goes_on_from_the_policy_of_one_without(
     moved = [after.actions.index(name) for name in before.actions]
     # the new robot's first observations are part of its statistics already
     np.testing.assert_allclose(ours.act(seen)[:, moved], theirs.act(known), atol=0.02)
-    toes = Actuation(nao_model.model(4)).targets(ours.act(seen))[:, [16, 23]]
+    toes = Actuation(robots.get("nao-4")).targets(ours.act(seen))[:, [16, 23]]
     np.testing.assert_allclose(toes, 0.0, atol=1e-6)
     finished = train(spec, workdir=tmp_path / "on", reporter=recorder, initial_policy=checkpoint)
     assert finished.status == "finished"
@@ -202,7 +186,7 @@ def test_resume_and_initial_policy_exclude_each_other(
 @pytest.mark.parametrize("robot_type", range(5))
 def test_every_robot_type_trains(make_spec: Make, tmp_path: Path, recorder: Any, robot_type: int) -> None:
     """The toes of type 4 included."""
-    result = train(make_spec(robot_type=robot_type, total_steps=256), workdir=tmp_path, reporter=recorder)
+    result = train(make_spec(robot=f"nao-{robot_type}", total_steps=256), workdir=tmp_path, reporter=recorder)
     manifest = read_manifest(result.checkpoint)
     assert len(manifest.actions) == (22 if robot_type == 4 else 20)
 

@@ -1,29 +1,33 @@
-"""Test how starts are drawn, settled and chosen."""
+"""How starts are drawn, settled and chosen."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from naosim import kinds, robots
 from naosim.robots import nao_model
-from naosim.simspark import BatchSimulator
-from naospec import task
-from naosprint.actuation import Actuation
-from naosprint.simulator import EmbeddedSimulator, open_simulator
-from naosprint.starts import DROP_M, choose_starts, draw_start_poses
+from naosim.robots.actuation import Actuation
+from naosim.simspark import BatchSimulator, EmbeddedSimulator
+from naosim.simspark.control import DROP_M
+from naosim.simulator import RuntimeOptions, Starts
+from naosprint.tasks.starts import choose_starts, draw_start_poses
+
+NAO = robots.get("nao-0")
+START = (-14.0, 0.0)
 
 
 def test_without_noise_there_is_one_start() -> None:
     """The standard pose, once."""
-    actuation = Actuation(nao_model.model(0))
+    actuation = Actuation(NAO)
     poses = draw_start_poses(actuation, 50, 0.0, seed=1)
-    assert np.array_equal(poses, actuation.start_pose()[None])
+    assert np.array_equal(poses, NAO.nominal[None])
 
 
 def test_noise_is_bounded_seeded_and_spares_the_neck() -> None:
     """Each joint moves by at most the noise; the seed decides."""
-    actuation = Actuation(nao_model.model(0))
+    actuation = Actuation(NAO)
     poses = draw_start_poses(actuation, 200, 2.0, seed=1)
-    offsets = np.rad2deg(poses - actuation.start_pose())
+    offsets = np.rad2deg(poses - NAO.nominal)
     assert np.abs(offsets).max() <= 2.0
     assert np.abs(offsets[:, 2:]).max(axis=0).min() > 1.5
     assert (offsets[:, :2] == 0.0).all()
@@ -52,76 +56,53 @@ def test_choice_spreads_over_all_starts() -> None:
 
 def test_restored_start_is_the_state_after_sixty_cycles() -> None:
     """Restoring a settled snapshot and simulating 60 cycles into the start pose give the same state, bit for bit."""
-    sprint = task("sprint1")
     model = nao_model.model(0)
-    actuation = Actuation(model)
-    poses = draw_start_poses(actuation, 3, 2.0, seed=5)
+    poses = draw_start_poses(Actuation(NAO), 3, 2.0, seed=5)
 
     simulated = BatchSimulator(3, robot_type=0)
     simulated.reset()
-    simulated.beam(np.array([sprint.start_x_m, sprint.start_y_m, model.standing_height + DROP_M]), -90.0)
+    simulated.beam(np.array([*START, model.standing_height + DROP_M]), -90.0)
     for _ in range(60):
         error = poses - np.deg2rad(simulated.perceptors.joint_angles)
         simulated.step(np.clip(7.0 * error, -model.max_speed, model.max_speed))
 
-    restored = EmbeddedSimulator(4, robot_type=0, task=sprint)
-    restored.load_starts(poses)
+    restored = EmbeddedSimulator(NAO, 4)
+    restored.load_starts(Starts(poses, START))
     rng = np.random.default_rng(0)
     for _ in range(20):
-        restored.step(rng.uniform(-6, 6, (4, 22)))
+        restored.step(rng.uniform(-1, 1, (4, 22)))
     restored.start(np.array([3, 0, 1]), np.array([2, 0, 1]))
     assert np.array_equal(restored.snapshot()[[0, 1, 3]], simulated.snapshot())
-    assert np.array_equal(restored.perceptors.joint_angles[[0, 1, 3]], simulated.perceptors.joint_angles)
+    assert np.array_equal(restored.perceptors["joint_angles"][[0, 1, 3]], simulated.perceptors.joint_angles)
     assert np.array_equal(restored.truth.torso_position[[0, 1, 3]], simulated.truth.torso_position)
 
 
 @pytest.mark.parametrize("robot_type", range(5))
 def test_robots_stand_at_the_start_facing_the_finish(robot_type: int) -> None:
     """Every type settles upright at x = -14, feet on the ground, front towards +x."""
-    simulator = EmbeddedSimulator(8, robot_type=robot_type, task=task("sprint1"))
-    actuation = Actuation(nao_model.model(robot_type))
-    simulator.load_starts(draw_start_poses(actuation, 8, 2.0, seed=0))
+    robot = robots.get(f"nao-{robot_type}")
+    simulator = EmbeddedSimulator(robot, 8)
+    simulator.load_starts(Starts(draw_start_poses(Actuation(robot), 8, 2.0, seed=0), START))
     simulator.start(np.arange(8), np.arange(8))
     position, rotation = simulator.truth.torso_position, simulator.truth.torso_rotation
     assert np.abs(position[:, :2] - [-14.0, 0.0]).max() < 0.1
     assert position[:, 2].min() > 0.33
     assert rotation[:, 2, 2].min() > 0.97
     assert rotation[:, 0, 1].min() > 0.97
-    assert not np.isnan(simulator.perceptors.foot_left).any()
-    assert not np.isnan(simulator.perceptors.foot_right).any()
+    assert not np.isnan(simulator.perceptors["foot_left"]).any()
+    assert not np.isnan(simulator.perceptors["foot_right"]).any()
 
 
 def test_start_before_the_poses_are_known_is_refused() -> None:
     """The message says what to do."""
-    simulator = EmbeddedSimulator(1, robot_type=0, task=task("sprint1"))
+    simulator = EmbeddedSimulator(NAO, 1)
     with pytest.raises(RuntimeError, match="load_starts"):
         simulator.start(np.array([0]), np.array([0]))
-
-
-def test_unavailable_simulator_is_refused() -> None:
-    """The message names the field."""
-    with pytest.raises(ValueError, match="simulator"):
-        open_simulator(
-            "webots",  # type: ignore[arg-type]
-            1,
-            robot_type=0,
-            task=task("sprint1"),
-            threads=1,
-            digits=2,
-            max_server_failures=0,
-        )
 
 
 def test_missing_server_program_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message names the setting and what to do."""
     monkeypatch.setenv("NAOSPRINT_SIMSERVER", "/nowhere/rcssserver3d")
-    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_SIMSERVER.*'/nowhere/rcssserver3d'.*or to 'embedded'"):
-        open_simulator(
-            "rcssserver3d",
-            1,
-            robot_type=0,
-            task=task("sprint1"),
-            threads=1,
-            digits=2,
-            max_server_failures=0,
-        )
+    server = kinds.get("server")
+    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_SIMSERVER.*'/nowhere/rcssserver3d'"):
+        server.open(NAO, 1, server.parameters(NAO)(name="server"), RuntimeOptions(max_server_failures=0))

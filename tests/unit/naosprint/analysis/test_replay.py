@@ -1,4 +1,4 @@
-"""Test that replays keep what was seen."""
+"""Replays keep what was seen."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim.robots import nao_model
-from naosprint.replay import Replay, ReplayError, load_replay
+from naosim import robots
+from naosprint.analysis.replay import Replay, ReplayError, load_replay
 
 
 def some_replay(frames: int = 4) -> Replay:
     """Return a replay of random poses."""
     rng = np.random.default_rng(0)
-    bodies = rng.normal(size=(frames, len(nao_model.model(0).bodies), 13))
-    bodies[:, :, 3:7] /= np.linalg.norm(bodies[:, :, 3:7], axis=2, keepdims=True)
-    return Replay.from_bodies(0, bodies, rng.uniform(0, 100, (frames, 2)), fallen=False, arrived=True)
+    robot = robots.get("nao-0")
+    poses = rng.normal(size=(frames, len(robot.shapes), 7)).astype(np.float32)
+    poses[:, :, 3:7] /= np.linalg.norm(poses[:, :, 3:7], axis=2, keepdims=True)
+    forces = rng.uniform(0, 100, (frames, 2)).astype(np.float32)
+    return Replay(robot, poses[:, :, :3], poses[:, :, 3:], forces, end="Arrival", failed=False)
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -29,10 +31,11 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.positions, replay.positions, atol=6e-5)
     np.testing.assert_allclose(again.rotations, replay.rotations, atol=6e-5)
     np.testing.assert_allclose(again.foot_forces, replay.foot_forces, atol=0.06)
-    assert (again.robot_type, again.fallen, again.arrived) == (0, False, True)
+    assert (again.robot, again.end, again.failed) == (replay.robot, "Arrival", False)
+    assert again.moved_m() == pytest.approx(np.hypot(*replay.displacement_m), abs=2e-4)
     with np.load(arrays, allow_pickle=False) as saved:
         np.testing.assert_array_equal(saved["positions"], replay.positions)
-        assert tuple(saved["body_names"]) == nao_model.model(0).body_names
+        assert tuple(saved["body_names"]) == tuple(shape.name for shape in replay.robot.shapes)
 
 
 def test_document_explains_itself(tmp_path: Path) -> None:
@@ -40,7 +43,9 @@ def test_document_explains_itself(tmp_path: Path) -> None:
     document = json.loads(some_replay(3).to_json())
     assert document["frames"] == len(document["position_m"]) == len(document["rotation_wxyz"]) == 3
     assert document["dt_s"] == 0.02
-    assert document["bodies"][0] == {"name": "torso", "shape": "box", "size_m": [0.1, 0.1, 0.18]}
+    assert document["bodies"][0] == {
+        "name": "torso", "shape": "box", "size_m": [0.1, 0.1, 0.18], "side": "centre"
+    }
     assert len(document["position_m"][0]) == 3 * len(document["bodies"])
     assert len(document["rotation_wxyz"][0]) == 4 * len(document["bodies"])
 
@@ -53,11 +58,11 @@ def _drop(name: str) -> Callable[[dict[str, Any]], object]:
     ("spoil", "words"),
     [
         (_drop("position_m"), "position_m: missing"),
-        (lambda d: d.update(format=99), "format 1"),
-        (lambda d: d.update(robot_type=4), "bodies: not those of robot type 4"),
+        (lambda d: d.update(format=99), "format 2"),
+        (lambda d: d.update(robot="nao-4"), "bodies: not those of robot nao-4"),
         (lambda d: d.update(frames=1000), "unreadable"),
         (lambda d: d["position_m"][0].__setitem__(0, float("nan")), "positions: .*not finite"),
-        (lambda d: d.update(robot_type=77), "robot"),
+        (lambda d: d.update(robot="nao-77"), "unknown robot 'nao-77'"),
     ],
 )
 def test_damaged_replay_is_explained(tmp_path: Path, spoil: Callable[[dict[str, Any]], object], words: str) -> None:

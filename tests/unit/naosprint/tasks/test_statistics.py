@@ -1,10 +1,10 @@
-"""Test intervals against known values and by simulation."""
+"""Confidence intervals against known values and by simulation."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from naosprint.statistics import bootstrap_mean, wilson
+from naosprint.tasks.statistics import bootstrap_mean, wilson
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Test the figures that policies are judged by."""
+"""Results that policies are evaluated by."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from naosim import robots
+from naosim.simspark import EmbeddedSimulator
 from naospec import EvaluationSpec
 from naosprint import CheckpointError, evaluate
+from naosprint.analysis.results import by_name
 from naosprint.arrays import FloatArray
-from naosprint.evaluation import _challenge, _deviation_deg, _figures, _Runs, _speeds_beyond
+from naosprint.tasks.base import World
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.sprint import Sprint1, SprintSettings, _challenge, _deviation_deg, _speeds_beyond
 
 
-def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.36, air: float = 0.0) -> _Runs:
+def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.36, air: float = 0.0) -> Episodes:
     """Return runs along given x positions, straight ahead from the start."""
     n = len(paths)
     flags = np.zeros(n, dtype=bool)
@@ -27,18 +32,26 @@ def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.
     heights = [np.full(len(x), height) for x in paths]
     for i in fallen:
         heights[i][-1] = 0.26
-    return _Runs(
+    return Episodes(
         x=list(paths),
         y=[np.zeros(len(x)) for x in paths],
         height=heights,
         up=[np.ones(len(x)) for x in paths],
         feet=[np.zeros((len(x), 2)) for x in paths],
         airborne=airborne,
-        fallen=flags,
-        arrived=~flags,
-        joint_angles=np.zeros((1, 20)),
-        bodies=[],
+        trace=[np.zeros((len(x), 0)) for x in paths],
+        ends={"fallen": flags, "arrived": ~flags},
+        max_steps=3000,
     )
+
+
+def summary_of(episodes: Episodes) -> dict[str, Any]:
+    """Return results and tables of sprint task I as in an evaluation's document."""
+    robot = robots.get("nao-0")
+    settings = Sprint1.resolve(SprintSettings(name="sprint1"), robot)
+    task = Sprint1(settings, World(EmbeddedSimulator(robot, 1)))
+    results, tables = task.summarize(episodes, Statistics(0.95, 2000, 0))
+    return {"results": [one.to_json() for one in results], "tables": [one.to_json() for one in tables]}
 
 
 def steady(speed: float, distance: float) -> FloatArray:
@@ -96,34 +109,49 @@ def test_challenge_stops_the_clock_after_twenty_seconds() -> None:
     assert speed == pytest.approx((0.4 + 20 * 0.1 - 0.5) / 20.0, rel=0.02)
 
 
-def test_figures_of_known_runs() -> None:
+def test_results_of_known_runs() -> None:
     """One that arrives at 2 m/s and one that falls after 5 m at 1 m/s."""
-    figures = _figures(
-        runs_of(steady(2.0, 28.0), steady(1.0, 5.0), fallen=(1,)), EvaluationSpec(episodes=2), max_steps=3000
-    )
-    assert figures["episodes"] == 2
-    assert figures["distance_m"]["mean"] == pytest.approx(16.5)
-    assert figures["speed_mps"]["mean"] == pytest.approx(1.5)
-    assert figures["falls"]["rate"] == 0.5
-    assert figures["arrivals"]["count"] == 1
-    assert figures["time_limits"]["count"] == 0
-    assert figures["paper"]["low_at_end"]["count"] == 1
-    assert [entry["line_m"] for entry in figures["speed_by_line"]] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
-    first, last = figures["speed_by_line"][0], figures["speed_by_line"][-1]
-    assert (first["paper"]["episodes"], last["paper"]["episodes"], last["all"]["episodes"]) == (2, 1, 2)
-    assert last["paper"]["mean"] == pytest.approx(2.0)
-    assert last["all"]["mean"] == pytest.approx(1.5)
-    assert figures["paper"]["top_speed_mps"] == pytest.approx(2.0)
-    json.dumps(figures, allow_nan=False)
+    summary = summary_of(runs_of(steady(2.0, 28.0), steady(1.0, 5.0), fallen=(1,)))
+    results = by_name(summary)
+    assert results["distance_m"]["episodes"] == 2
+    assert results["distance_m"]["value"] == pytest.approx(16.5)
+    assert results["speed_mps"]["value"] == pytest.approx(1.5)
+    assert (results["fall_rate"]["value"], results["fall_rate"]["count"]) == (0.5, 1)
+    assert results["arrival_rate"]["count"] == 1
+    assert results["time_limit_rate"]["count"] == 0
+    assert results["low_at_end"]["count"] == 1
+    (table,) = summary["tables"]
+    paper, everyone = (column["results"] for column in table["columns"])
+    assert table["at"] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5] or table["at"] == (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+    assert (paper[0]["episodes"], paper[-1]["episodes"], everyone[-1]["episodes"]) == (2, 1, 2)
+    assert paper[-1]["value"] == pytest.approx(2.0)
+    assert everyone[-1]["value"] == pytest.approx(1.5)
+    assert results["top_speed_mps"]["value"] == pytest.approx(2.0)
+    json.dumps(summary, allow_nan=False)
 
 
-def test_figures_that_nothing_supports_are_none() -> None:
-    """No NaN in the summary when every episode is short."""
-    figures = _figures(runs_of(steady(1.0, 0.3), fallen=(0,)), EvaluationSpec(episodes=1), max_steps=3000)
-    assert figures["speed_by_line"][0]["paper"]["mean"] is None
-    assert figures["speed_by_line"][1]["all"]["mean"] is None
-    assert figures["paper"]["top_speed_mps"] is None
-    json.dumps(figures, allow_nan=False)
+def test_results_that_nothing_supports_are_none() -> None:
+    """No NaN in the document when every episode is short."""
+    summary = summary_of(runs_of(steady(1.0, 0.3), fallen=(0,)))
+    paper, everyone = (column["results"] for column in summary["tables"][0]["columns"])
+    assert paper[0]["value"] is None
+    assert everyone[1]["value"] is None
+    assert by_name(summary)["top_speed_mps"]["value"] is None
+    json.dumps(summary, allow_nan=False)
+
+
+def test_document_describes_itself(checkpoint: Path) -> None:
+    """Every result has what is needed to show it, and the headline names results."""
+    summary = evaluate(checkpoint, EvaluationSpec(episodes=3, task="sprint2")).summary
+    described = {"name", "title", "unit", "description", "digits", "better", "kind", "value", "interval", "episodes"}
+    rows = summary["results"] + [r for t in summary["tables"] for column in t["columns"] for r in column["results"]]
+    for result in rows:
+        assert described <= result.keys()
+        assert result["title"] and result["description"]
+    assert set(summary["headline"]) <= set(by_name(summary))
+    assert (summary["format"], summary["robot"], summary["simulator"]) == (2, "nao-0", "embedded")
+    assert (summary["task"]["name"], summary["task"]["version"]) == ("sprint2", 1)
+    assert summary["task"]["settings"]["min_height_m"] == 0.27
 
 
 def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path) -> None:
@@ -134,13 +162,13 @@ def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path)
     second = evaluate(checkpoint, spec, threads=2)
     assert first.to_json() == second.to_json()
     other = evaluate(checkpoint, EvaluationSpec(episodes=12, n_envs=5, task="sprint2", seed=1))
-    assert other.summary["distance_m"] != first.summary["distance_m"]
+    assert by_name(other.summary)["distance_m"] != by_name(first.summary)["distance_m"]
     assert calls[-1] == (12, 12)
     assert first.summary["checkpoint"]["step"] == 512
 
-    figures, paths, *replays = first.save(tmp_path / "out")
+    results, paths, *replays = first.save(tmp_path / "out")
     assert [path.name for path in replays] == ["replay.json", "replay.npz"]
-    assert json.loads(figures.read_text()) == first.summary
+    assert json.loads(results.read_text()) == first.summary
     with np.load(paths, allow_pickle=False) as saved:
         assert saved["x"].shape[0] == 4
         assert saved["x"].shape == saved["y"].shape == saved["height"].shape
@@ -149,13 +177,13 @@ def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path)
         assert abs(saved["x"][0, 0] + 14.0) < 0.1
 
 
-def test_trajectories_and_figures_describe_the_same_episodes(checkpoint: Path) -> None:
+def test_trajectories_and_results_describe_the_same_episodes(checkpoint: Path) -> None:
     """Distances recomputed from the paths are those in the summary."""
     evaluation = evaluate(checkpoint, EvaluationSpec(episodes=9, n_envs=4, task="sprint2"))
     x = evaluation.trajectories.x
     assert len(x) == 9
     distances = [row[~np.isnan(row)][-1] - row[0] for row in x]
-    assert evaluation.summary["distance_m"]["mean"] == pytest.approx(np.mean(distances), abs=1e-5)
+    assert evaluation.result("distance_m") == pytest.approx(np.mean(distances), abs=1e-5)
 
 
 def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
@@ -188,7 +216,7 @@ def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:
     first, second = evaluate(checkpoint, spec), evaluate(checkpoint, spec)
     calm = evaluate(checkpoint, EvaluationSpec(episodes=4, task="sprint2"))
     assert first.to_json() == second.to_json()
-    assert first.summary["distance_m"] != calm.summary["distance_m"]
+    assert by_name(first.summary)["distance_m"] != by_name(calm.summary)["distance_m"]
 
 
 def test_evaluation_can_be_stopped(checkpoint: Path) -> None:
@@ -204,6 +232,6 @@ def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
 
 
 def test_task_of_the_evaluation_decides_the_end(checkpoint: Path) -> None:
-    """A policy trained on task one is judged on task two as well."""
+    """A policy trained on task one can be evaluated on task two."""
     evaluation: Any = evaluate(checkpoint, EvaluationSpec(episodes=3, task="sprint2"))
-    assert evaluation.summary["steps"]["max"] <= 400
+    assert by_name(evaluation.summary)["episode_length"]["high"] <= 400

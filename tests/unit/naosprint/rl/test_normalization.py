@@ -1,10 +1,10 @@
-"""Test running statistics and normalisation."""
+"""Running statistics and normalization."""
 
 from __future__ import annotations
 
 import numpy as np
-from naosprint.normalisation import Normaliser, RunningMoments
-from naosprint.symmetry import Mirror
+from naosprint.mirror import Mirror
+from naosprint.rl.normalization import Normalizer, RunningMoments
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 
@@ -31,13 +31,13 @@ def test_moments_agree_with_stable_baselines3() -> None:
         np.testing.assert_allclose(ours.variance, theirs.var, rtol=1e-12)
 
 
-def test_observations_are_standardised_and_clipped() -> None:
+def test_observations_are_standardized_and_clipped() -> None:
     """Zero mean, unit variance, nothing beyond the clip."""
     rng = np.random.default_rng(2)
     raw = rng.normal(100.0, 7.0, (4000, 2))
-    normaliser = Normaliser(1, 2, observations=True, observation_clip=2.0, rewards=False, gamma=0.99)
-    normaliser.learn_observations(raw)
-    seen = normaliser.observations(raw)
+    normalizer = Normalizer(1, 2, observations=True, observation_clip=2.0, rewards=False, gamma=0.99)
+    normalizer.update_observations(raw)
+    seen = normalizer.observations(raw)
     assert seen.dtype == np.float32
     assert np.abs(seen.mean(axis=0)).max() < 0.05
     assert seen.max() == 2.0
@@ -45,20 +45,20 @@ def test_observations_are_standardised_and_clipped() -> None:
 
 
 def test_switched_off_it_passes_everything() -> None:
-    """Without normalisation the numbers stay what they are."""
-    normaliser = Normaliser(2, 2, observations=False, observation_clip=1.0, rewards=False, gamma=0.99)
+    """Without normalization the numbers stay what they are."""
+    normalizer = Normalizer(2, 2, observations=False, observation_clip=1.0, rewards=False, gamma=0.99)
     raw = np.array([[50.0, -3.0], [1.0, 2.0]])
-    normaliser.learn_observations(raw)
-    assert np.array_equal(normaliser.observations(raw), raw.astype(np.float32))
-    assert np.array_equal(normaliser.rewards(raw[:, 0], np.zeros(2, bool)), raw[:, 0].astype(np.float32))
+    normalizer.update_observations(raw)
+    assert np.array_equal(normalizer.observations(raw), raw.astype(np.float32))
+    assert np.array_equal(normalizer.rewards(raw[:, 0], np.zeros(2, bool)), raw[:, 0].astype(np.float32))
 
 
 def test_rewards_are_scaled_by_the_spread_of_the_return() -> None:
     """Steady noise of any size comes out with a discounted return of unit variance."""
     rng = np.random.default_rng(3)
-    normaliser = Normaliser(64, 1, observations=False, observation_clip=1.0, rewards=True, gamma=0.9)
-    nobody = np.zeros(64, dtype=bool)
-    scaled = [normaliser.rewards(rng.normal(0.0, 40.0, 64), nobody) for _ in range(500)]
+    normalizer = Normalizer(64, 1, observations=False, observation_clip=1.0, rewards=True, gamma=0.9)
+    none_ended = np.zeros(64, dtype=bool)
+    scaled = [normalizer.rewards(rng.normal(0.0, 40.0, 64), none_ended) for _ in range(500)]
     returns = np.zeros(64)
     tail = []
     for rewards in scaled[100:]:
@@ -69,29 +69,31 @@ def test_rewards_are_scaled_by_the_spread_of_the_return() -> None:
 
 def test_finished_episodes_leave_nothing_in_the_return() -> None:
     """The discounted return starts over with an episode."""
-    normaliser = Normaliser(2, 1, observations=False, observation_clip=1.0, rewards=True, gamma=0.9)
-    normaliser.rewards(np.array([1.0, 1.0]), np.array([True, False]))
-    assert normaliser.state()["returns"].tolist() == [0.0, 1.0]
+    normalizer = Normalizer(2, 1, observations=False, observation_clip=1.0, rewards=True, gamma=0.9)
+    normalizer.rewards(np.array([1.0, 1.0]), np.array([True, False]))
+    assert normalizer.state()["returns"].tolist() == [0.0, 1.0]
 
 
 def test_state_carries_over() -> None:
-    """A second normaliser continues as the first."""
+    """A second normalizer continues as the first."""
     rng = np.random.default_rng(4)
     settings = {"observations": True, "observation_clip": 5.0, "rewards": True, "gamma": 0.99}
-    first, second = Normaliser(3, 2, **settings), Normaliser(3, 2, **settings)  # type: ignore[arg-type]
+    first, second = Normalizer(3, 2, **settings), Normalizer(3, 2, **settings)  # type: ignore[arg-type]
     for _ in range(5):
-        first.learn_observations(rng.normal(size=(3, 2)))
+        first.update_observations(rng.normal(size=(3, 2)))
         first.rewards(rng.normal(size=3), np.array([False, True, False]))
     second.load_state(first.state())
     raw, rewards = rng.normal(size=(3, 2)), rng.normal(size=3)
     assert np.array_equal(first.observations(raw), second.observations(raw))
-    nobody = np.zeros(3, dtype=bool)
-    assert np.array_equal(first.rewards(rewards, nobody), second.rewards(rewards, nobody))
+    none_ended = np.zeros(3, dtype=bool)
+    assert np.array_equal(first.rewards(rewards, none_ended), second.rewards(rewards, none_ended))
 
 
 def test_mirrored_moments_are_those_of_samples_and_images() -> None:
     """As if every sample had come with its mirror image, and the same on both sides, bit for bit."""
-    mirror = Mirror.of_names(("step", "llj1", "rlj1", "yaw"))
+    mirror = Mirror.of_names(
+        ("step", "llj1", "rlj1", "yaw"), ("step", "rlj1", "llj1", "yaw"), (1.0, 1.0, 1.0, -1.0)
+    )
     plain, mirrored = RunningMoments(4), RunningMoments(4, mirror)
     rng = np.random.default_rng(3)
     for _ in range(4):

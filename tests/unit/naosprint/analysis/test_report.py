@@ -1,10 +1,11 @@
-"""Test that a report holds what it should and needs nothing else."""
+"""A report has everything it should and needs nothing else."""
 
 from __future__ import annotations
 
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg  # type: ignore[import-untyped]
@@ -12,17 +13,20 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from naospec import EvaluationSpec
-from naosprint import evaluate, figures
-from naosprint.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
-from naosprint.replay import ReplayError, load_replay
-from naosprint.report import ReportError, read_metrics, write_report
-from naosprint.scene import Camera, robot_collection
+from naosprint import evaluate
+from naosprint.analysis import figures
+from naosprint.analysis.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
+from naosprint.analysis.replay import ReplayError, load_replay
+from naosprint.analysis.report import FILM_STEPS, ReportError, film_caption, read_metrics, write_report
+from naosprint.analysis.results import by_name, interval_text, value_text
+from naosprint.analysis.scene import Camera, robot_collection
+from naosprint.tasks.metrics import Chart, Metric, Reference
 from PIL import Image
 
 
 @pytest.fixture(scope="module")
 def evaluation(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with an evaluation of a policy that falls at once."""
+    """Return a folder with an evaluation of a policy that stands."""
     folder = tmp_path_factory.mktemp("evaluation")
     evaluate(checkpoint, EvaluationSpec(episodes=6, n_envs=6)).save(folder)
     return folder
@@ -45,7 +49,7 @@ def test_report_is_complete_and_self_contained(evaluation: Path, metrics: Path, 
     """Every picture as SVG and PNG, every table, and a page that loads nothing."""
     out = tmp_path / "out"
     page = write_report(out, evaluation=evaluation, metrics=metrics, title="A <first> run", film=False)
-    for name in ("learning-curve", "speed-profile", "trajectories", "frames", "gait", "joints"):
+    for name in ("learning-curve", "speed-by-line", "trajectories", "frames", "gait", "joints"):
         assert (out / f"{name}.svg").read_text().startswith("<?xml")
         with Image.open(out / f"{name}.png") as picture:
             pixels = np.asarray(picture.convert("L"))
@@ -58,8 +62,14 @@ def test_report_is_complete_and_self_contained(evaluation: Path, metrics: Path, 
     outside = re.findall(r"(?:src|href)=\"(?!#|data:)[^\"]*\"", html)
     assert not outside
     summary = json.loads((evaluation / "evaluation.json").read_text())
-    assert f"{summary['distance_m']['mean']:.2f} m" in html
-    assert "100.0%" in html
+    assert f"{by_name(summary)['distance_m']['value']:.2f} m" in html
+    assert "100.0 %" in html
+    assert "Run challenge score" in html
+    with (out / "results.csv").open() as stream:
+        found = {row["name"]: row["value"] for row in csv.DictReader(stream)}
+    assert float(found["distance_m"]) == by_name(summary)["distance_m"]["value"]
+    with (out / "speed-by-line.csv").open() as stream:
+        assert [row["at"] for row in csv.DictReader(stream)] == ["0.0", "0.5", "1.0", "1.5", "2.0", "2.5"] * 2
     with (out / "trajectories.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert {row["episode"] for row in rows} == {str(i) for i in range(6)}
@@ -121,11 +131,61 @@ def test_stride_reaches_from_touchdown_to_touchdown() -> None:
     assert figures.stride(np.zeros(200), 50, 5) == [50, 55, 60, 65, 70]
 
 
-def test_figures_bear_what_no_episode_supports() -> None:
-    """A line without a mean is left out, not drawn."""
-    nothing = {"mean": None, "ci": None, "max": None}
-    figure = figures.speed_profile([{"line_m": 0.0, "paper": nothing, "all": nothing}], 0.95)
-    assert isinstance(figure, Figure)
+def test_plots_leave_out_what_no_episode_supports() -> None:
+    """A value of None is left out, not drawn."""
+    nothing = {"value": None, "interval": None, "high": None, "low": None}
+    table = {
+        "axis": {"title": "Line", "unit": "m", "digits": 1},
+        "at": [0.0],
+        "columns": [{"title": "All", "results": [nothing]}],
+    }
+    assert isinstance(figures.result_table(table), Figure)
+
+
+def test_learning_curves_are_those_of_the_tasks_charts() -> None:
+    """A panel per chart that has data, percent as such, the references and the evaluated policy in it."""
+    rows = [
+        {"step": 1e6, "stage": 1.0, "hops": 2.0, "miss_rate": 0.5},
+        {"step": 2e6, "stage": 2.0, "hops": 3.0, "miss_rate": 0.25},
+    ]
+    metrics = {
+        "hops": Metric("hops", "Hops", "1/s"),
+        "miss_rate": Metric("miss_rate", "Misses", "%", kind="rate"),
+        "never": Metric("never", "Never"),
+    }
+    charts = [Chart("Hopping", ("hops",)), Chart("Nothing", ("never",)), Chart("Misses", ("miss_rate",))]
+    figure = figures.learning_curves(
+        rows, charts, metrics, [Reference("hops", 4.0, "a hare")], (2e6, {"hops": 3.5, "miss_rate": 0.2})
+    )
+    hopping, misses = figure.axes
+    assert (hopping.get_title(), misses.get_title()) == ("Hopping", "Misses")
+    curves = [list(line.get_ydata()) for line in hopping.lines]  # type: ignore[union-attr]
+    assert curves[:3] == [[2.0, 3.0], [3.5], [4.0, 4.0]]
+    assert [text.get_text() for text in hopping.texts] == ["a hare"]
+    assert list(misses.lines[0].get_ydata()) == [50.0, 25.0]  # type: ignore[union-attr]
+    # the border between the stages
+    assert list(hopping.lines[-1].get_xdata()) == [2.0, 2.0]
+    assert misses.get_ylabel() == "%"
+
+
+def test_film_and_caption_agree(evaluation: Path) -> None:
+    """The numbers below the film are those in its last picture; a longer episode than the film says so."""
+    replay = load_replay(evaluation / "replay.json")
+    short = replace(replay, positions=replay.positions[:80], rotations=replay.rotations[:80], end="Fall", failed=True)
+    film = Film(short)
+    film.picture(79)
+    (text,) = [t.get_text() for t in film._axes.texts if " s " in t.get_text()]
+    seconds, distance = text.split()[0], text.split()[2]
+    assert f"{distance} m from the start in {seconds} s, fall. Lines" in film_caption(short)
+    assert len(replay.positions) > FILM_STEPS
+    assert "in 60.00 s, time limit. The film shows the first 20 s." in film_caption(replay)
+
+
+def test_values_and_intervals_have_units(evaluation: Path) -> None:
+    results = by_name(json.loads((evaluation / "evaluation.json").read_text()))
+    assert value_text(results["low_at_end"]) == "100.0 %"
+    assert interval_text(results["low_at_end"], 0.95) == "95 % interval 61.0 to 100.0 %"
+    assert value_text({**results["top_speed_mps"], "value": None}) == "-"
 
 
 @pytest.mark.parametrize("text", ["{", '{"step": "many"}', '{"time_s": 1}', "[1]"])
@@ -146,5 +206,8 @@ def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> No
     with pytest.raises(ReplayError, match=r"replay.json: unreadable"):
         write_report(tmp_path / "out", evaluation=tmp_path)
     (tmp_path / "evaluation.json").write_text("{}")
+    with pytest.raises(ReportError, match=r"evaluation.json: not an evaluation of format 2"):
+        write_report(tmp_path / "out", evaluation=tmp_path)
+    (tmp_path / "evaluation.json").write_text('{"format": 2}')
     with pytest.raises(ReportError, match=r"evaluation.json: training: missing"):
         write_report(tmp_path / "out", evaluation=tmp_path)

@@ -1,22 +1,29 @@
-"""Test that the lean PPO is stable-baselines3's PPO."""
+"""PPO is stable-baselines3's, in another order of work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from naospec import TrainingSpec
-from naosprint.environment import open_training_batch
-from naosprint.learner import SprintPPO, TrainingDivergedError
-from naosprint.symmetry import Mirror
-from naosprint.vec_env import SprintVecEnv
-from stable_baselines3 import PPO
+from naosprint.mirror import Mirror
+from naosprint.rl import schedules
+from naosprint.rl.learner import TrainingDivergedError
+from naosprint.rl.ppo import PPO, Rollout
+from naosprint.rl.rollout import TrainingEnvironment
+from naosprint.rl.symmetry import tie_weights
+from naosprint.tasks.environment import open_training_environment
+from stable_baselines3 import PPO as StockPPO
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import DummyVecEnv
 
-Open = Callable[..., SprintPPO]
+Open = Callable[..., PPO]
 
 
 @pytest.fixture
@@ -24,31 +31,74 @@ def open_learner(make_spec: Callable[..., TrainingSpec]) -> Iterator[Open]:
     """Return the maker of learners on small environments."""
     opened = []
 
-    def make(**fields: object) -> SprintPPO:
-        spec = make_spec(**fields)
-        batch, n_starts = open_training_batch(spec)
-        opened.append(batch)
-        learner = SprintPPO(spec, SprintVecEnv.from_spec(spec, batch, n_starts))
+    def make(**settings: object) -> PPO:
+        spec = make_spec(**settings)
+        environment, n_starts = open_training_environment(spec)
+        opened.append(environment)
+        learner = PPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
         learner.begin()
         return learner
 
     yield make
-    for batch in opened:
-        batch.close()
+    for environment in opened:
+        environment.close()
 
 
-def collect(learner: SprintPPO) -> None:
-    """Collect one rollout."""
-    assert learner.env is not None
-    assert learner.collect_rollouts(learner.env, None, learner.rollout_buffer, learner.n_steps)
+def actions_mirror(learner: PPO) -> Mirror:
+    """Return what a mirror does to actions."""
+    actuation = learner.environment.environment.actuation
+    return Mirror.of_names(actuation.names, *actuation.mirror)
 
 
-def test_rollout_holds_the_policys_own_values_and_densities(open_learner: Open) -> None:
+class Spaces(gymnasium.Env[np.ndarray, np.ndarray]):
+    """Environment that only has the spaces of a learner's environment."""
+
+    def __init__(self, learner: PPO) -> None:
+        environment = learner.environment
+        self.observation_space = spaces.Box(-np.inf, np.inf, (environment.n_observations,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (environment.n_actions,), np.float32)
+
+
+def stock_learner(ours: PPO) -> StockPPO:
+    """Return stable-baselines3's PPO with the settings, weights and rollout of ours."""
+    settings, environment = ours.settings, ours.environment
+    rollout = ours.rollout
+    theirs = StockPPO(
+        "MlpPolicy",
+        DummyVecEnv([lambda: Spaces(ours)] * environment.n),
+        n_steps=settings.n_steps,
+        batch_size=settings.batch_size,
+        n_epochs=settings.n_epochs,
+        learning_rate=settings.learning_rate,
+        clip_range=settings.clip_range,
+        ent_coef=settings.entropy_coefficient,
+        vf_coef=settings.value_coefficient,
+        max_grad_norm=settings.max_grad_norm,
+        policy_kwargs={
+            "net_arch": list(settings.hidden_sizes),
+            "activation_fn": torch.nn.Tanh,
+            "optimizer_kwargs": {"eps": settings.adam_epsilon},
+        },
+        device="cpu",
+    )
+    if settings.symmetric_policy:
+        tie_weights(theirs.policy, environment.environment.observer.mirror, actions_mirror(ours))
+    theirs.policy.load_state_dict({name: tensor.clone() for name, tensor in ours.policy.state_dict().items()})
+    theirs.policy.log_std.requires_grad_(ours.policy.log_std.requires_grad)
+    buffer = theirs.rollout_buffer
+    for name in ("observations", "actions", "rewards", "episode_starts", "values", "log_probs", "advantages", "returns"):
+        getattr(buffer, name)[:] = getattr(rollout, name)
+    buffer.pos, buffer.full = settings.n_steps, True
+    theirs.set_logger(Logger(folder=None, output_formats=[]))
+    return theirs
+
+
+def test_rollout_contains_the_policys_own_values_and_densities(open_learner: Open) -> None:
     """Values and log-probabilities are those that stable-baselines3's policy gives for the stored data."""
     learner = open_learner()
-    collect(learner)
-    buffer = learner.rollout_buffer
-    size = buffer.buffer_size * buffer.n_envs
+    assert learner.collect()
+    buffer = learner.rollout
+    size = buffer.rewards.size
     with torch.no_grad():
         values, log_probs, _ = learner.policy.evaluate_actions(
             torch.from_numpy(buffer.observations.reshape(size, -1)), torch.from_numpy(buffer.actions.reshape(size, -1))
@@ -60,8 +110,8 @@ def test_rollout_holds_the_policys_own_values_and_densities(open_learner: Open) 
 def test_actions_explore_with_the_policys_spread(open_learner: Open) -> None:
     """What is added to the mean action has the standard deviation exp(log_std)."""
     learner = open_learner(n_steps=128, initial_log_std=-0.7)
-    collect(learner)
-    buffer = learner.rollout_buffer
+    assert learner.collect()
+    buffer = learner.rollout
     with torch.no_grad():
         features = learner.policy.mlp_extractor.policy_net(torch.from_numpy(buffer.observations))
         noise = buffer.actions - learner.policy.action_net(features).numpy()
@@ -69,61 +119,61 @@ def test_actions_explore_with_the_policys_spread(open_learner: Open) -> None:
     assert abs(noise.mean()) < 0.02
 
 
-def test_time_limit_bootstraps_the_value_of_what_was_cut_off(
+def test_time_limit_bootstraps_the_value_of_what_would_have_followed(
     open_learner: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reward at a time limit includes the discounted value of the last observation; at an end it does not."""
-    learner = open_learner(n_steps=16, normalise_rewards=False)
-    env = learner._sprint_env
-    batch = env.batch
-    monkeypatch.setattr(batch, "task", replace(batch.task, max_steps=5))
-    seen: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
-    receive = env.receive
+    learner = open_learner(n_steps=16, normalize_rewards=False)
+    environment = learner.environment
+    environment.environment.task.max_steps = 5
+    seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    step_wait = environment.step_wait
 
     def watch(group: slice) -> object:
-        transition = receive(group)
-        seen.append((len(seen), transition.rewards.copy(), transition.cut_rows, transition.cut_observations))
+        transition = step_wait(group)
+        seen.append((transition.rewards.copy(), transition.bootstrapped, transition.last_observations))
         return transition
 
-    monkeypatch.setattr(env, "receive", watch)
-    collect(learner)
-    cuts = 0
-    for step, rewards, rows, observations in seen:
+    monkeypatch.setattr(environment, "step_wait", watch)
+    assert learner.collect()
+    bootstrapped = 0
+    for step, (rewards, rows, observations) in enumerate(seen):
         expected = rewards.copy()
         if len(rows):
             with torch.no_grad():
                 value = learner.policy.predict_values(torch.from_numpy(observations)).numpy()[:, 0]
-            expected[rows] += learner.spec.gamma * value
-            cuts += len(rows)
-        np.testing.assert_allclose(learner.rollout_buffer.rewards[step], expected, atol=1e-5)
-    assert cuts >= 16
+            expected[rows] += learner.settings.gamma * value
+            bootstrapped += len(rows)
+        np.testing.assert_allclose(learner.rollout.rewards[step], expected, atol=1e-5)
+    assert bootstrapped >= 16
 
 
-@pytest.mark.parametrize("entropy", [0.0, 0.01])
+@pytest.mark.parametrize(("entropy", "symmetric"), [(0.0, True), (0.01, True), (0.01, False)])
 def test_update_is_that_of_stable_baselines3(
-    open_learner: Open, entropy: float, monkeypatch: pytest.MonkeyPatch
+    open_learner: Open, entropy: float, symmetric: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the same rollout and minibatches, PPO.train and ours arrive at the same weights."""
-    fields = {
-        "entropy_coefficient": entropy,
-        "n_epochs": 3,
-        "target_kl": None,
-        "learning_rate": 1e-3,
-        "learning_rate_schedule": "constant",
-    }
-    ours, theirs = open_learner(**fields), open_learner(**fields)
-    collect(ours)
-    collect(theirs)
-    size = ours.rollout_buffer.buffer_size * ours.rollout_buffer.n_envs
+    """From the same rollout and minibatches, stable-baselines3's PPO.train and ours arrive at the same weights."""
+    ours = open_learner(
+        entropy_coefficient=entropy,
+        symmetric_policy=symmetric,
+        n_epochs=3,
+        target_kl=None,
+        learning_rate=1e-3,
+        learning_rate_schedule="constant",
+        **({} if symmetric else {"final_log_std": None}),
+    )
+    assert ours.collect()
+    theirs = stock_learner(ours)
+    before = {name: tensor.clone() for name, tensor in ours.policy.state_dict().items()}
+    n_steps, n_envs = ours.rollout.rewards.shape
+    size = n_steps * n_envs
     orders = [torch.randperm(size, generator=torch.Generator().manual_seed(i)) for i in range(3)]
     ours_orders, theirs_orders = iter(orders), iter(orders)
     monkeypatch.setattr(torch, "randperm", lambda n, generator: next(ours_orders))
-    ours.train()
+    metrics = ours.update()
     monkeypatch.undo()
 
     # stable-baselines3 flattens environment by environment, we step by step
-    n_steps, n_envs = theirs.rollout_buffer.buffer_size, theirs.rollout_buffer.n_envs
-
     def permutation(n: int) -> np.ndarray:
         assert n == size
         flat = next(theirs_orders).numpy()
@@ -131,31 +181,52 @@ def test_update_is_that_of_stable_baselines3(
         return order
 
     monkeypatch.setattr(np.random, "permutation", permutation)
-    theirs.set_logger(Logger(folder=None, output_formats=[]))
-    PPO.train(theirs)
+    theirs.train()
+    moved = 0.0
     for (name, mine), (_, stock) in zip(ours.policy.named_parameters(), theirs.policy.named_parameters(), strict=True):
         torch.testing.assert_close(mine, stock, atol=2e-5, rtol=1e-3, msg=name)
+        moved = max(moved, float((mine.detach() - before[name]).abs().max()))
+    assert moved > 1e-3
     recorded = theirs.logger.name_to_value
-    for name, value in ours.figures().items():
-        assert value == pytest.approx(float(recorded[name]), rel=1e-2, abs=1e-4), name
+    names = {"policy_loss": "policy_gradient_loss", "action_std": "std", "entropy": "entropy_loss"}
+    for name, value in metrics.items():
+        known = float(recorded[f"train/{names.get(name, name)}"])
+        assert value == pytest.approx(-known if name == "entropy" else known, rel=1e-2, abs=1e-4), name
+
+
+def test_advantages_are_those_of_stable_baselines3() -> None:
+    """Equal to the last bit, through ends of episodes."""
+    n_steps, n_envs, rng = 64, 8, np.random.default_rng(0)
+    ours = Rollout(n_steps, n_envs, 3, 2)
+    space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+    theirs = RolloutBuffer(n_steps, space, space, device="cpu", gamma=0.993, gae_lambda=0.95, n_envs=n_envs)
+    for name in ("rewards", "values"):
+        getattr(ours, name)[:] = getattr(theirs, name)[:] = rng.normal(size=(n_steps, n_envs)).astype(np.float32)
+    ours.episode_starts[:] = theirs.episode_starts[:] = rng.random((n_steps, n_envs)) < 0.1
+    last_values, dones = rng.normal(size=n_envs).astype(np.float32), rng.random(n_envs) < 0.5
+    ours.estimate_advantages(last_values, dones, 0.993, 0.95)
+    theirs.compute_returns_and_advantage(torch.from_numpy(last_values), dones)
+    np.testing.assert_array_equal(ours.advantages, theirs.advantages)
+    np.testing.assert_array_equal(ours.returns, theirs.returns)
 
 
 @pytest.mark.parametrize(
-    ("final", "remaining", "wanted"), [(None, 0.3, 0.03), (0.01, 1.0, 0.03), (0.01, 0.5, 0.02), (0.01, -0.1, 0.01)]
+    ("final", "share", "wanted"), [(None, 0.7, 0.03), (0.01, 0.0, 0.03), (0.01, 0.5, 0.02), (0.01, 1.1, 0.01)]
 )
-def test_target_kl_moves_linearly_to_its_final_value(final: float | None, remaining: float, wanted: float) -> None:
-    from naosprint.learner import _target_kl
-
-    spec = TrainingSpec(target_kl=0.03, target_kl_final=final)
-    assert _target_kl(spec, remaining) == pytest.approx(wanted)
-    assert _target_kl(TrainingSpec(target_kl=None, learning_rate_schedule="constant"), remaining) is None
+def test_target_kl_moves_linearly_to_its_final_value(
+    make_spec: Callable[..., TrainingSpec], final: float | None, share: float, wanted: float
+) -> None:
+    spec = make_spec(target_kl=0.03, target_kl_final=final, total_steps=2560)
+    assert schedules.target_kl(spec, round(2560 * share)) == pytest.approx(wanted)
+    constant = make_spec(target_kl=None, learning_rate_schedule="constant")
+    assert schedules.target_kl(constant, 100) is None
 
 
 @pytest.mark.parametrize(("total_steps", "log_std_steps"), [(1024, None), (2048, 1024)])
 def test_scheduled_spread_follows_the_steps_and_nothing_else(
     open_learner: Open, total_steps: int, log_std_steps: int | None
 ) -> None:
-    """It goes straight from the first value to the last, whatever updates say, and actions explore with it."""
+    """It changes linearly from the first value to the last, whatever the updates, and actions explore with it."""
     learner = open_learner(
         initial_log_std=-1.0,
         final_log_std=-2.0,
@@ -165,39 +236,39 @@ def test_scheduled_spread_follows_the_steps_and_nothing_else(
     )
     assert learner.spec.rollout_steps == 256
     for wanted in (-1.0, -1.25, -1.5, -1.75, -2.0, -2.0):
-        collect(learner)
+        assert learner.collect()
         assert learner.policy.log_std.tolist() == pytest.approx([wanted] * 20)
         with torch.no_grad():
-            observations = torch.from_numpy(learner.rollout_buffer.observations.reshape(256, -1))
+            observations = torch.from_numpy(learner.rollout.observations.reshape(256, -1))
             means = learner.policy.get_distribution(observations).mode().numpy()
-        spread = float(np.std(learner.rollout_buffer.actions.reshape(256, -1) - means))
+        spread = float(np.std(learner.rollout.actions.reshape(256, -1) - means))
         assert spread == pytest.approx(np.exp(wanted), rel=0.1)
-        learner.train()
+        learner.update()
         assert learner.policy.log_std.tolist() == pytest.approx([wanted] * 20)
 
 
 def test_the_discount_changes_at_its_step_everywhere(open_learner: Open) -> None:
-    """Returns, advantages and the rewards' normalisation use the same one."""
+    """Returns, advantages and the rewards' normalization use the same one."""
     learner = open_learner(gamma=0.9, final_gamma=0.5, gamma_steps=512, total_steps=1024)
     for wanted in (0.9, 0.9, 0.5, 0.5):
-        collect(learner)
-        buffer = learner.rollout_buffer
-        assert (learner.gamma, buffer.gamma, learner._sprint_env.normaliser.gamma) == (wanted, wanted, wanted)
+        assert learner.collect()
+        buffer = learner.rollout
+        assert learner.environment.normalizer.gamma == wanted
         after = buffer.episode_starts[-1] == 0
         delta = buffer.rewards[-2] + wanted * buffer.values[-1] - buffer.values[-2]
-        expected = delta + wanted * buffer.gae_lambda * buffer.advantages[-1]
+        expected = delta + wanted * learner.settings.gae_lambda * buffer.advantages[-1]
         np.testing.assert_allclose(buffer.advantages[-2][after], expected[after], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.75])
-def test_checkpoints_hold_the_running_mean_of_the_weights(open_learner: Open, decay: float) -> None:
+def test_checkpoints_contain_the_running_mean_of_the_weights(open_learner: Open, decay: float) -> None:
     """A plain mean at first, then one that forgets; without averaging, the latest weights."""
-    learner = open_learner(policy_averaging=decay, learning_rate=0.01)
+    learner = open_learner(ema_decay=decay, learning_rate=0.01)
     name = "action_net.weight"
     seen = []
     for _ in range(6):
-        collect(learner)
-        learner.train()
+        assert learner.collect()
+        learner.update()
         seen.append(learner.policy.state_dict()[name].numpy().astype(np.float64))
     if decay:
         wanted = np.mean(seen[:4], axis=0)
@@ -206,32 +277,32 @@ def test_checkpoints_hold_the_running_mean_of_the_weights(open_learner: Open, de
     else:
         wanted = seen[-1]
     np.testing.assert_allclose(learner.policy_state()[name], wanted, atol=1e-6)
-    assert np.array_equal(learner.learner_state()[f"latest.{name}"], seen[-1].astype(np.float32))
+    assert np.array_equal(learner.state()[f"latest.{name}"], seen[-1].astype(np.float32))
 
 
 def test_target_kl_ends_an_update_early(open_learner: Open) -> None:
     """A huge step is noticed and no further ones are taken."""
     learner = open_learner(target_kl=0.001, learning_rate=0.1, n_epochs=50)
-    collect(learner)
-    learner.train()
-    assert learner._n_updates < 50
+    assert learner.collect()
+    learner.update()
+    assert int(learner.state()["n_updates"][0]) < 50
 
 
-def test_rollout_advantages_are_standardised_once(open_learner: Open) -> None:
-    """With advantages standardised over the rollout an update still learns, from other gradients."""
+def test_rollout_advantages_are_standardized_once(open_learner: Open) -> None:
+    """With advantages standardized over the rollout an update still learns, from other gradients."""
     weights = {}
     for kind in ("minibatch", "rollout", "none"):
-        learner = open_learner(advantage_normalisation=kind)
-        collect(learner)
-        learner.train()
+        learner = open_learner(advantage_normalization=kind)
+        assert learner.collect()
+        learner.update()
         weights[kind] = learner.policy_state()["action_net.weight"]
     assert not np.array_equal(weights["minibatch"], weights["rollout"])
     assert not np.array_equal(weights["rollout"], weights["none"])
 
 
-def test_unit_norm_initialisation(open_learner: Open) -> None:
+def test_unit_norm_initialization(open_learner: Open) -> None:
     """Each unit's incoming weights have norm 1, those of an action 0.01, biases are zero."""
-    state = open_learner(weight_initialisation="unit_norm").policy_state()
+    state = open_learner(weight_initialization="unit_norm").policy_state()
     for name, values in state.items():
         if name.endswith(".bias"):
             assert not values.any(), name
@@ -256,9 +327,12 @@ def test_initial_weights_come_from_the_seed_alone(open_learner: Open) -> None:
 def test_learning_rate_falls_linearly_where_asked(open_learner: Open) -> None:
     """Halfway through, the linear schedule is at half the rate."""
     learner = open_learner(learning_rate_schedule="linear", learning_rate=1e-3, total_steps=512)
-    collect(learner)
-    learner.train()
-    assert learner.figures()["train/learning_rate"] == pytest.approx(5e-4)
+    rates = []
+    for _ in range(2):
+        assert learner.collect()
+        rates.append(learner.update()["learning_rate"])
+    # the rate is taken after the rollout's steps
+    assert rates == pytest.approx([5e-4, 0.0])
 
 
 @pytest.mark.parametrize(("target_kl", "grows"), [(1e-6, False), (10.0, True)])
@@ -268,9 +342,9 @@ def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: 
         learning_rate_schedule="adaptive", learning_rate=1e-3, target_kl=target_kl, target_kl_final=None
     )
     for _ in range(2):
-        collect(learner)
-        learner.train()
-    assert learner.figures()["train/learning_rate"] == pytest.approx(1.2e-3 if grows else 1e-3 / 1.2)
+        assert learner.collect()
+        metrics = learner.update()
+    assert metrics["learning_rate"] == pytest.approx(1.2e-3 if grows else 1e-3 / 1.2)
 
 
 def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
@@ -280,25 +354,24 @@ def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
             learning_rate_schedule="adaptive", learning_rate=rate, target_kl=target_kl, target_kl_final=None, n_steps=8
         )
         for _ in range(16):
-            collect(learner)
-            learner.train()
-        assert learner.figures()["train/learning_rate"] == pytest.approx(bound)
+            assert learner.collect()
+            metrics = learner.update()
+        assert metrics["learning_rate"] == pytest.approx(bound)
 
 
 def test_symmetric_policy_stays_symmetric(open_learner: Open) -> None:
     """After updates the mirrored observation still gets the mirrored action, and the same value."""
     learner = open_learner(symmetric_policy=True, batch_size=32)
     for _ in range(3):
-        collect(learner)
-        learner.train()
-    batch = learner._sprint_env.batch
-    seen, done = Mirror.of_names(batch.observer.names), Mirror.of_names(batch.actuation.names)
+        assert learner.collect()
+        learner.update()
+    seen, done = learner.environment.environment.observer.mirror, actions_mirror(learner)
     state = learner.policy_state()
     weights = state["mlp_extractor.policy_net.0.weight"]
     half = len(weights) // 2
-    np.testing.assert_array_equal(weights[:half], weights[half:, seen.place] * seen.sign.astype(np.float32))
-    np.testing.assert_array_equal(state["log_std"], state["log_std"][done.place])
-    observations = learner.rollout_buffer.observations[0]
+    np.testing.assert_array_equal(weights[:half], weights[half:, seen.index] * seen.sign.astype(np.float32))
+    np.testing.assert_array_equal(state["log_std"], state["log_std"][done.index])
+    observations = learner.rollout.observations[0]
     both = (observations, seen.apply(observations).astype(np.float32))
     with torch.no_grad():
         pair = [learner.policy.action_net(learner.policy.mlp_extractor.policy_net(torch.from_numpy(o))) for o in both]
@@ -311,11 +384,10 @@ def test_symmetric_policy_stays_symmetric(open_learner: Open) -> None:
 def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> None:
     """Tying projects a gradient onto the mean of itself and of its mirror image."""
     learner = open_learner(symmetric_policy=True)
-    batch = learner._sprint_env.batch
-    seen = Mirror.of_names(batch.observer.names)
+    seen = learner.environment.environment.observer.mirror
     net = learner.policy.value_net, learner.policy.mlp_extractor.value_net
     parameter = learner.policy.get_parameter("mlp_extractor.value_net.0.weight")
-    x = torch.randn((5, len(seen.place)), generator=torch.Generator().manual_seed(0))
+    x = torch.randn((5, len(seen.index)), generator=torch.Generator().manual_seed(0))
     mirrored = torch.from_numpy(seen.apply(x.numpy()).astype(np.float32))
 
     def gradient(data: torch.Tensor) -> torch.Tensor:
@@ -331,29 +403,29 @@ def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> 
 def test_loss_that_is_not_finite_is_reported(open_learner: Open) -> None:
     """The message says when and what."""
     learner = open_learner()
-    collect(learner)
-    learner.rollout_buffer.returns[3, 2] = np.nan
+    assert learner.collect()
+    learner.rollout.returns[3, 2] = np.nan
     with pytest.raises(TrainingDivergedError, match="loss is no longer finite after 256 steps"):
-        learner.train()
+        learner.update()
 
 
 def test_observation_that_is_not_finite_is_named(open_learner: Open) -> None:
     """The message names the observation and the environment."""
     learner = open_learner()
-    env = learner._sprint_env
-    env.normaliser.observation_moments.mean[43] = np.nan
+    env = learner.environment
+    env.normalizer.observation_moments.mean[43] = np.nan
     with pytest.raises(TrainingDivergedError, match="'height' of environment 0"):
-        collect(learner)
+        assert learner.collect()
 
 
 def test_weight_that_is_not_finite_is_reported(open_learner: Open) -> None:
     """A learning rate that destroys the weights is noticed in the same update."""
     learner = open_learner(
-        target_kl=None, learning_rate_schedule="constant", max_grad_norm=None, normalise_rewards=False
+        target_kl=None, learning_rate_schedule="constant", max_grad_norm=None, normalize_rewards=False
     )
-    collect(learner)
+    assert learner.collect()
     weight = learner.policy.get_parameter("action_net.weight")
     hook = weight.register_hook(lambda grad: grad * float("inf"))  # type: ignore[no-untyped-call]
     with pytest.raises(TrainingDivergedError, match="no longer finite"):
-        learner.train()
+        learner.update()
     hook.remove()

@@ -1,4 +1,4 @@
-"""Test that an exported policy is the policy."""
+"""An exported policy is the policy."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ import onnx
 import onnxruntime  # type: ignore[import-untyped]
 import pytest
 import torch
+from naosim import robots
 from naosim.robots import nao_model
+from naosim.robots.actuation import Actuation
 from naosim.simspark import centre_of_mass
-from naospec import EvaluationSpec
-from naosprint.checkpoint import CheckpointError
-from naosprint.environment import open_batch
-from naosprint.export import export_policy
-from naosprint.policy import load_policy
-from naosprint.starts import draw_start_poses
+from naosim.simspark.control import motor_speeds
+from naospec import TrainingSpec
+from naosprint.export import describe, export_policy, policy_arrays
+from naosprint.export.nao import kinematics
+from naosprint.rl.checkpoint import CheckpointError, Manifest
+from naosprint.rl.policy import Policy, load_policy
+from naosprint.tasks.environment import open_environment
 
 if TYPE_CHECKING:
-    from naosprint.environment import SprintBatch
+    from naosprint.tasks.environment import Environment
 
-AGENT = Path(__file__).parents[3] / "packages/naosprint/examples/run_policy.py"
+AGENT = Path(__file__).parents[4] / "packages/naosprint/examples/run_policy.py"
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +64,7 @@ def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> No
     session = onnxruntime.InferenceSession(exported / "policy.onnx", providers=["CPUExecutionProvider"])
     (found,) = session.run(None, {"observations": observations.astype(np.float32)})
     policy, _ = load_policy(checkpoint)
-    hidden = torch.from_numpy(policy.standardise(observations))
+    hidden = torch.from_numpy(policy.standardize(observations))
     for i, (weights, bias) in enumerate(policy.layers):
         hidden = torch.nn.functional.linear(hidden, torch.from_numpy(weights), torch.from_numpy(bias))
         hidden = torch.tanh(hidden) if i < len(policy.layers) - 1 else hidden.clamp(-1.0, 1.0)
@@ -87,6 +90,36 @@ def test_description_names_what_goes_in_and_out(checkpoint: Path, exported: Path
     assert [action["joint"] for action in document["actions"]] == list(manifest.actions)
     knee = next(action for action in document["actions"] if action["joint"] == "llj4")
     assert (knee["minus_one_deg"], knee["plus_one_deg"], knee["sign"]) == (-1.0, 130.0, -1.0)
+    assert knee["zero_deg"] == 64.5
+    assert document["controller"] == {"gain_per_s": 7.0, "cycle_s": 0.02}
+
+
+@pytest.mark.parametrize("robot", robots.names())
+def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
+    """For every robot, ``clip(middle + reach @ action, low, high)`` is what the environment drives the joints to."""
+    spec = TrainingSpec.model_validate({"robot": robot, "task": {"name": "sprint1"}})
+    actuation = Actuation(robots.get(robot))
+    names = tuple(f"o{i}" for i in range(3))
+    manifest = Manifest.model_construct(
+        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actuation.names
+    )
+    layers = ((np.zeros((actuation.n_actions, 3), np.float32), np.zeros(actuation.n_actions, np.float32)),)
+    policy = Policy(np.zeros(3), np.ones(3), np.inf, layers, np.zeros(actuation.n_actions, np.float32))
+    arrays = policy_arrays(policy, manifest)
+    rng = np.random.default_rng(0)
+    for action in rng.uniform(-1.5, 1.5, (20, actuation.n_actions)):
+        wanted = arrays["middle_rad"] + arrays["reach_rad"] @ np.clip(action, -1, 1)
+        found = np.clip(wanted, arrays["low_rad"], arrays["high_rad"])
+        np.testing.assert_allclose(found, actuation.targets(action[None])[0], atol=1e-12)
+        seen = arrays["joint_view"] @ found
+        np.testing.assert_allclose(seen, actuation.angles(np.rad2deg(found)[None])[0], atol=1e-12)
+    document = describe(policy, manifest)
+    nominal = dict(zip(actuation.names, np.rad2deg(actuation.nominal), strict=True))
+    for entry in document["actions"]:
+        assert entry["minus_one_deg"] <= entry["zero_deg"] <= entry["plus_one_deg"]
+        if robots.get(robot).action_range_rad is not None:
+            assert entry["zero_deg"] == pytest.approx(nominal[entry["joint"]], abs=1e-5)
+    json.dumps(document, allow_nan=False)
 
 
 def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
@@ -96,20 +129,20 @@ def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def _message(batch: SprintBatch) -> str:
+def _message(environment: Environment) -> str:
     """Write what the robot perceives as a server does, with two decimals."""
-    perceptors, model = batch.simulator.perceptors, batch.simulator.model
+    perceptors, robot = environment.simulator.perceptors, environment.world.robot
 
     def numbers(values: np.ndarray) -> str:
         return " ".join(f"{value:.2f}" for value in values)
 
-    parts = ["(time (now 1.00))(GS (t 0.00)(pm PlayOn))", f"(GYR (n torso) (rt {numbers(perceptors.gyro[0])}))"]
-    parts.append(f"(ACC (n torso) (a {numbers(perceptors.accel[0])}))")
+    gyro, accel = numbers(perceptors["gyro"][0]), numbers(perceptors["accel"][0])
+    parts = ["(time (now 1.00))(GS (t 0.00)(pm PlayOn))", f"(GYR (n torso) (rt {gyro}))(ACC (n torso) (a {accel}))"]
     parts += [
         f"(HJ (n {name}) (ax {angle:.2f}))"
-        for name, angle in zip(model.joint_names, perceptors.joint_angles[0], strict=True)
+        for name, angle in zip(robot.joint_names, perceptors["joint_angles"][0], strict=True)
     ]
-    for name, foot in (("rf", perceptors.foot_right[0]), ("lf", perceptors.foot_left[0])):
+    for name, foot in (("rf", perceptors["foot_right"][0]), ("lf", perceptors["foot_left"][0])):
         if not np.isnan(foot).any():
             parts.append(f"(FRP (n {name}) (c {numbers(foot[:3])}) (f {numbers(foot[3:])}))")
     return "".join(parts)
@@ -120,26 +153,28 @@ def test_example_agent_sees_and_does_what_the_environment_does(
 ) -> None:
     """From a server's messages it computes the same observations and joint speeds, step by step through a whole run."""
     policy, manifest = load_policy(checkpoint)
-    batch = open_batch(manifest.spec, 1, task=manifest.spec.task_definition, threads=1)
-    batch.load_starts(draw_start_poses(batch.actuation, 1, 2.0, EvaluationSpec().seed))
-    batch.restart(np.arange(1), np.zeros(1, dtype=np.int64))
+    environment = open_environment(manifest.spec, 1, threads=1)
+    environment.load_starts(environment.task.starts(1, 0, 2.0))
+    environment.restart(np.arange(1), np.zeros(1, dtype=np.int64))
+    actuation = environment.actuation
     runner: Any = agent.Runner(exported / "policy.npz")
     rng = np.random.default_rng(1)
     for step in range(400):
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = batch.simulator.truth.torso_rotation[0], batch.simulator.truth.torso_position[0]
-        seen = runner.observe(_message(batch), pose)
-        np.testing.assert_allclose(seen, batch.observations[0], atol=1e-6, err_msg=f"step {step}")
-        actions = policy.act(batch.observations)
+        pose[:3, :3], pose[:3, 3] = environment.simulator.truth.torso_rotation[0], environment.simulator.truth.torso_position[0]
+        seen = runner.observe(_message(environment), pose)
+        np.testing.assert_allclose(seen, environment.observations[0], atol=1e-6, err_msg=f"step {step}")
+        actions = policy.act(environment.observations)
         targets = runner.act(seen)
-        np.testing.assert_allclose(targets, batch.actuation.targets(actions)[0], atol=1e-5)
+        np.testing.assert_allclose(targets, actuation.targets(actions)[0], atol=1e-5)
         speeds = dict(part.split() for part in runner.command(targets).replace("(syn)", "")[1:-1].split(")("))
-        expected = batch.actuation.speeds(batch.actuation.targets(actions), batch.simulator.perceptors.joint_angles)[0]
-        ours = [float(speeds[joint.effector]) for joint in batch.simulator.model.joints]
+        angles, limits = environment.simulator.perceptors["joint_angles"], runner.max_speed
+        expected = motor_speeds(actuation.targets(actions), angles, limits)[0]
+        ours = [float(speeds[joint.effector]) for joint in environment.world.robot.joints]
         np.testing.assert_allclose(ours, expected, atol=2e-4)
         # some noise, so that it falls and both feet leave the ground
-        batch.step(actions + 0.3 * rng.standard_normal(actions.shape))
-        if batch.terminated[0]:
+        environment.step(actions + 0.3 * rng.standard_normal(actions.shape))
+        if environment.terminated[0]:
             break
     assert step > 20
 
@@ -147,11 +182,9 @@ def test_example_agent_sees_and_does_what_the_environment_does(
 @pytest.mark.parametrize("robot_type", range(5))
 def test_exported_kinematics_give_the_centre_of_mass(robot_type: int, exported: Path, agent: ModuleType) -> None:
     """For every robot type the example's forward kinematics are the engine's."""
-    from naosprint.export import _kinematics
-
     model = nao_model.model(robot_type)
     runner: Any = agent.Runner(exported / "policy.npz")
-    vars(runner).update(_kinematics(model))
+    vars(runner).update(kinematics(model))
     rng = np.random.default_rng(robot_type)
     for angles in rng.uniform(model.low_deg, model.high_deg, (5, len(model.joints))):
         runner.angles = angles

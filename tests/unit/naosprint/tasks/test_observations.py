@@ -1,4 +1,4 @@
-"""Test each of the observations."""
+"""Each of the observations of NAOs, and the assembly of blocks."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from naosim import robots
 from naosim.robots import nao_model
-from naosim.simspark import centre_of_mass
-from naospec import task
-from naosprint.actuation import Actuation
-from naosprint.environment import SprintBatch
-from naosprint.observation import Observer, observation_names
-from naosprint.simulator import EmbeddedSimulator
-from naosprint.starts import draw_start_poses
+from naosim.robots.actuation import Actuation
+from naosim.simspark import EmbeddedSimulator, centre_of_mass
+from naosim.simulator import Simulator, Starts, Truth
+from naosprint.tasks.base import World
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.observations import BLOCKS, ObservationBlock, Observer, blocks
+from naosprint.tasks.sprint import Sprint1, SprintSettings
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+NAO = robots.get("nao-0")
+
 
 @dataclass
 class Readings:
-    """Hold one robot's perceptors and truth, to be set by hand."""
+    """One robot's perceptors and truth, set by hand."""
 
     joint_angles: Array = field(default_factory=lambda: np.zeros((1, 22)))
     gyro: Array = field(default_factory=lambda: np.zeros((1, 3)))
@@ -30,7 +33,6 @@ class Readings:
     foot_right: Array = field(default_factory=lambda: np.full((1, 6), np.nan))
     torso_position: Array = field(default_factory=lambda: np.array([[-14.0, 0.0, 0.35]]))
     torso_rotation: Array = field(default_factory=lambda: _facing(0.0))
-    bodies: Array = field(default_factory=lambda: np.zeros((1, 23, 13)))
 
 
 def _facing(yaw: float) -> Array:
@@ -40,25 +42,63 @@ def _facing(yaw: float) -> Array:
     return np.column_stack([np.cross(front, up), front, up])[None]
 
 
-class Watch:
-    """Feed readings to an observer and look at the result by name."""
+class Puppet(Simulator):
+    """One robot that senses what it is told."""
 
     def __init__(self) -> None:
-        self.observer = Observer(1, Actuation(nao_model.model(0)), 0)
+        super().__init__(NAO, 1)
+        self.show(Readings())
+
+    def show(self, readings: Readings) -> None:
+        names = ("joint_angles", "gyro", "accel", "foot_left", "foot_right")
+        self.perceptors = {name: getattr(readings, name) for name in names}
+        self.truth = Truth(readings.torso_position, readings.torso_rotation)
+
+    def step_async(self, targets_rad: Array, rows: slice, active: NDArray[np.bool_] | None = None) -> None: ...
+
+    def step_wait(self, rows: slice) -> None: ...
+
+    def load_starts(self, starts: Starts) -> None: ...
+
+    def start(
+        self, rows: NDArray[np.int64], starts: NDArray[np.int64], following: NDArray[np.int64] | None = None
+    ) -> None: ...
+
+
+class Watch:
+    """Observer of readings, with the results by name."""
+
+    def __init__(self) -> None:
+        self.simulator = Puppet()
+        self.world = World(self.simulator)
+        self.observer = Observer(1, blocks(self.world, NAO.observations))
         self.names = self.observer.names
 
     def begin(self, readings: Readings) -> dict[str, float]:
         """Begin an episode."""
-        self.observer.begin(np.array([0]), readings, readings)
+        self.simulator.show(readings)
+        self.world.steps[:] = 0
+        self.observer.begin(np.array([0]))
         return self._by_name()
 
     def step(self, readings: Readings) -> dict[str, float]:
         """Take a step."""
-        self.observer.update(readings, readings)
+        self.simulator.show(readings)
+        self.world.steps += 1
+        self.observer.update(slice(0, 1))
         return self._by_name()
 
     def _by_name(self) -> dict[str, float]:
         return dict(zip(self.names, self.observer.observations[0].tolist(), strict=True))
+
+
+def environment_of(n: int) -> Environment:
+    """Return n NAOs at their starts."""
+    settings = Sprint1.resolve(SprintSettings(name="sprint1"), NAO)
+    environment = Environment(EmbeddedSimulator(NAO, n), Sprint1, settings)
+    environment.load_starts(environment.task.starts(n, 0, 2.0))
+    environment.restart(np.arange(n), np.arange(n))
+    return environment
 
 
 @pytest.fixture
@@ -69,10 +109,10 @@ def watch() -> Watch:
 
 def test_there_are_89_in_the_order_of_the_papers_code() -> None:
     """Step counter, joints, rates, torso, centre of mass, sensors, feet, counters."""
-    names = observation_names(Actuation(nao_model.model(0)).names)
+    names = Watch().names
     assert len(names) == len(set(names)) == 89
     assert names[0] == "step"
-    assert names[1:21] == Actuation(nao_model.model(0)).names
+    assert names[1:21] == Actuation(NAO).names
     assert names[21:41] == tuple(f"{name}_rate" for name in names[1:21])
     assert names[41:45] == ("yaw", "yaw_rate", "height", "height_rate")
     assert names[45:51] == ("com_x", "com_y", "com_z", "com_x_rate", "com_y_rate", "com_z_rate")
@@ -87,7 +127,7 @@ def test_there_are_89_in_the_order_of_the_papers_code() -> None:
 
 def test_rates_make_up_what_the_paper_counts() -> None:
     """43 rates, one for each feature but the three counters."""
-    names = observation_names(Actuation(nao_model.model(0)).names)
+    names = Watch().names
     assert sum(name.endswith("_rate") for name in names) == 43
 
 
@@ -98,7 +138,7 @@ def test_step_counts_from_zero(watch: Watch) -> None:
     assert watch.begin(Readings())["step"] == 0
 
 
-@pytest.mark.parametrize("joint", Actuation(nao_model.model(0)).names)
+@pytest.mark.parametrize("joint", Actuation(NAO).names)
 def test_joint_and_its_rate(watch: Watch, joint: str) -> None:
     """A joint is its perceived angle in radians with the policies' sign; the rate is the difference."""
     index = nao_model.model(0).joint_index[joint]
@@ -114,7 +154,7 @@ def test_joint_and_its_rate(watch: Watch, joint: str) -> None:
     seen = watch.step(second)
     assert seen[joint] == pytest.approx(sign * np.deg2rad(14.0))
     assert seen[f"{joint}_rate"] == pytest.approx(sign * np.deg2rad(4.0))
-    others = [name for name in Actuation(nao_model.model(0)).names if name != joint]
+    others = [name for name in Actuation(NAO).names if name != joint]
     assert all(seen[name] == 0.0 and seen[f"{name}_rate"] == 0.0 for name in others)
 
 
@@ -202,29 +242,14 @@ def test_foot_counter_restarts_at_touchdown(watch: Watch, side: str) -> None:
     assert watch.step(readings(True))[f"{other}_foot_counter"] == len(contacts) + 1
 
 
-def test_both_feet_off_needs_less_than_a_hundredth_newton_each(watch: Watch) -> None:
-    """The run challenge's measure of flight."""
-    light, heavy = np.zeros((1, 6)), np.zeros((1, 6))
-    light[0, 5], heavy[0, 5] = 0.009, 0.011
-    watch.begin(Readings())
-    assert watch.observer.both_feet_off[0]
-    watch.step(Readings(foot_left=light, foot_right=light))
-    assert watch.observer.both_feet_off[0]
-    watch.step(Readings(foot_left=heavy))
-    assert not watch.observer.both_feet_off[0]
-
-
 def test_beginning_one_robot_leaves_the_others_alone() -> None:
     """Only the rows named begin a new episode."""
-    actuation = Actuation(nao_model.model(0))
-    simulator = EmbeddedSimulator(3, robot_type=0, task=task("sprint1"))
-    batch = SprintBatch(simulator, task("sprint1"), robot_type=0, fall_height_m=0.27)
-    batch.load_starts(draw_start_poses(actuation, 3, 2.0, 0))
+    environment = environment_of(3)
     for _ in range(5):
-        batch.step(np.zeros((3, 20)))
-    before = batch.observations.copy()
-    batch.restart(np.array([1]), np.array([1]))
-    after = batch.observations
+        environment.step(np.zeros((3, 20)))
+    before = environment.observations.copy()
+    environment.restart(np.array([1]), np.array([1]))
+    after = environment.observations
     assert np.array_equal(after[[0, 2]], before[[0, 2]])
     assert after[1, 0] == 0
     assert before[1, 0] == 5
@@ -232,24 +257,22 @@ def test_beginning_one_robot_leaves_the_others_alone() -> None:
 
 def test_observations_agree_with_the_simulator_step_by_step() -> None:
     """On the running engine, every observation is what its definition says of the perceptors."""
-    actuation = Actuation(nao_model.model(0))
-    simulator = EmbeddedSimulator(4, robot_type=0, task=task("sprint1"))
-    batch = SprintBatch(simulator, task("sprint1"), robot_type=0, fall_height_m=0.27)
-    batch.load_starts(draw_start_poses(actuation, 4, 2.0, 0))
-    names = batch.observer.names
+    environment = environment_of(4)
+    simulator, actuation = environment.simulator, environment.actuation
+    names = environment.observer.names
     column = {name: i for i, name in enumerate(names)}
     rng = np.random.default_rng(1)
-    previous = batch.observations.copy()
+    previous = environment.observations.copy()
     for step in range(1, 60):
-        seen = batch.step(rng.uniform(-1, 1, (4, 20))).copy()
+        seen = environment.step(rng.uniform(-1, 1, (4, 20))).copy()
         p, g = simulator.perceptors, simulator.truth
         assert (seen[:, 0] == step).all()
-        np.testing.assert_allclose(seen[:, 1:21], np.deg2rad(p.joint_angles[:, 2:]) * actuation.sign, atol=1e-12)
+        np.testing.assert_allclose(seen[:, 1:21], np.deg2rad(p["joint_angles"][:, 2:]) * actuation.sign, atol=1e-12)
         np.testing.assert_allclose(seen[:, column["height"]], g.torso_position[:, 2])
-        np.testing.assert_allclose(seen[:, 45:48], centre_of_mass(0, p.joint_angles))
-        np.testing.assert_allclose(seen[:, 51:54], np.deg2rad(p.gyro))
-        np.testing.assert_allclose(seen[:, 57:60], p.accel)
-        for foot, record in (("left", p.foot_left), ("right", p.foot_right)):
+        np.testing.assert_allclose(seen[:, 45:48], centre_of_mass(0, p["joint_angles"]))
+        np.testing.assert_allclose(seen[:, 51:54], np.deg2rad(p["gyro"]))
+        np.testing.assert_allclose(seen[:, 57:60], p["accel"])
+        for foot, record in (("left", p["foot_left"]), ("right", p["foot_right"])):
             at = column[f"{foot}_foot_origin_x"]
             np.testing.assert_allclose(seen[:, at : at + 3], np.nan_to_num(record[:, :3]))
             at = column[f"{foot}_foot_force_x"]
@@ -261,3 +284,26 @@ def test_observations_agree_with_the_simulator_step_by_step() -> None:
                     seen[:, column[name]], seen[:, value] - previous[:, value], atol=1e-12, err_msg=name
                 )
         previous = seen
+
+
+def test_blocks_that_do_not_exist_are_listed() -> None:
+    with pytest.raises(ValueError, match="unknown block 'smell': choose one of accel"):
+        blocks(Watch().world, ["step", "smell"])
+
+
+def test_two_numbers_of_one_name_are_refused() -> None:
+    """A policy is adapted to other robots by the names of its observations."""
+    world = Watch().world
+    with pytest.raises(ValueError, match="step: two blocks have a number of this name"):
+        Observer(1, blocks(world, ["step", "height", "step"]))
+
+
+def test_a_mirror_image_that_is_not_observed_is_named() -> None:
+    observer = Observer(1, [ObservationBlock(("left",), lambda rows: np.zeros((1, 1)), partners=("right",))])
+    with pytest.raises(ValueError, match="left: its mirror image right is not among"):
+        _ = observer.mirror
+
+
+@pytest.mark.parametrize("robot", [name for name in robots.names() if robots.get(name).observations])
+def test_every_robots_observations_exist(robot: str) -> None:
+    assert set(robots.get(robot).observations) <= set(BLOCKS)

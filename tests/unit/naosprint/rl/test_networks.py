@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import torch
-from naosprint import dense
-from naosprint.dense import dense_layers, run_network
+from naosprint.rl import networks
+from naosprint.rl.networks import linear_layers, run_network
 from torch import nn
 
 
@@ -31,20 +31,20 @@ ONEDNN = pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="th
 @ONEDNN
 @pytest.mark.parametrize("fused", [False, True])
 def test_the_fused_kernels_run_where_they_may(fused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else every training would take twice as long and nobody would know."""
+    """Without them every training would take twice as long, unnoticed."""
     calls: list[int] = []
-    operator = dense._fused
+    operator = networks._fused
 
     def counted(*arguments: Any) -> torch.Tensor:
         calls.append(len(calls))
         return operator(*arguments)
 
-    monkeypatch.setattr(dense, "_fused", counted)
+    monkeypatch.setattr(networks, "_fused", counted)
     net = network(89, 64, 20)
     inputs = torch.randn(128, 89)
-    outputs_and_gradients(run_network(dense_layers(net), inputs, fused=fused), net)
+    outputs_and_gradients(run_network(linear_layers(net), inputs, fused=fused), net)
     with torch.no_grad():
-        run_network(dense_layers(net), inputs, fused=fused)
+        run_network(linear_layers(net), inputs, fused=fused)
     # two layers forward, their weights and one layer's inputs backward; then forward alone
     assert len(calls) == (7 if fused else 0)
 
@@ -54,7 +54,7 @@ def test_the_fused_kernels_run_where_they_may(fused: bool, monkeypatch: pytest.M
 def test_a_network_and_its_gradients_are_those_of_torch(rows: int, sizes: tuple[int, ...]) -> None:
     net = network(*sizes)
     inputs = torch.randn(rows, sizes[0])
-    ours = outputs_and_gradients(run_network(dense_layers(net), inputs), net)
+    ours = outputs_and_gradients(run_network(linear_layers(net), inputs), net)
     torchs = outputs_and_gradients(net(inputs), net)
     for mine, known in zip(ours, torchs, strict=True):
         torch.testing.assert_close(mine, known, rtol=1e-4, atol=1e-4 * float(known.abs().max()))
@@ -72,19 +72,19 @@ def wrong(inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None,
 
 @pytest.mark.parametrize("operator", [missing, wrong])
 def test_an_operator_that_is_missing_or_wrong_is_not_used(operator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dense, "_fused", operator)
-    assert not dense._fused_works()
+    monkeypatch.setattr(networks, "_fused", operator)
+    assert not networks._fused_works()
     # what runs instead does not need it
     net = network(6, 4, 2)
     inputs = torch.randn(9, 6)
-    monkeypatch.setattr(dense, "FUSED", False)
-    torch.testing.assert_close(run_network(dense_layers(net), inputs), net(inputs))
+    monkeypatch.setattr(networks, "FUSED", False)
+    torch.testing.assert_close(run_network(linear_layers(net), inputs), net(inputs))
 
 
 def test_the_inputs_get_their_gradient_too() -> None:
     net = network(6, 4, 2)
     inputs = torch.randn(9, 6, requires_grad=True)
-    (ours,) = torch.autograd.grad(run_network(dense_layers(net), inputs).sum(), inputs)
+    (ours,) = torch.autograd.grad(run_network(linear_layers(net), inputs).sum(), inputs)
     (known,) = torch.autograd.grad(net(inputs).sum(), inputs)
     torch.testing.assert_close(ours, known)
 
@@ -100,4 +100,4 @@ def test_the_inputs_get_their_gradient_too() -> None:
 )
 def test_other_networks_are_refused(modules: tuple[nn.Module, ...]) -> None:
     with pytest.raises(ValueError, match="linear layers with tanh between them"):
-        dense_layers(modules)
+        linear_layers(modules)

@@ -1,0 +1,42 @@
+"""Reading of evaluation documents, whatever their task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from naosprint.tasks.metrics import Metric, format_value
+
+_FIELDS = tuple(field.name for field in fields(Metric) if field.name != "live")
+
+
+def metric_of(result: Mapping[str, Any]) -> Metric:
+    """Return the metric that a result is a value of."""
+    return Metric(**{name: result[name] for name in _FIELDS})
+
+
+def by_name(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the results of an evaluation by name."""
+    return {result["name"]: result for result in summary["results"]}
+
+
+def headline(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the results that the task shows first."""
+    results = by_name(summary)
+    return [results[name] for name in summary["headline"] if name in results]
+
+
+def value_text(result: Mapping[str, Any]) -> str:
+    """Return a result's value with its unit: ``4.03 m/s``."""
+    return format_value(metric_of(result), result["value"])
+
+
+def interval_text(result: Mapping[str, Any], confidence: float) -> str:
+    """Return a result's confidence interval: ``95 % interval 0.2 to 1.0 %``; empty if it has none."""
+    if result["interval"] is None:
+        return ""
+    metric = metric_of(result)
+    low, high = (format_value(metric, bound) for bound in result["interval"])
+    unit = f" {metric.unit}" if metric.unit not in ("", "°") else metric.unit
+    return f"{100.0 * confidence:g} % interval {low.removesuffix(unit)} to {high}"

@@ -1,0 +1,211 @@
+"""Tasks as Gymnasium environments, to learn them with other libraries.
+
+``import naosprint`` registers one for every installed task::
+
+    gymnasium.make("naosprint/Sprint-v0", robot="nao-1", start_noise_deg=5.0)
+    gymnasium.make_vec("naosprint/Sprint1-v1", num_envs=64)
+
+Observations and rewards are raw: neither normalized nor clipped by what a policy has seen.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from naospec import TrainingSpec
+from naospec.flat import GROUPS, nest
+from naospec.sections import as_mapping
+from numpy.typing import NDArray
+
+from naosprint.arrays import Float32Array
+from naosprint.tasks.environment import open_environment
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosprint.arrays import BoolArray, IntArray
+
+OBSERVATION_LIMIT = 1e6
+"""Largest magnitude of an observation; no robot that is not broken comes near it."""
+
+N_STARTS = 64
+"""Starts that episodes begin from; each reset chooses one by the environment's own generator."""
+
+
+def specification(**settings: Any) -> TrainingSpec:
+    """Return the specification whose task, robot and simulator these settings choose.
+
+    Args:
+        **settings: ``task``, ``robot`` and ``simulator`` as names or as whole sections, and any of their settings by
+            short name, for example ``min_height_m``. ``preset`` decides the task settings that are left out.
+
+    Raises:
+        pydantic.ValidationError: if a setting is impossible.
+        TypeError: if there is no setting of a name.
+    """
+    base = {name: as_mapping(settings.pop(name)) for name in GROUPS if settings.get(name) is not None}
+    try:
+        return TrainingSpec.model_validate(nest(settings, base))
+    except KeyError as error:
+        raise TypeError(f"{error.args[0]}: not a setting of task, robot or simulator") from None
+
+
+class _Robots:
+    """Robots that do a task, each with a generator that chooses its starts."""
+
+    def __init__(self, n: int, threads: int, settings: dict[str, Any]) -> None:
+        self.spec = specification(**settings)
+        self.environment = open_environment(self.spec, n, threads=threads)
+        try:
+            starts = self.environment.task.starts(N_STARTS, 0, self.spec.task.start_noise_deg)
+            self.environment.load_starts(starts)
+        except BaseException:
+            self.environment.close()
+            raise
+        self._n_starts = len(starts)
+        self._metrics = [metric.name for metric in self.environment.task.metrics if metric.live]
+        width, n_actions = len(self.environment.observer.names), self.environment.actuation.n_actions
+        self.observation_space = spaces.Box(-OBSERVATION_LIMIT, OBSERVATION_LIMIT, (width,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+
+    def observations(self) -> Float32Array:
+        """Return the (n, D) observations."""
+        return np.clip(self.environment.observations, -OBSERVATION_LIMIT, OBSERVATION_LIMIT).astype(np.float32)
+
+    def restart(self, rows: IntArray, generators: Sequence[np.random.Generator]) -> None:
+        """Begin an episode with each of the robots ``rows``, from the start that its generator draws."""
+        starts = [generators[row].integers(self._n_starts) for row in rows.tolist()]
+        self.environment.restart(rows, np.array(starts, dtype=np.int64))
+
+    def info(self, row: int) -> dict[str, Any]:
+        """Return what is known of an episode that has just ended: how, and the task's metrics."""
+        environment = self.environment
+        if environment.lost[row]:
+            return {"server_lost": environment.simulator.loss_reason(row)}
+        values = environment.task.measure(np.array([row]))[0]
+        reached = [name for name, flags in environment.ends.items() if flags[row]]
+        metrics = dict(zip(self._metrics, values.tolist(), strict=True))
+        return {**metrics, "end": reached[0] if reached else "time_limit"}
+
+
+class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
+    """One robot that does a task.
+
+    When an episode ends, ``info`` has the task's metrics of it and ``end``, the name of the end that was reached.
+
+    Args:
+        **settings: see :func:`specification`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it so
+
+    def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
+        self.render_mode = render_mode
+        self._robots = _Robots(1, 1, settings)
+        self.observation_space = self._robots.observation_space
+        self.action_space = self._robots.action_space
+
+    @property
+    def specification(self) -> TrainingSpec:
+        """Task, robot and simulator with all their settings."""
+        return self._robots.spec
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32Array, dict[str, Any]]:
+        """Begin an episode and return its first observation; the start is chosen by the environment's generator."""
+        super().reset(seed=seed, options=options)
+        self._robots.restart(np.array([0]), [self.np_random])
+        return self._robots.observations()[0], {}
+
+    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
+        """Take one step of 20 ms with the (A,) action in [-1, 1]."""
+        environment = self._robots.environment
+        environment.step(np.asarray(action, dtype=np.float64)[None])
+        terminated, truncated = bool(environment.terminated[0]), bool(environment.truncated[0])
+        info = self._robots.info(0) if terminated or truncated else {}
+        return self._robots.observations()[0], float(environment.rewards[0]), terminated, truncated, info
+
+    def close(self) -> None:
+        """Close the simulator."""
+        self._robots.environment.close()
+
+
+class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
+    """Robots that do a task side by side in one simulator: the episodes of as many :class:`TaskEnv`, but faster.
+
+    A robot whose episode has ended begins the next one in the next step, whose action is ignored
+    (``AutoresetMode.NEXT_STEP``).
+
+    Args:
+        num_envs: number of robots.
+        threads: threads of an embedded simulator.
+        **settings: see :func:`specification`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any) -> None:
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self._robots = _Robots(num_envs, threads, settings)
+        self.single_observation_space = self._robots.observation_space
+        self.single_action_space = self._robots.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._ended: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+
+    @property
+    def specification(self) -> TrainingSpec:
+        """Task, robot and simulator with all their settings."""
+        return self._robots.spec
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32Array, dict[str, Any]]:
+        """Begin an episode with every robot.
+
+        Args:
+            seed: seed of the first robot's generator, of which each following robot's is one more; or one seed each.
+            options: ignored.
+
+        Raises:
+            ValueError: if there are not as many seeds as robots.
+        """
+        del options
+        if seed is not None:
+            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"seed: expected {self.num_envs} seeds, got {len(seeds)}")
+            for row, one in enumerate(seeds):
+                if one is not None:
+                    self._generators[row] = seeding.np_random(one)[0]
+        self._robots.restart(np.arange(self.num_envs), self._generators)
+        self._ended[:] = False
+        return self._robots.observations(), {}
+
+    def step(self, actions: Float32Array) -> tuple[Float32Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Take one step of 20 ms with the (n, A) actions in [-1, 1]."""
+        environment, again = self._robots.environment, self._ended
+        if not again.all():
+            environment.step(np.asarray(actions, dtype=np.float64), ~again if again.any() else None)
+        rewards = np.where(again, 0.0, environment.rewards)
+        terminated, truncated = environment.terminated & ~again, environment.truncated & ~again
+        infos: dict[str, Any] = {}
+        for row in np.flatnonzero(terminated | truncated).tolist():
+            infos = self._add_info(infos, self._robots.info(row), row)
+        self._robots.restart(np.flatnonzero(again), self._generators)
+        self._ended = terminated | truncated
+        return self._robots.observations(), rewards, terminated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the simulator."""
+        del kwargs
+        self._robots.environment.close()

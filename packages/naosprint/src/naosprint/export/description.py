@@ -1,0 +1,51 @@
+"""``policy.json``: what goes into a policy and what comes out, for readers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from naosim.robots.actuation import Actuation
+from naosim.simulator import STEP_S
+
+from naosprint.export import nao
+from naosprint.export.arrays import FORMAT
+
+if TYPE_CHECKING:
+    from naosprint.rl.checkpoint import Manifest
+    from naosprint.rl.policy import Policy
+
+
+def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
+    """Return the content of ``policy.json``: angles in degrees in the policy convention."""
+    robot = manifest.spec.robot_description
+    actuation = Actuation(robot)
+    low, zero, high = (
+        np.degrees(actuation.targets(np.full((1, actuation.n_actions), action))[0, actuation.index] * actuation.sign)
+        for action in (-1.0, 0.0, 1.0)
+    )
+    return {
+        "format": FORMAT,
+        "checkpoint": {"step": manifest.steps, "spec_sha256": manifest.spec_sha256},
+        "spec": manifest.spec.model_dump(mode="json"),
+        "robot": robot.name,
+        "step_s": STEP_S,
+        "observations": list(manifest.observations),
+        "actions": [
+            {
+                "joint": name,
+                "minus_one_deg": round(float(a), 6),
+                "zero_deg": round(float(b), 6),
+                "plus_one_deg": round(float(c), 6),
+                "sign": float(sign),
+            }
+            for name, a, b, c, sign in zip(manifest.actions, low, zero, high, actuation.sign, strict=True)
+        ],
+        "controller": nao.controller() if robot.family == nao.FAMILY else None,
+        "network": {
+            "input": ["N", len(policy.mean)],
+            "output": ["N", len(policy.log_std)],
+            "hidden": [len(bias) for _, bias in policy.layers[:-1]],
+            "activation": "tanh",
+        },
+    }

@@ -1,0 +1,45 @@
+"""Registration of all tasks as Gymnasium environments, without loading PyTorch."""
+
+from __future__ import annotations
+
+import logging
+
+from naospec import plugins
+
+logger = logging.getLogger(__name__)
+
+NAMESPACE = "naosprint"
+
+DEFAULT_ID = f"{NAMESPACE}/Sprint-v0"
+"""Environment of the task that specifications train by default, whatever the task's version."""
+
+
+def env_id(name: str, version: int) -> str:
+    """Return the id of a task's environment: ``naosprint/Sprint1Erect-v1`` for version 1 of ``sprint1-erect``."""
+    camel = "".join(part[:1].upper() + part[1:] for part in name.replace("_", "-").split("-"))
+    return f"{NAMESPACE}/{camel}-v{version}"
+
+
+def register_envs() -> None:
+    """Register every installed task that is not registered yet; Gymnasium must be installed.
+
+    ``import naosprint`` does this. A package that is imported before naosprint, and offers a task itself, is not yet
+    complete then; call this function again after importing it.
+    """
+    from gymnasium.envs.registration import register, registry
+    from naospec.specification import DEFAULTS
+
+    wanted = {DEFAULT_ID: DEFAULTS["task"]}
+    for name in plugins.names(plugins.TASKS):
+        try:
+            wanted[env_id(name, plugins.load(plugins.TASKS, name).version)] = name
+        except plugins.BrokenPluginError as error:
+            logger.debug("not registered: %s", error)
+    for identity, name in wanted.items():
+        if identity not in registry:
+            register(
+                identity,
+                entry_point="naosprint.envs:TaskEnv",
+                vector_entry_point="naosprint.envs:TaskVectorEnv",
+                kwargs={"task": name},
+            )

@@ -1,0 +1,166 @@
+"""Environments as the learner sees them: restarts, normalization, metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from naospec import TrainingSpec
+from naosprint.rl.rollout import TrainingEnvironment, Transition
+from naosprint.tasks.environment import open_training_environment
+
+Open = Callable[..., TrainingEnvironment]
+
+
+@pytest.fixture
+def open_env(make_spec: Callable[..., TrainingSpec]) -> Iterator[Open]:
+    """Return the maker of small training environments."""
+    opened: list[TrainingEnvironment] = []
+
+    def make(**settings: object) -> TrainingEnvironment:
+        spec = make_spec(**settings)
+        opened.append(TrainingEnvironment.from_spec(spec, *open_training_environment(spec)))
+        return opened[-1]
+
+    yield make
+    for env in opened:
+        env.close()
+
+
+def advance(env: TrainingEnvironment, actions: np.ndarray) -> Transition:
+    """Take one step with all robots."""
+    everyone = slice(0, env.n)
+    env.step_async(actions, everyone)
+    return env.step_wait(everyone)
+
+
+def test_episode_metrics_are_those_of_the_episode(open_env: Open) -> None:
+    """Mean length and return over the window, counted by hand."""
+    env = open_env(normalize_rewards=False, start_episode_fraction=0.0)
+    env.reset()
+    rng = np.random.default_rng(1)
+    length, total = np.zeros(8), np.zeros(8)
+    lengths: list[float] = []
+    totals: list[float] = []
+    for _ in range(150):
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
+        length += 1
+        total += transition.rewards
+        for row in np.flatnonzero(transition.dones):
+            lengths.append(length[row])
+            totals.append(total[row])
+            length[row], total[row] = 0, 0.0
+        if lengths:
+            means = env.window.means()
+            assert means["episode_length"] == pytest.approx(np.mean(lengths[-100:]))
+            assert means["reward"] == pytest.approx(np.mean(totals[-100:]), rel=1e-4, abs=1e-3)
+    assert env.window.episodes == len(lengths) > 5
+
+
+def test_task_metrics_are_those_of_the_runs(open_env: Open) -> None:
+    """The window has what the task measured of whole episodes."""
+    env = open_env(start_episode_fraction=0.0)
+    env.reset()
+    rng = np.random.default_rng(1)
+    task = env.environment.task
+    measured: list[np.ndarray] = []
+    measure = task.measure
+
+    def watch(rows: np.ndarray) -> np.ndarray:
+        values = measure(rows)
+        measured.extend(values)
+        return values
+
+    task.measure = watch  # type: ignore[method-assign]
+    for _ in range(100):
+        advance(env, rng.uniform(-1, 1, (8, 20)))
+    names = [metric.name for metric in task.metrics if metric.live]
+    expected = dict(zip(names, np.mean(measured[-100:], axis=0), strict=True))
+    means = env.window.means()
+    assert {name: means[name] for name in names} == pytest.approx(expected)
+    assert means["distance_m"] != 0.0
+
+
+def test_finished_robots_start_over_at_once(open_env: Open) -> None:
+    """The observation after an end is the first of a new episode."""
+    env = open_env(normalize_observations=False)
+    env.reset()
+    rng = np.random.default_rng(2)
+    for _ in range(150):
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
+        steps = transition.observations[:, 0]
+        assert np.array_equal(steps == 0, transition.dones)
+
+
+def test_returned_arrays_are_the_callers(open_env: Open) -> None:
+    """A transition does not change with the next steps."""
+    env = open_env()
+    env.reset()
+    first = advance(env, np.zeros((8, 20)))
+    observations, rewards, dones = first.observations.copy(), first.rewards.copy(), first.dones.copy()
+    for _ in range(60):
+        advance(env, np.random.default_rng(0).uniform(-1, 1, (8, 20)))
+    assert np.array_equal(first.observations, observations)
+    assert np.array_equal(first.rewards, rewards)
+    assert np.array_equal(first.dones, dones)
+
+
+def test_state_carries_over(open_env: Open) -> None:
+    """A second environment continues as the first, through falls and restarts."""
+    first, second = open_env(), open_env()
+    first.reset()
+    second.reset()
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        advance(first, rng.uniform(-1, 1, (8, 20)))
+    second.load_state(first.state())
+    for _ in range(100):
+        actions = rng.uniform(-1, 1, (8, 20))
+        ours, theirs = advance(first, actions), advance(second, actions)
+        assert np.array_equal(ours.observations, theirs.observations)
+        assert np.array_equal(ours.rewards, theirs.rewards)
+    assert first.window.means() == second.window.means()
+
+
+@pytest.mark.parametrize("bootstrap", [True, False])
+def test_end_that_is_no_failure_is_bootstrapped_if_set(open_env: Open, bootstrap: bool) -> None:
+    """At the finish line the last observation is returned, to value what would have followed; after a fall never."""
+    env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
+    # a finish line so near that the first stumbles cross it
+    env.environment.task.finish_x_m = -13.95
+    env.reset()
+    ended: dict[str, list[int]] = {}
+    measure = env.environment.task.measure
+
+    def watch(rows: np.ndarray) -> np.ndarray:
+        for name, flags in env.environment.ends.items():
+            ended[name] = rows[flags[rows]].tolist()
+        return measure(rows)
+
+    env.environment.task.measure = watch  # type: ignore[method-assign]
+    rng = np.random.default_rng(4)
+    arrivals = falls = 0
+    for _ in range(200):
+        ended.update(fallen=[], arrived=[])
+        transition = advance(env, rng.uniform(-1, 1, (8, 20)))
+        assert transition.bootstrapped.tolist() == (ended["arrived"] if bootstrap else [])
+        assert len(transition.last_observations) == len(transition.bootstrapped)
+        assert set(np.flatnonzero(transition.dones)) == {*ended["arrived"], *ended["fallen"]}
+        arrivals, falls = arrivals + len(ended["arrived"]), falls + len(ended["fallen"])
+    assert arrivals > 0
+    assert falls > 0
+
+
+def test_short_episodes_do_not_count(open_env: Open) -> None:
+    """Metrics are those of whole episodes alone."""
+    env = open_env(start_episode_fraction=0.5)
+    env.reset()
+    rng = np.random.default_rng(0)
+    whole = short = 0
+    for _ in range(150):
+        dones = advance(env, rng.uniform(-1, 1, (8, 20))).dones
+        short += int(dones[:4].sum())
+        whole += int(dones[4:].sum())
+    assert short > 0
+    assert env.window.episodes == whole > 0

@@ -1,0 +1,164 @@
+"""Tasks as Gymnasium environments."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import naosprint  # noqa: F401 - registers the environments
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from naosprint.envs import TaskEnv
+from naosprint.registration import env_id
+from pydantic import ValidationError
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env as check_env_by_stable_baselines3
+
+from .cleanrl_ppo import train
+
+SPRINT = "naosprint/Sprint-v0"
+
+
+def make(identity: str = SPRINT, **settings: object) -> TaskEnv:
+    """Return the bare environment."""
+    env = gymnasium.make(identity, **settings).unwrapped
+    assert isinstance(env, TaskEnv)
+    return env
+
+
+def test_every_task_is_registered() -> None:
+    names = {identity for identity in gymnasium.registry if identity.startswith("naosprint/")}
+    assert {SPRINT, "naosprint/Sprint1-v1", "naosprint/Sprint2Erect-v1"} <= names
+    assert env_id("run-backwards", 3) == "naosprint/RunBackwards-v3"
+    assert make().specification.task.name == "sprint1"
+    assert make("naosprint/Sprint2Erect-v1").specification.task.name == "sprint2-erect"
+
+
+@pytest.mark.parametrize("settings", [{}, {"robot": "nao-4", "task": "sprint2"}])
+def test_checkers_are_content(settings: dict[str, str]) -> None:
+    """Both Gymnasium's and stable-baselines3's; a warning is an error here."""
+    check_env(make(**settings))
+    check_env_by_stable_baselines3(make(**settings))
+
+
+def test_settings_choose_robot_task_and_simulator() -> None:
+    env = make(robot="nao-3", task={"name": "sprint2", "drift_penalty": 0.25}, sensor_digits=3, min_height_m=0.3)
+    spec = env.specification
+    assert (spec.robot.name, spec.task.name, spec.simulator.sensor_digits) == ("nao-3", "sprint2", 3)
+    assert (spec.task.drift_penalty, spec.task.min_height_m) == (0.25, 0.3)
+    with pytest.raises(TypeError, match="colour: not a setting"):
+        make(colour="red")
+    with pytest.raises(ValidationError, match="choose one of"):
+        make(robot="asimo")
+
+
+def test_seed_decides_the_start() -> None:
+    """The same seed gives the same first observation, another seed another."""
+    env = make()
+    first, _ = env.reset(seed=1)
+    again, _ = env.reset(seed=1)
+    other, _ = env.reset(seed=2)
+    following, _ = env.reset()
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert not np.array_equal(other, following)
+
+
+def test_falling_ends_the_episode_and_info_says_so() -> None:
+    """A random policy falls; the rewards add up to the distance."""
+    env = make(reward_scale=1.0, drift_penalty=0.0)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    total, terminated = 0.0, False
+    for _ in range(500):
+        _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        total += reward
+        assert not truncated
+        if terminated:
+            break
+        assert info == {}
+    assert terminated
+    assert (info["end"], info["fall_rate"]) == ("fallen", 1.0)
+    assert total == pytest.approx(info["distance_m"], abs=1e-9)
+    env.close()
+    env.close()
+
+
+def test_the_vector_environment_is_as_many_single_ones() -> None:
+    """Step for step, through the ends of episodes: observations, rewards, flags and infos."""
+    together = gymnasium.make_vec(SPRINT, num_envs=4, robot="nao-1")
+    single = gymnasium.make_vec(SPRINT, num_envs=4, robot="nao-1", vectorization_mode="sync")
+    assert isinstance(single, SyncVectorEnv)
+    assert not isinstance(together, SyncVectorEnv)
+    assert together.metadata["autoreset_mode"] == single.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    assert together.single_observation_space == single.single_observation_space
+    assert together.action_space == single.action_space
+    for seed in (3, [5, 6, 7, 8], None):
+        ours, theirs = together.reset(seed=seed), single.reset(seed=seed)  # type: ignore[arg-type]
+        assert ours[1] == theirs[1] == {}
+        if seed is not None:
+            np.testing.assert_array_equal(ours[0], theirs[0])
+    together.reset(seed=3)
+    single.reset(seed=3)
+    together.action_space.seed(0)
+    ended = 0
+    for _ in range(300):
+        actions = together.action_space.sample()
+        mine, known = together.step(actions), single.step(actions)
+        for a, b in zip(mine[:4], known[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert mine[4].keys() == known[4].keys()
+        for name, values in mine[4].items():
+            np.testing.assert_array_equal(values, known[4][name])
+        ended += int((mine[2] | mine[3]).sum())
+    assert ended > 10
+    with pytest.raises(ValueError, match="expected 4 seeds, got 2"):
+        together.reset(seed=[1, 2])  # type: ignore[arg-type]
+    together.close()
+    single.close()
+
+
+def test_stable_baselines3s_own_ppo_trains_on_it() -> None:
+    model = PPO("MlpPolicy", gymnasium.make(SPRINT, task="sprint2"), n_steps=512, batch_size=64, device="cpu", seed=0)
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(2048)
+    assert model.num_timesteps == 2048
+    assert model.ep_info_buffer is not None and len(model.ep_info_buffer) > 10
+    assert any((a != b).any() for a, b in zip(before, model.policy.parameters(), strict=True))
+
+
+def one_by_one(n: int) -> VectorEnv:  # type: ignore[type-arg]
+    return SyncVectorEnv([lambda: gymnasium.make(SPRINT) for _ in range(n)])
+
+
+@pytest.mark.parametrize("make_envs", [one_by_one, lambda n: gymnasium.make_vec(SPRINT, num_envs=n)])
+def test_cleanrls_ppo_trains_on_it(make_envs) -> None:  # type: ignore[no-untyped-def]
+    """A single-file PPO in the manner of CleanRL, on environments side by side and in one simulator."""
+    envs = make_envs(4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record = train(envs, total_timesteps=4096, num_steps=256, seed=1)
+    assert record.steps == 4096
+    assert len(record.returns) > 10
+    assert np.isfinite(record.losses).all()
+    assert np.isfinite(record.returns).all()
+    envs.close()
+
+
+def test_importing_the_package_loads_no_torch_and_needs_no_gymnasium() -> None:
+    """The API describes tasks on machines that train nothing."""
+    code = """
+import sys
+{block}
+import naosprint.tasks.sprint
+print("torch" in sys.modules, [name for name in sys.modules if name.startswith("gymnasium.envs")] != [])
+"""
+    without = "import importlib.util as u; f = u.find_spec; u.find_spec = lambda n, *a: n != 'gymnasium' and f(n, *a) or None"
+    for block, registered in (("", "True"), (without, "False")):
+        text = code.format(block=block)
+        done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+        assert done.stdout.split() == ["False", registered]
