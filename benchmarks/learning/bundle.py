@@ -222,7 +222,12 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
     lines += [f"| {card['episodes']:,} episodes, deterministic | | |", "|---|---|---|"]
     lines += [f"| {one['title']} | {value_text(one)} | {interval_text(one, confidence)} |" for one in card["results"]]
     lines += [f"| Training | {card['steps'] / 1e6:.0f} million steps | {card['training_s'] / 60:.0f} minutes |", ""]
-    lines += ["## Training", "", "| Job | Training | Steps | Minutes | Overrides of the preset |", "|---|---|---|---|---|"]
+    lines += [
+        "## Training",
+        "",
+        "| Job | Training | Steps | Minutes | Overrides of the preset |",
+        "|---|---|---|---|---|",
+    ]
     for one in card["lineage"]:
         changes = ", ".join(f"`{key}` {json.dumps(value)}" for key, value in one["overrides"].items()) or "none"
         training = f"{one['task']}, {one['robot']}, preset {one['preset']}, seed {one['seed']}"

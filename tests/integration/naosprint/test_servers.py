@@ -229,9 +229,7 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
             killed.append(done)
             kill(handles[-1])
 
-    spec = EvaluationSpec.model_validate(
-        {"episodes": 4, "n_envs": 2, "task": "sprint2", "bootstrap_resamples": 100}
-    )
+    spec = EvaluationSpec.model_validate({"episodes": 4, "n_envs": 2, "task": "sprint2", "bootstrap_resamples": 100})
     evaluation = evaluate(result.checkpoint, spec, progress=progress)
     assert evaluation.summary["server_failures"] == 1
     assert evaluation.summary["episodes"] == 4

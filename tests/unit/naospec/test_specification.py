@@ -81,7 +81,10 @@ def test_sections_have_a_short_form() -> None:
 
 def test_json_round_trip_keeps_the_specification_and_its_digest() -> None:
     """What is stored comes back equal, stages included."""
-    stages = [{"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}}, {"steps": 1000, "task": {"reward_scale": 1}}]
+    stages = [
+        {"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}},
+        {"steps": 1000, "task": {"reward_scale": 1}},
+    ]
     for spec in (
         spec_of(preset="paper", task="sprint2-erect", hidden_sizes=(32, 15), target_kl=None),
         TrainingSpec.model_validate({"stages": stages}),
@@ -288,7 +291,11 @@ def test_evaluations_run_the_trainings_task_or_another() -> None:
 
 
 def test_evaluations_refuse_what_does_not_exist() -> None:
-    for content, words in (({"task": "marathon"}, "sprint1"), ({"simulator": "gazebo"}, "embedded"), ({"episodes": 0}, "1")):
+    for content, words in (
+        ({"task": "marathon"}, "sprint1"),
+        ({"simulator": "gazebo"}, "embedded"),
+        ({"episodes": 0}, "1"),
+    ):
         with pytest.raises(ValidationError, match=words):
             EvaluationSpec.model_validate(content)
     assert EvaluationSpec().episodes == 1000

@@ -40,7 +40,9 @@ class Crawl(Task):
     Parameters = CrawlSettings
     metrics = (PROGRESS,)
     ends = (End("goal", "Goal"),)
-    presentation = Presentation(charts=(Chart("Progress", ("progress",)),), listed=("progress",), headline=("progress",))
+    presentation = Presentation(
+        charts=(Chart("Progress", ("progress",)),), listed=("progress",), headline=("progress",)
+    )
     max_steps = 100
 
     def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:

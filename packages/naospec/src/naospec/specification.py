@@ -166,7 +166,9 @@ class Stage(BaseModel):
         default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
     )
     robot: str | None = Field(
-        default=None, title="Robot", description="Robot of the stage, with its default settings; left out: the training's."
+        default=None,
+        title="Robot",
+        description="Robot of the stage, with its default settings; left out: the training's.",
     )
     algorithm: dict[str, Any] = Field(
         default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
