@@ -24,15 +24,15 @@ from typing import Any
 # the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
 os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
-import matplotlib as mpl  # noqa: E402
-import naopolicies  # noqa: E402
-from naospec import EvaluationSpec, TrainingSpec, recipes  # noqa: E402
-from naosprint import evaluate  # noqa: E402
-from naosprint.analysis import figures  # noqa: E402
-from naosprint.analysis.report import read_metrics, write_report  # noqa: E402
-from naosprint.analysis.results import by_name, headline, interval_text, value_text  # noqa: E402
-from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest  # noqa: E402
-from naosprint.rl.columns import columns  # noqa: E402
+import matplotlib as mpl
+import naopolicies
+from naospec import EvaluationSpec, TrainingSpec, recipes
+from naosprint import evaluate
+from naosprint.analysis import figures
+from naosprint.analysis.report import read_metrics, write_report
+from naosprint.analysis.results import by_name, headline, interval_text, value_text
+from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest
+from naosprint.rl.columns import columns
 
 ROOT = Path(__file__).parents[2]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
@@ -222,7 +222,12 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
     lines += [f"| {card['episodes']:,} episodes, deterministic | | |", "|---|---|---|"]
     lines += [f"| {one['title']} | {value_text(one)} | {interval_text(one, confidence)} |" for one in card["results"]]
     lines += [f"| Training | {card['steps'] / 1e6:.0f} million steps | {card['training_s'] / 60:.0f} minutes |", ""]
-    lines += ["## Training", "", "| Job | Training | Steps | Minutes | Overrides of the preset |", "|---|---|---|---|---|"]
+    lines += [
+        "## Training",
+        "",
+        "| Job | Training | Steps | Minutes | Overrides of the preset |",
+        "|---|---|---|---|---|",
+    ]
     for one in card["lineage"]:
         changes = ", ".join(f"`{key}` {json.dumps(value)}" for key, value in one["overrides"].items()) or "none"
         training = f"{one['task']}, {one['robot']}, preset {one['preset']}, seed {one['seed']}"

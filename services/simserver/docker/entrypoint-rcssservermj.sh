@@ -1,5 +1,5 @@
 #!/bin/sh
-# Takes rcssservermj's own arguments, and remembers the monitor port for the health check.
+# Takes the arguments of rcssservermj, and remembers the monitor port for the health check.
 set -eu
 previous=
 monitor=60001
@@ -8,5 +8,5 @@ for argument in "$@"; do
   previous=$argument
 done
 echo "$monitor" > /tmp/monitor-port
-[ "$#" -gt 0 ] || set -- --sync --no-realtime --no-render
+[ $# -gt 0 ] || set -- --sync --no-realtime --no-render
 exec rcssservermj --host 0.0.0.0 "$@"

@@ -233,6 +233,34 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     browser.shows("All results", timeout_s=240)
 
 
+def test_a_task_of_another_package_is_everywhere(browser: Browser, token: str, client: httpx.Client) -> None:
+    """Its parameter in the form, its metrics in the list, charts, evaluation and replay: no page knows its name."""
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.find("[name='spec.task.name']")
+    assert not browser.all("[name='spec.task.gait_period_s']")
+    choose_text(browser, "[name='spec.task.name']", "run-backwards")
+    browser.shows("Run backwards as far as possible", "[data-field='spec.task.name']")
+    browser.set("[name='spec.task.gait_period_s']", "0.5")
+    assert "gait_period_s" in browser.js("return document.querySelector('aside pre').textContent")
+    spec = {**TINY, "task.name": "run-backwards", "task.gait_period_s": 0.5, "total_steps": 1024}
+    body = {"name": "backwards", "spec": flat.nest(spec), "evaluation": {"episodes": 4, "bootstrap_resamples": 100}}
+    job_id = client.post("/jobs", json=body).json()["id"]
+    wait_for(client, job_id, "succeeded")
+    browser.open("/")
+    browser.shows("Distance backwards", "thead")
+    browser.open(f"/jobs/{job_id}")
+    browser.shows("Distance backwards", ".stats")
+    browser.until(lambda: painted(browser, "[data-chart=backward_m] canvas") > 200, message="no curve was drawn")
+    browser.open(f"/jobs/{job_id}/evaluation")
+    browser.shows("Speed backwards", ".stack .stats")
+    browser.shows("Paths of 4 episodes")
+    browser.open(f"/compare?jobs={job_id}")
+    browser.shows("Distance backwards m", "thead")
+    browser.open(f"/submit?from={job_id}")
+    assert browser.find("[name='spec.task.gait_period_s']").get_attribute("value") == "0.5"
+
+
 def test_the_form_names_the_field_that_is_wrong(browser: Browser, token: str, client: httpx.Client) -> None:
     browser.sign_in(token)
     browser.open("/submit")

@@ -55,20 +55,22 @@ def test_groups_have_what_this_project_offers() -> None:
 
 
 def test_unknown_names_list_the_known() -> None:
-    with pytest.raises(plugins.UnknownPluginError, match="unknown task 'swim': choose one of .*sprint1, sprint1-erect"):
+    with pytest.raises(
+        plugins.UnknownPluginError, match=r"unknown task 'swim': choose one of .*sprint1, sprint1-erect"
+    ):
         plugins.load(plugins.TASKS, "swim")
 
 
 def test_a_package_that_cannot_be_imported_is_named(offered: list[EntryPoint]) -> None:
     offered.append(entry("swim", "no_such_package:Swim"))
     assert "swim" in plugins.names(plugins.TASKS)
-    with pytest.raises(plugins.BrokenPluginError, match="swim: package no_such_package:Swim .*No module named"):
+    with pytest.raises(plugins.BrokenPluginError, match=r"swim: package no_such_package:Swim .*No module named"):
         plugins.load(plugins.TASKS, "swim")
 
 
 def test_a_name_that_is_offered_twice_is_refused(offered: list[EntryPoint]) -> None:
     offered.append(entry("sprint1", "elsewhere:Sprint"))
-    with pytest.raises(plugins.BrokenPluginError, match="'sprint1' is offered twice, as .* and elsewhere:Sprint"):
+    with pytest.raises(plugins.BrokenPluginError, match=r"'sprint1' is offered twice, as .* and elsewhere:Sprint"):
         plugins.names(plugins.TASKS)
 
 
@@ -80,5 +82,5 @@ def test_the_same_entry_twice_is_one(offered: list[EntryPoint]) -> None:
 
 def test_settings_must_be_a_section(offered: list[EntryPoint]) -> None:
     offered.append(entry("wrong", f"{__name__}:Wrong"))
-    with pytest.raises(plugins.BrokenPluginError, match="wrong: its settings must subclass naospec.Section"):
+    with pytest.raises(plugins.BrokenPluginError, match=r"wrong: its settings must subclass naospec.Section"):
         TrainingSpec.model_validate({"task": "wrong"})

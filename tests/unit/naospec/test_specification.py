@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
@@ -81,7 +80,10 @@ def test_sections_have_a_short_form() -> None:
 
 def test_json_round_trip_keeps_the_specification_and_its_digest() -> None:
     """What is stored comes back equal, stages included."""
-    stages = [{"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}}, {"steps": 1000, "task": {"reward_scale": 1}}]
+    stages = [
+        {"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}},
+        {"steps": 1000, "task": {"reward_scale": 1}},
+    ]
     for spec in (
         spec_of(preset="paper", task="sprint2-erect", hidden_sizes=(32, 15), target_kl=None),
         TrainingSpec.model_validate({"stages": stages}),
@@ -207,7 +209,7 @@ def test_stages_override_algorithm_and_task() -> None:
         ([{"steps": 10, "algorithm": {"preset": "paper"}}], "stages.0.algorithm.preset: cannot differ between stages"),
         ([{"steps": 10, "task": {"name": "sprint2"}}], "stages.0.task.name: cannot differ between stages"),
         ([{"steps": 10}, {"steps": 10, "algorithm": {"hidden_sizes": [8]}}], "stages.1.algorithm: all stages train"),
-        ([{"steps": 10, "robot": "nao-1"}], "stages.0.robot"),
+        ([{"steps": 10, "robot": "nao-9"}], "stages.0.robot: unknown robot"),
         ([{"steps": 10, "task": {"min_height_m": 0.385}}], "stages.0: task.min_height_m: 0.385"),
         ([{"steps": 10, "algorithm": {"batch_size": 5000}}], "stages.0.algorithm: batch_size: 5000 does not divide"),
     ],
@@ -288,7 +290,11 @@ def test_evaluations_run_the_trainings_task_or_another() -> None:
 
 
 def test_evaluations_refuse_what_does_not_exist() -> None:
-    for content, words in (({"task": "marathon"}, "sprint1"), ({"simulator": "gazebo"}, "embedded"), ({"episodes": 0}, "1")):
+    for content, words in (
+        ({"task": "marathon"}, "sprint1"),
+        ({"simulator": "gazebo"}, "embedded"),
+        ({"episodes": 0}, "1"),
+    ):
         with pytest.raises(ValidationError, match=words):
             EvaluationSpec.model_validate(content)
     assert EvaluationSpec().episodes == 1000

@@ -40,7 +40,9 @@ class Crawl(Task):
     Parameters = CrawlSettings
     metrics = (PROGRESS,)
     ends = (End("goal", "Goal"),)
-    presentation = Presentation(charts=(Chart("Progress", ("progress",)),), listed=("progress",), headline=("progress",))
+    presentation = Presentation(
+        charts=(Chart("Progress", ("progress",)),), listed=("progress",), headline=("progress",)
+    )
     max_steps = 100
 
     def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
@@ -89,16 +91,16 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     plugins.load.cache_clear()
 
 
-def crawl_spec(**algorithm: Any) -> TrainingSpec:
-    """Return a training of crawlers; symmetric policies are not for a robot without sides."""
-    settings = {"n_envs": 16, "n_steps": 64, "batch_size": 256, "hidden_sizes": [16, 16], "gamma": 0.95, **algorithm}
+def crawl_spec(total_steps: int = 32_768) -> TrainingSpec:
+    """Return a training of crawlers."""
+    settings = {"n_envs": 16, "n_steps": 64, "batch_size": 256, "hidden_sizes": [16, 16], "gamma": 0.95}
     return TrainingSpec.model_validate(
         {
             "task": "crawl",
             "robot": "crawler",
             "simulator": "crawling",
             "algorithm": settings,
-            "total_steps": 40_000,
+            "total_steps": total_steps,
             "runtime": {"learner_threads": 1},
         }
     )
@@ -132,10 +134,11 @@ def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
     """A simulator with snapshots needs no more than that."""
     from .checkpoints import assert_same
 
-    whole = train(crawl_spec(), workdir=tmp_path / "whole", reporter=recorder)
+    spec = crawl_spec(total_steps=4096)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
     recorder.rows.clear()
-    half = train(crawl_spec(), workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 10)
-    rest = train(crawl_spec(), workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
+    half = train(spec, workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 1)
+    rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
     assert half.status == "stopped"
     assert_same(rest.checkpoint, whole.checkpoint)
 

@@ -21,6 +21,7 @@ from ..checkpoints import assert_same
 
 Make = Callable[..., TrainingSpec]
 
+
 def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
     """One row per update with all documented metrics, checkpoints at the start, the interval and the end."""
     spec = make_spec(total_steps=2000, n_steps=64, checkpoint_interval_steps=1000)

@@ -65,6 +65,16 @@ def require_package(package: str) -> None:
         )
 
 
+def missing_packages() -> str:
+    """Return which package is missing or has another version, with its remedy; empty if none is."""
+    try:
+        require_package("mujoco")
+        require_package("rcsssmj")
+    except MujocoUnavailableError as error:
+        return str(error)
+    return ""
+
+
 def library() -> Any:
     """Import MuJoCo and return it.
 
