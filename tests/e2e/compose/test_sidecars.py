@@ -1,4 +1,4 @@
-"""`docker compose --profile sidecars`: a job on rcssserver3d gets containers of its own; nothing of them is left."""
+"""`docker compose --profile sidecars`: a job on servers gets containers of its own; nothing of them is left."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Naoctl = Callable[..., Any]
 ROBOTS = 2
 SERVERS = 2 * ROBOTS  # each with a standby
 SMALL = (
-    *("--simulator", "rcssserver3d", "--n-envs", str(ROBOTS), "--n-steps", "64", "--batch-size", "64"),
-    *("--torch-threads", "1", "--fall-penalty-m", "0"),
+    *("--simulator", "server", "--n-envs", str(ROBOTS), "--n-steps", "64", "--batch-size", "64"),
+    *("--learner-threads", "1", "--fall-penalty-m", "0"),
 )
 JUDGED = ("--eval-episodes", "2", "--eval-n-envs", "2", "--eval-trajectories", "1", "--eval-bootstrap-resamples", "100")
 
@@ -57,17 +57,20 @@ def sidecars(project: Any) -> Iterator[Any]:
         project.compose("pull", "--quiet", "docker-proxy", timeout_s=600)
     else:
         project.compose("build", "docker-proxy", timeout_s=900)
-    project.compose("build", "simserver", timeout_s=1500)
+    project.compose("build", "simserver", "rcssservermj", timeout_s=1500)
     services = ("sidecar-worker", "sidecar-reaper", "docker-proxy")
     project.compose("up", "--detach", "--no-build", "--wait", "--wait-timeout", "180", *services)
     yield project
-    project.compose("--profile", "sidecars", "rm", "--stop", "--force", *services, "simserver")
+    project.compose("--profile", "sidecars", "rm", "--stop", "--force", *services, "simserver", "rcssservermj")
     assert owned("container") == owned("network") == []
 
 
-def test_a_job_trains_on_containers_of_its_own(sidecars: Any, naoctl: Naoctl, wait_for: Naoctl) -> None:
+@pytest.mark.parametrize(("robot", "image"), [("nao-0", "naosprint/simserver"), ("t1", "naosprint/rcssservermj")])
+def test_a_job_trains_on_containers_of_its_own(
+    sidecars: Any, naoctl: Naoctl, wait_for: Naoctl, robot: str, image: str
+) -> None:
     long = ("--steps", "4096", "--checkpoint-interval-steps", "4096")
-    job = naoctl("submit", *SMALL, *JUDGED, *long, "--json")["id"]
+    job = naoctl("submit", "--robot", robot, *SMALL, *JUDGED, *long, "--json")["id"]
 
     def running() -> list[dict[str, Any]] | None:
         found = owned("container", job=job)
@@ -79,6 +82,7 @@ def test_a_job_trains_on_containers_of_its_own(sidecars: Any, naoctl: Naoctl, wa
         assert host["CapDrop"] == ["ALL"] and host["ReadonlyRootfs"] and host["Memory"] > 0 and host["PidsLimit"] > 0
         assert not any(server["NetworkSettings"]["Ports"].values()), "a server's port is published"
         assert server["Config"]["Labels"]["attempt"] == "1"
+        assert server["Config"]["Image"].startswith(image)
     (name,) = {network for server in servers for network in server["NetworkSettings"]["Networks"]}
     (network,) = (one for one in owned("network", job=job) if one["Name"] == name)
     assert network["Internal"]
@@ -110,10 +114,10 @@ def test_nothing_is_left_of_a_killed_worker_and_its_job_goes_on(
     wait_for(lambda: not owned("container", job=job), 60, "servers of a cancelled job were left behind")
 
 
-def create(**changes: Any) -> str:
+def create(image: str = "naosprint/simserver:0.1.0", **changes: Any) -> str:
     """Return the body of a request for a container as the launcher makes it, with changes to its HostConfig."""
     host = {"NetworkMode": "naosim-0123456789ab", "CapDrop": ["ALL"], "Memory": 1 << 28, **changes}
-    return json.dumps({"Image": "naosprint/simserver:0.1.0", "HostConfig": host})
+    return json.dumps({"Image": image, "HostConfig": host})
 
 
 CREATE = "/v1.45/containers/create?name=naosim-0123456789ab"
@@ -169,13 +173,14 @@ def test_other_containers_are_out_of_reach(sidecars: Any) -> None:
     assert sidecars.container("postgres")["State"]["Running"]
 
 
-def test_the_filter_lets_the_launcher_through(sidecars: Any) -> None:
+@pytest.mark.parametrize("image", ["naosprint/simserver:0.1.0", "naosprint/rcssservermj:0.1.0"])
+def test_the_filter_lets_the_launcher_through(sidecars: Any, image: str) -> None:
     """Else it would refuse all of the above for a reason of its own."""
     ask = ("exec", "-T", "sidecar-worker", "python", "-c", ASK)
     network = '{"Name": "naosim-0123456789ab", "Driver": "bridge", "Internal": true}'
     try:
         assert sidecars.compose(*ask, "POST", "/networks/create", network).stdout.strip() == "201"
-        assert sidecars.compose(*ask, "POST", CREATE, create()).stdout.strip() == "201"
+        assert sidecars.compose(*ask, "POST", CREATE, create(image)).stdout.strip() == "201"
         assert sidecars.compose(*ask, "GET", "/containers/naosim-0123456789ab/json", "").stdout.strip() == "200"
     finally:
         assert sidecars.compose(*ask, "DELETE", "/containers/naosim-0123456789ab?force=1", "").stdout.strip() == "204"

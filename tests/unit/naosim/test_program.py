@@ -60,8 +60,8 @@ def test_only_containers_need_an_engine(monkeypatch: pytest.MonkeyPatch) -> None
     with pytest.raises(OSError, match="Docker: "):
         server_launcher()
     with pytest.raises(OSError, match="Docker: "):
-        reap_servers("docker:naosim")
-    assert reap_servers("rcssserver3d") == 0
+        reap_servers("rcssserver3d", "docker:naosim")
+    assert reap_servers("rcssserver3d", "") == 0
 
 
 def test_a_program_gets_its_ports_its_files_and_its_own_signal(tmp_path: Path) -> None:

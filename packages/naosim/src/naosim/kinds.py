@@ -66,6 +66,10 @@ class _FamilyKind(SimulatorKind):
         """Open the family's simulator for n robots."""
         return self._of(robot).open(robot, n, parameters, options)
 
+    def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
+        """Return why this machine lacks the family's simulator; empty if it has it."""
+        return self._of(robot).unavailable(robot, environment)
+
     def _find(self, robot: Robot) -> SimulatorKind | None:
         module = FAMILIES.get(robot.family)
         return None if module is None else getattr(import_module(module), self._attribute, None)

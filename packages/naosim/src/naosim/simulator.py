@@ -307,3 +307,13 @@ class SimulatorKind(ABC):
     def max_robots(self) -> int | None:
         """Return the most robots that this machine can run; None without a limit."""
         return None
+
+    def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
+        """Return why this machine cannot run a robot that :meth:`supports` accepts; empty if it can.
+
+        Args:
+            robot: the robot.
+            environment: variables that name programs, usually ``os.environ``.
+        """
+        del robot, environment
+        return ""

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationInfo
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from naospec import plugins
 
@@ -80,6 +80,25 @@ def _dump(section: Any, info: SerializationInfo) -> Any:
     return section.model_dump(mode=info.mode, exclude_none=info.exclude_none)
 
 
+def _require_known(values: Mapping[str, Any], model: type[Section], owner: str) -> None:
+    """Raise ValidationError for settings that a plug-in does not have; the message lists those that it has."""
+    known = [name for name in model.model_fields if name != "name"]
+    choices = f"choose one of {', '.join(known)}" if known else "it has none"
+    errors = [
+        InitErrorDetails(
+            type=PydanticCustomError(
+                "unknown_setting", "{owner} has no such setting: {choices}", {"owner": owner, "choices": choices}
+            ),
+            loc=(name,),
+            input=value,
+        )
+        for name, value in values.items()
+        if name not in model.model_fields
+    ]
+    if errors:
+        raise ValidationError.from_exception_data(model.__name__, errors)
+
+
 class PluginSection:
     """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema."""
 
@@ -114,7 +133,9 @@ class PluginSection:
                     "'{name}' cannot run robot '{robot}': choose one of {names}",
                     {"name": name, "robot": robot.name, "names": ", ".join(possible)},
                 )
-        return section_models(self.group, name, robot).model_validate(dict(value))
+        model = section_models(self.group, name, robot)
+        _require_known(value, model, name if robot is None else f"{name} with robot {robot.name}")
+        return model.model_validate(dict(value))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the schema of a value that :meth:`validate` turns into a section."""

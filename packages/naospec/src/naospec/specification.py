@@ -165,6 +165,11 @@ class Stage(BaseModel):
     seed: int | None = Field(
         default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
     )
+    robot: str | None = Field(
+        default=None,
+        title="Robot",
+        description="Robot of the stage, with its default settings; left out: the training's.",
+    )
     algorithm: dict[str, Any] = Field(
         default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
     )
@@ -323,6 +328,8 @@ class TrainingSpec(_Specification):
             content = self.model_dump(exclude={"stages"})
             content["total_steps"] = stage.steps
             content["seed"] = self.seed if stage.seed is None else stage.seed
+            if stage.robot is not None:
+                content["robot"] = {"name": stage.robot}
             for section in ("algorithm", "task"):
                 changes = getattr(stage, section)
                 fixed = {"name", "preset", "version"} & changes.keys()
@@ -454,9 +461,7 @@ class EvaluationSpec(_Specification):
         Raises:
             pydantic.ValidationError: if the combination is impossible.
         """
-        content = trained.model_dump(exclude={"stages"})
-        if trained.stages:
-            content = trained.stage_specs[-1].model_dump(exclude={"stages"})
+        content = trained.stage_specs[-1].model_dump(exclude={"stages"})
         if self.task is not None:
             content["task"] = self.task.model_dump(exclude_none=True)
         if self.start_noise_deg is not None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+from collections.abc import Iterator
 
 from naojobs.capabilities import Capabilities
 from naospec import plugins
@@ -13,10 +15,10 @@ logger = logging.getLogger(__name__)
 
 
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
-    """Return the installed tasks and robots, and the simulators that the settings allow."""
+    """Return the installed tasks, the simulators that the settings allow, and the robots that one of them can run."""
     return Capabilities(
         tasks=_versions(),
-        robots=list(plugins.names(plugins.ROBOTS)),
+        robots=list(_robots(settings)),
         simulators=list(settings.worker_queues),
     )
 
@@ -30,3 +32,21 @@ def _versions() -> dict[str, int]:
         except plugins.BrokenPluginError as error:
             logger.warning("task left out: %s", error)
     return versions
+
+
+def _robots(settings: WorkerSettings) -> Iterator[str]:
+    """Yield the robots that this machine can run in one of the worker's simulators; log why others are left out."""
+    environment = {**os.environ, **settings.server_environment}
+    simulators = {name: plugins.load(plugins.SIMULATORS, name) for name in settings.worker_queues}
+    for name in plugins.names(plugins.ROBOTS):
+        robot = plugins.load(plugins.ROBOTS, name)
+        reasons = {
+            simulator: kind.unavailable(robot, environment)
+            for simulator, kind in simulators.items()
+            if kind.supports(robot)
+        }
+        for simulator, reason in reasons.items():
+            if reason:
+                logger.warning("robot %s cannot run in simulator %s: %s", name, simulator, reason)
+        if "" in reasons.values():
+            yield name

@@ -42,7 +42,8 @@ class Reaper:
     def _remove_servers(self) -> None:
         """Remove the containers of servers whose training is gone."""
         try:
-            removed = reap_servers(self._context.settings.simserver)
+            settings = self._context.settings
+            removed = reap_servers(settings.simserver, settings.rcssservermj)
         except OSError as error:
             logger.warning("looking for servers without an owner: %s", error)
         else:

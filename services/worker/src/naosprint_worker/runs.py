@@ -16,8 +16,7 @@ from naojobs.lifecycle import Claim, JobClaim
 from naojobs.models import WorkKind
 from naojobs.records import LogLine
 from naojobs.states import WorkState
-from naosim.launchers import LABELS_VARIABLE, NETWORK_VARIABLE
-from naosim.simspark.program import PROGRAM_VARIABLE
+from naosim.launchers import LABELS_VARIABLE
 
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
 from naosprint_worker.child import Child
@@ -102,8 +101,7 @@ class Run:
                 "PYTHONFAULTHANDLER": "1",
                 "PYTHONUNBUFFERED": "1",
                 OWNER_VARIABLE: str(Owner.current()),
-                PROGRAM_VARIABLE: settings.simserver,
-                NETWORK_VARIABLE: settings.simserver_network or "",
+                **settings.server_environment,
                 LABELS_VARIABLE: f"{self._lease.kind}={self._lease.id},attempt={self._lease.attempt}",
             },
             cwd=self._workdir,

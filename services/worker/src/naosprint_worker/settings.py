@@ -10,6 +10,9 @@ from typing import Annotated, Any, Literal, Self
 
 from naojobs.retention import Retention
 from naojobs.settings import ServiceSettings
+from naosim.launchers import NETWORK_VARIABLE
+from naosim.mujoco.program import PROGRAM_VARIABLE as RCSSSERVERMJ_VARIABLE
+from naosim.simspark.program import PROGRAM_VARIABLE as RCSSSERVER3D_VARIABLE
 from naospec import plugins
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import NoDecode
@@ -83,6 +86,11 @@ class WorkerSettings(ServiceSettings):
         description="What runs a NAO on a server: a program, `embedded` for `naosim serve`, "
         "or `docker:IMAGE` for a container of that image.",
     )
+    rcssservermj: str = Field(
+        "",
+        description="What runs a T1 or K1 on a server: a program, or `docker:IMAGE` for a container of that image; "
+        "left out: the server of the installed package rcsssmj.",
+    )
     simserver_network: str | None = Field(
         None,
         description="Docker network of those containers, or `own` for one of each job's own where the worker itself is "
@@ -129,6 +137,15 @@ class WorkerSettings(ServiceSettings):
                 "so that a training whose worker died is gone before its job starts elsewhere"
             )
         return self
+
+    @property
+    def server_environment(self) -> dict[str, str]:
+        """Return the variables by which simulators find their servers."""
+        return {
+            RCSSSERVER3D_VARIABLE: self.simserver,
+            RCSSSERVERMJ_VARIABLE: self.rcssservermj,
+            NETWORK_VARIABLE: self.simserver_network or "",
+        }
 
     @property
     def retention(self) -> Retention | None:

@@ -6,7 +6,8 @@ Each kind of server has a variable of its own, which names the program; the othe
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Mapping
 
 from naosim.launchers.docker import ContainerSettings, DockerLauncher, Reaper
 from naosim.launchers.process import ProcessLauncher
@@ -60,6 +61,26 @@ def launcher_from_environment(
         raise FileNotFoundError(f"{variable}: there is no program {value!r} to run; {advice}") from None
 
 
+def missing_program(
+    variable: str, program: ServerProgram, environment: Mapping[str, str], *, embedded: bool = False
+) -> str:
+    """Return why no server can be started with the program that a variable names; empty if it is there.
+
+    Containers count as available: whether an engine answers shows when one is started.
+
+    Args:
+        variable: name of the variable, as for :func:`launcher_from_environment`.
+        program: the kind of server.
+        environment: the variables.
+        embedded: whether ``embedded`` stands for a server.
+    """
+    value = environment.get(variable) or program.name
+    known = value.startswith(DOCKER_PREFIX) or (embedded and value == EMBEDDED)
+    if known or shutil.which(value) is not None:
+        return ""
+    return f"{variable}: there is no program {value!r}"
+
+
 def _labels() -> dict[str, str]:
     labels: dict[str, str] = {}
     for word in filter(None, os.environ.get(LABELS_VARIABLE, "").split(",")):
@@ -70,16 +91,16 @@ def _labels() -> dict[str, str]:
     return labels
 
 
-def reap_servers(program: str) -> int:
+def reap_servers(*programs: str) -> int:
     """Remove server containers whose owner has died; return how many.
 
     Args:
-        program: value of a server's variable; only containers need this, processes end with their owner.
+        programs: values of the servers' variables; only containers need this, processes end with their owner.
 
     Raises:
         OSError: if no Docker engine answers.
     """
-    return Reaper().sweep() if program.startswith(DOCKER_PREFIX) else 0
+    return Reaper().sweep() if any(program.startswith(DOCKER_PREFIX) for program in programs) else 0
 
 
 def most_servers() -> int:

@@ -11,6 +11,8 @@ from naosim.robots.booster import FAMILY
 from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from naosim.robots import Robot
 
 _SETTLE_STEPS = Field(
@@ -77,6 +79,13 @@ class EmbeddedKind(SimulatorKind):
         assert isinstance(parameters, EmbeddedParameters)
         return MujocoSimulator(robot, n, parameters, threads=options.threads)
 
+    def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
+        """Return what is missing of MuJoCo and the league's models; empty if nothing is."""
+        from naosim.mujoco.world import missing_packages
+
+        del robot, environment
+        return missing_packages()
+
 
 class ServerParameters(SimulatorParameters):
     """Settings of Booster robots on servers."""
@@ -127,6 +136,13 @@ class ServerKind(SimulatorKind):
     def max_robots(self) -> int:
         """Return the most servers that this machine runs."""
         return most_servers()
+
+    def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
+        """Return why there is no server to run; empty if there is."""
+        from naosim.mujoco.program import missing_server
+
+        del robot
+        return missing_server(environment)
 
 
 EMBEDDED = EmbeddedKind()

@@ -6,9 +6,10 @@ import os
 import shutil
 import signal
 import sys
+from collections.abc import Mapping
 
-from naosim.launchers import Launcher, ProcessLauncher, ServerProgram, launcher_from_environment
-from naosim.mujoco.world import MujocoUnavailableError, require_package
+from naosim.launchers import Launcher, ProcessLauncher, ServerProgram, launcher_from_environment, missing_program
+from naosim.mujoco.world import MujocoUnavailableError, missing_packages
 
 PROGRAM_VARIABLE = "NAOSPRINT_RCSSSERVERMJ"
 """Environment variable that names the server's program; ``docker:IMAGE`` stands for a container of that image."""
@@ -37,14 +38,21 @@ def server_launcher() -> Launcher:
     """
     if os.environ.get(PROGRAM_VARIABLE):
         return launcher_from_environment(PROGRAM_VARIABLE, RCSSSERVERMJ)
-    try:
-        require_package("mujoco")
-        require_package("rcsssmj")
-    except MujocoUnavailableError as error:
-        if shutil.which(RCSSSERVERMJ.name) is not None:
-            return ProcessLauncher(RCSSSERVERMJ)
-        raise MujocoUnavailableError(
-            f"{RCSSSERVERMJ.name}: no server to run ({error}), or set {PROGRAM_VARIABLE} to its path or "
-            "to 'docker:IMAGE'"
-        ) from None
-    return ProcessLauncher(RCSSSERVERMJ, (sys.executable, "-m", "rcsssmj"))
+    if not missing_packages():
+        return ProcessLauncher(RCSSSERVERMJ, (sys.executable, "-m", "rcsssmj"))
+    missing = missing_server({})
+    if missing:
+        raise MujocoUnavailableError(missing)
+    return ProcessLauncher(RCSSSERVERMJ)
+
+
+def missing_server(environment: Mapping[str, str]) -> str:
+    """Return why no server can be started with these variables; empty if one can."""
+    if environment.get(PROGRAM_VARIABLE):
+        return missing_program(PROGRAM_VARIABLE, RCSSSERVERMJ, environment)
+    missing = missing_packages()
+    if not missing or shutil.which(RCSSSERVERMJ.name) is not None:
+        return ""
+    return (
+        f"{RCSSSERVERMJ.name}: no server to run ({missing}), or set {PROGRAM_VARIABLE} to its path or to 'docker:IMAGE'"
+    )

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from naosim.launchers import most_servers, require_servers
+from naosim.launchers import missing_program, most_servers, require_servers
 from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from naosim.robots import Robot
 
 _DIGITS_TITLE = "Sensor digits"
@@ -102,6 +104,13 @@ class ServerKind(SimulatorKind):
     def max_robots(self) -> int:
         """Return the most servers that this machine runs."""
         return most_servers()
+
+    def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
+        """Return why there is no server to run; empty if there is."""
+        from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D
+
+        del robot
+        return missing_program(PROGRAM_VARIABLE, RCSSSERVER3D, environment, embedded=True)
 
 
 EMBEDDED = EmbeddedKind()

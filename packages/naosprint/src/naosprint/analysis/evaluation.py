@@ -141,7 +141,7 @@ def evaluate(
         ValueError: if the policy does not fit the task.
     """
     policy, manifest = load_policy(checkpoint)
-    setting = spec.applied_to(manifest.spec)
+    setting = spec.applied_to(manifest.stage_spec)
     n = min(spec.n_envs, spec.episodes)
     most = plugins.load(plugins.SIMULATORS, setting.simulator.name).max_robots()
     environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)

@@ -8,7 +8,7 @@ import numpy as np
 from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
-from naosprint.export import nao
+from naosprint.export import booster, nao
 
 if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray
@@ -28,10 +28,10 @@ def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
         z = tanh(weights_0 @ z + bias_0), ..., weights_last @ z + bias_last
         targets = clip(middle_rad + reach_rad @ clip(z, -1, 1), low_rad, high_rad)
 
-    ``joint_view`` (A, J) turns joint angles into those of the policy. For NAOs, :mod:`naosprint.export.nao` adds what
-    their server needs.
+    ``joint_view`` (A, J) turns joint angles into those of the policy. :mod:`naosprint.export.nao` and
+    :mod:`naosprint.export.booster` add what their servers need.
     """
-    robot = manifest.spec.robot_description
+    robot = manifest.stage_spec.robot_description
     actuation = Actuation(robot)
     view = np.zeros((actuation.n_actions, actuation.n_joints))
     view[np.arange(actuation.n_actions), actuation.index] = actuation.sign
@@ -60,6 +60,8 @@ def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
         arrays[f"weights_{i}"], arrays[f"bias_{i}"] = weights, bias
     if robot.family == nao.FAMILY:
         arrays.update(nao.arrays(robot, manifest.observations))
+    elif robot.family == booster.FAMILY:
+        arrays.update(booster.arrays(robot, manifest.spec.simulator))
     return arrays
 
 

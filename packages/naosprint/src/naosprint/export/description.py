@@ -8,17 +8,19 @@ import numpy as np
 from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
-from naosprint.export import nao
+from naosprint.export import booster, nao
 from naosprint.export.arrays import FORMAT
 
 if TYPE_CHECKING:
+    from naosim.robots import Robot
+
     from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
 
 
 def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
     """Return the content of ``policy.json``: angles in degrees in the policy convention."""
-    robot = manifest.spec.robot_description
+    robot = manifest.stage_spec.robot_description
     actuation = Actuation(robot)
     low, zero, high = (
         np.degrees(actuation.targets(np.full((1, actuation.n_actions), action))[0, actuation.index] * actuation.sign)
@@ -41,7 +43,7 @@ def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
             }
             for name, a, b, c, sign in zip(manifest.actions, low, zero, high, actuation.sign, strict=True)
         ],
-        "controller": nao.controller() if robot.family == nao.FAMILY else None,
+        "controller": _controller(robot),
         "network": {
             "input": ["N", len(policy.mean)],
             "output": ["N", len(policy.log_std)],
@@ -49,3 +51,10 @@ def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
             "activation": "tanh",
         },
     }
+
+
+def _controller(robot: Robot) -> dict[str, Any] | None:
+    """Return what turns target angles into motor commands; None for robots of a family that is not ours."""
+    if robot.family == nao.FAMILY:
+        return nao.controller()
+    return booster.controller(robot) if robot.family == booster.FAMILY else None

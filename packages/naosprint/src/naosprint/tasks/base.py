@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S, Starts
 from naospec import TaskSettings
@@ -158,7 +159,11 @@ class Task:
             ValueError: if the robot cannot do it; the message names the setting.
         """
         if not cls.supports(robot):
-            raise ValueError(f"task: {cls.name} is not possible with robot {robot.name}")
+            possible = [name for name in robots.names() if cls.supports(robots.get(name))]
+            raise ValueError(
+                f"task: {cls.name} is not possible with robot {robot.name}; use another task, or one of the robots "
+                f"{', '.join(possible)}"
+            )
         return parameters
 
     # one run

@@ -39,7 +39,13 @@ class PenaltySettings(TaskSettings):
 
 
 def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]:
-    """Return the shared penalties as reward terms."""
+    """Return the shared penalties as reward terms.
+
+    Raises:
+        ValueError: if torque is penalized and the simulator does not report motor torques.
+    """
+    if settings.torque_penalty:
+        world.torque_share(slice(0, 1))
 
     def smoothness(rows: slice) -> FloatArray:
         return np.asarray(np.square(world.actions[rows] - world.previous_actions[rows]).mean(axis=1))

@@ -1,0 +1,46 @@
+"""What an agent on rcssservermj needs besides the policy: motor gains, and how to start."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from naosim.robots.booster import FAMILY
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+    from naosim.robots.booster import BoosterParameters
+    from naosim.simulator import SimulatorParameters
+
+    from naosprint.arrays import AnyArray
+
+__all__ = ["FAMILY", "arrays", "controller"]
+
+
+def _gains(robot: Robot) -> list[tuple[float, float]]:
+    """Return kp in N m/rad and kd in N m s/rad of every joint."""
+    parameters: BoosterParameters = robot.parameters  # type: ignore[assignment]
+    return [parameters.gains(name) for name in robot.joint_names]
+
+
+def controller(robot: Robot) -> dict[str, dict[str, float]]:
+    """Return the controller in the robot's motors: torque = kp times (target - angle) - kd times speed."""
+    stiffness, damping = zip(*_gains(robot), strict=True)
+    return {
+        "kp_nm_per_rad": dict(zip(robot.joint_names, stiffness, strict=True)),
+        "kd_nms_per_rad": dict(zip(robot.joint_names, damping, strict=True)),
+    }
+
+
+def arrays(robot: Robot, simulator: SimulatorParameters) -> dict[str, AnyArray]:
+    """Return the arrays that only Booster robots have.
+
+    ``kp`` and ``kd`` have a row per joint. ``settling_cycles`` is how long a robot holds the start pose after a beam.
+    """
+    kp, kd = zip(*_gains(robot), strict=True)
+    return {
+        "model": np.array(robot.data["model"]),
+        "kp": np.array(kp),
+        "kd": np.array(kd),
+        "settling_cycles": np.array(simulator.model_dump()["settle_steps"]),
+    }

@@ -1,0 +1,156 @@
+"""The example agent plays on real rcssservermj servers as the policy does in naosprint's own simulators."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim.launchers import Address, ProcessLauncher, ServerProgram
+from naosim.mujoco.program import RCSSSERVERMJ
+from naospec import TrainingSpec
+from naosprint.export import policy_arrays
+from naosprint.rl.checkpoint import Manifest
+from naosprint.rl.policy import Policy
+from naosprint.tasks.environment import open_environment
+
+AGENT = Path(__file__).parents[3] / "packages/naosprint/examples/run_policy_t1.py"
+PROGRAM = (sys.executable, "-m", "rcsssmj")
+REALTIME = ServerProgram(
+    name="rcssservermj",
+    arguments=("--aport", "{agent_port}", "--mport", "{monitor_port}", "--no-render"),
+    stop_signal=RCSSSERVERMJ.stop_signal,
+)
+RESULT = re.compile(r"(-?\d+\.\d\d) m in (\d+\.\d\d) s\n")
+
+
+@contextmanager
+def serving(program: ServerProgram) -> Iterator[Address]:
+    """Run a server; yield its address once it listens."""
+    server = ProcessLauncher(program, PROGRAM).start()
+    try:
+        deadline = time.monotonic() + 60.0
+        while not server.owns(server.address.monitor_port):
+            assert server.alive() and time.monotonic() < deadline, server.describe()
+            time.sleep(0.05)
+        yield server.address
+    finally:
+        server.stop()
+
+
+def exported(robot: str, folder: Path, spread: float) -> tuple[Policy, Path]:
+    """Export an untrained policy: the wider the spread of its weights, the sooner it falls."""
+    spec = TrainingSpec.model_validate({"robot": robot, "task": "sprint1"})
+    environment = open_environment(spec, 1, threads=1)
+    names, actions = environment.observer.names, environment.actuation.names
+    environment.close()
+    rng = np.random.default_rng(4)
+    sizes = (len(names), 16, len(actions))
+    layers = tuple(
+        (rng.normal(0.0, spread, (after, before)).astype(np.float32), rng.normal(0.0, spread, after).astype(np.float32))
+        for before, after in pairwise(sizes)
+    )
+    policy = Policy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
+    manifest = Manifest.model_construct(
+        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actions
+    )
+    path = folder / f"{robot}.npz"
+    np.savez(path, **policy_arrays(policy, manifest))
+    return policy, path
+
+
+@pytest.fixture
+def recorded(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[np.ndarray, ...]]:
+    """Run the agent on a server; return its observations, actions and targets."""
+
+    def run(path: Path, address: Address) -> tuple[np.ndarray, ...]:
+        spec = importlib.util.spec_from_file_location("run_policy_t1", AGENT)
+        assert spec is not None and spec.loader is not None
+        agent: Any = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(agent)
+        observe, act = agent.Runner.observe, agent.Runner.act
+        observations: list[np.ndarray] = []
+        actions: list[np.ndarray] = []
+        targets: list[np.ndarray] = []
+
+        def watched_observe(self: Any) -> np.ndarray:
+            observations.append(observe(self))
+            return observations[-1]
+
+        def watched_act(self: Any, observation: np.ndarray) -> np.ndarray:
+            targets.append(act(self, observation))
+            actions.append(self.action)
+            return targets[-1]
+
+        monkeypatch.setattr(agent.Runner, "observe", watched_observe)
+        monkeypatch.setattr(agent.Runner, "act", watched_act)
+        agent.main(path, address.host, address.agent_port, address.monitor_port)
+        return np.array(observations), np.array(actions), np.array(targets)
+
+    return run
+
+
+@pytest.mark.parametrize(("robot", "simulator"), [("t1", "embedded"), ("t1", "server"), ("k1", "embedded")])
+def test_the_agent_plays_as_the_policy_does_in_the_simulator(
+    robot: str, simulator: str, tmp_path: Path, recorded: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The agent's actions, repeated in our simulator, give its observations; the policy gives its actions for these.
+
+    The latency is the same as well: one step later, most numbers would differ.
+    """
+    policy, path = exported(robot, tmp_path, 0.2)
+    with serving(RCSSSERVERMJ) as address:
+        seen, actions, targets = recorded(path, address)
+    assert RESULT.fullmatch(capsys.readouterr().out)
+    assert 20 < len(seen) < 1000
+    environment = open_environment(
+        TrainingSpec.model_validate({"robot": robot, "simulator": simulator, "task": "sprint1"}), 1, threads=1
+    )
+    environment.load_starts(environment.task.starts(1, 0, 0.0))
+    environment.restart(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))
+    names = np.array(environment.observer.names)
+    # one digit: a thousandth of position and quaternion, a hundredth of a degree; velocities are differences in 20 ms
+    digit = np.where(np.char.startswith(names, "velocity_"), 0.06, 2.1e-3)
+    differing = 0
+    for step in range(20):
+        difference = np.abs(seen[step] - environment.observations[0])
+        assert (difference < digit).all(), f"step {step}: {names[difference >= digit]}"
+        differing += int((difference > 1e-6).sum())
+        wanted = policy.act(seen[step][None])
+        np.testing.assert_allclose(actions[step], wanted[0], atol=1e-5)
+        np.testing.assert_allclose(targets[step], environment.actuation.targets(wanted)[0], atol=1e-5)
+        environment.step(actions[step][None])
+    environment.close()
+    # another server's last bits are others, so that a number may be truncated to the digit beside
+    assert differing < 0.02 * 20 * len(names)
+    assert np.ptp(targets[:20], axis=0).max() > 0.1
+
+
+def test_two_agents_play_in_real_time_on_one_field(tmp_path: Path) -> None:
+    """A T1 and a K1 of two teams, in lanes of their own; the one that enters second disturbs the first."""
+    paths = {robot: exported(robot, tmp_path, 0.3)[1] for robot in ("t1", "k1")}
+    with serving(REALTIME) as address:
+        agents = [
+            subprocess.Popen(
+                [
+                    *(sys.executable, AGENT, paths[robot], address.host, str(address.agent_port)),
+                    *(str(address.monitor_port), team, "3", lane),
+                ],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            for robot, team, lane in (("t1", "ours", "4"), ("k1", "theirs", "6"))
+        ]
+        for agent in agents:
+            out, err = agent.communicate(timeout=120)
+            assert RESULT.fullmatch(out), (out, err)

@@ -1,0 +1,151 @@
+"""Robots, simulators and tasks that do not go together are refused with what is wrong and what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim import kinds, robots
+from naosim.mujoco import world
+from naospec import TrainingSpec, validation_words
+from naospec.plugins import UnknownPluginError
+from naosprint.tasks.environment import open_environment
+from pydantic import ValidationError
+
+ROBOTS = "k1, nao-0, nao-1, nao-2, nao-3, nao-4, t1"
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "an unknown robot": ({"robot": "t2"}, f"robot: unknown robot 't2': choose one of {ROBOTS}"),
+    "an unknown simulator": (
+        {"robot": "t1", "simulator": "mujoco"},
+        "simulator: unknown simulator 'mujoco': choose one of embedded, server",
+    ),
+    "an unknown task": (
+        {"robot": "t1", "task": "swim"},
+        "task: unknown task 'swim': choose one of getup, sprint1, sprint1-erect, sprint2, sprint2-erect, velocity",
+    ),
+    "a task that needs a perceived position": (
+        {"robot": "nao-3", "task": "velocity"},
+        "task: velocity is not possible with robot nao-3; use another task, or one of the robots k1, t1",
+    ),
+    "a task that needs lying robots": (
+        {"robot": "nao-0", "task": "getup"},
+        "task: getup is not possible with robot nao-0; use another task, or one of the robots k1, t1",
+    ),
+    "a setting of the embedded simulator on servers": (
+        {"robot": "t1", "simulator": {"name": "server", "action_delay": 0}},
+        "simulator.action_delay: server with robot t1 has no such setting: choose one of settle_steps",
+    ),
+    "a setting of another robot's simulator": (
+        {"robot": "nao-0", "simulator": {"name": "embedded", "action_delay": 0}},
+        "simulator.action_delay: embedded with robot nao-0 has no such setting: choose one of sensor_digits",
+    ),
+    "gains of a robot without any": (
+        {"robot": {"name": "nao-0", "kp": {"legs": 100}}},
+        "robot.kp: nao-0 has no such setting: it has none",
+    ),
+    "a joint that the robot lacks": (
+        {"robot": {"name": "k1", "kp": {"waist": 60}}},
+        "robot.kp: kp: there is no joint 'waist'; name a group (head, arms, legs), a kind of joint (head_yaw,",
+    ),
+    "a gain out of range": (
+        {"robot": {"name": "t1", "kd": {"legs": -1}}},
+        "robot.kd: kd: legs must be from 0 to 100, not -1",
+    ),
+    "a height that the robot does not reach": (
+        {"robot": "k1", "task": {"name": "sprint1", "min_height_m": 0.6}},
+        "task.min_height_m: 0.6 m is not below the standing height of robot k1, 0.552 m; use a smaller min_height_m",
+    ),
+    "a range of speeds the wrong way round": (
+        {"robot": "t1", "task": {"name": "velocity", "forward_min_mps": 1.0, "forward_max_mps": 0.5}},
+        "task: forward_min_mps: 1.0 is above forward_max_mps, 0.5; exchange them",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_specification_says_what_to_use_instead(what: str) -> None:
+    content, message = REFUSED[what]
+    with pytest.raises(ValidationError) as caught:
+        TrainingSpec.model_validate(content)
+    assert message in validation_words(caught.value.errors())
+
+
+@pytest.mark.parametrize(("find", "unknown"), [(robots.get, "t2"), (kinds.get, "gazebo")])
+def test_an_unknown_name_lists_the_known(find: Any, unknown: str) -> None:
+    with pytest.raises(UnknownPluginError, match=f"{unknown}.*choose one of"):
+        find(unknown)
+
+
+def opened(n: int = 1, **content: Any) -> Any:
+    return open_environment(TrainingSpec.model_validate(content), n, threads=1)
+
+
+@pytest.fixture
+def no_programs(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Return the environment of a machine with no server's program."""
+    for name in ("NAOSPRINT_SIMSERVER", "NAOSPRINT_RCSSSERVERMJ"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", "/nowhere")
+    return monkeypatch
+
+
+def test_a_missing_server_is_named_with_what_to_install_or_set(no_programs: pytest.MonkeyPatch) -> None:
+    with pytest.raises(
+        FileNotFoundError, match=r"NAOSPRINT_SIMSERVER: there is no program 'rcssserver3d'.*docker:IMAGE"
+    ):
+        opened(robot="nao-0", simulator="server")
+    no_programs.setenv("NAOSPRINT_RCSSSERVERMJ", "/opt/rcssservermj")
+    with pytest.raises(FileNotFoundError, match=r"NAOSPRINT_RCSSSERVERMJ: there is no program '/opt/rcssservermj'"):
+        opened(robot="t1", simulator="server")
+
+
+@pytest.mark.parametrize("simulator", ["embedded", "server"])
+@pytest.mark.parametrize(("installed", "state"), [("3.4.0", "3.4.0 is installed"), (None, "it is not installed")])
+def test_another_or_no_mujoco_is_named_with_the_command_that_installs_it(
+    no_programs: pytest.MonkeyPatch, simulator: str, installed: str | None, state: str
+) -> None:
+    def version(package: str) -> str:
+        if installed is None:
+            raise world.metadata.PackageNotFoundError(package)
+        return installed
+
+    no_programs.setattr(world.metadata, "version", version)
+    remedy = "run 'pip install mujoco==3.5.0 rcsssmj==0.2.1'"
+    with pytest.raises(world.MujocoUnavailableError, match=rf"mujoco: version 3.5.0 is needed, {state}; {remedy}"):
+        opened(robot="k1", simulator=simulator)
+
+
+def test_more_servers_than_the_machine_runs_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"n_envs: 4096 robots need as many servers.*set n_envs to"):
+        opened(4096, robot="t1", simulator="server")
+
+
+def test_a_torque_penalty_needs_a_simulator_that_reports_torques() -> None:
+    with pytest.raises(
+        ValueError, match=r"torque_penalty: EmbeddedSimulator does not report motor torques; set it to 0"
+    ):
+        opened(robot="nao-0", task={"name": "sprint1", "torque_penalty": 0.1})
+
+
+def test_start_poses_that_do_not_stand_are_refused_with_gains_that_do() -> None:
+    environment = opened(
+        robot={"name": "t1", "kp": {"ankle_pitch": 10.0}}, simulator={"name": "embedded", "settle_steps": 200}
+    )
+    with pytest.raises(
+        ValueError, match=r"t1 does not stand after 200 steps .* use stiffer ankles \(robot.kp.ankle_pitch"
+    ):
+        environment.load_starts(environment.task.starts(1, 0, 0.0))
+    environment.close()
+
+
+def test_lying_starts_are_for_the_embedded_simulator() -> None:
+    """Known before a server has done anything with them."""
+    environment = opened(robot="t1", simulator="server", task="getup")
+    try:
+        with pytest.raises(ValueError, match="beams robots upright only; use the embedded simulator"):
+            environment.load_starts(environment.task.starts(4, 0, 0.0))
+        assert np.isfinite(environment.simulator.truth.torso_position).all()
+    finally:
+        environment.close()

@@ -1,0 +1,67 @@
+"""A worker offers the robots that its machine can run."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from naosim import robots
+from naosim.mujoco import world
+from naosprint_worker.capabilities import installed_capabilities
+from naosprint_worker.settings import WorkerSettings
+
+
+@pytest.fixture
+def environment(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    """Return the environment of a worker for jobs on servers, on a machine with no server's program."""
+    for name, value in {
+        "MODE": "local",
+        "DATABASE_URL": "postgresql://localhost/naosprint",
+        "BROKER_URL": "redis://localhost:6379/0",
+        "ARTIFACT_URL": "file:///tmp/artifacts",
+        "WORKER_QUEUES": "server",
+    }.items():
+        monkeypatch.setenv(f"NAOSPRINT_{name}", value)
+    for name in ("NAOSPRINT_SIMSERVER", "NAOSPRINT_RCSSSERVERMJ"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", "/nowhere")
+    return monkeypatch
+
+
+def offered() -> list[str]:
+    return list(installed_capabilities(WorkerSettings()).robots)  # type: ignore[call-arg]
+
+
+def test_a_worker_with_one_server_offers_its_robots(
+    environment: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        assert offered() == ["k1", "t1"]
+    expected = "robot nao-0 cannot run in simulator server: NAOSPRINT_SIMSERVER: there is no program 'rcssserver3d'"
+    assert expected in caplog.messages
+    environment.setattr(world.metadata, "version", lambda name: "3.4.0")
+    assert offered() == []
+    for program in ("embedded", "docker:naosprint/simserver"):
+        environment.setenv("NAOSPRINT_SIMSERVER", program)
+        assert offered() == [f"nao-{robot_type}" for robot_type in range(5)]
+    environment.setenv("NAOSPRINT_RCSSSERVERMJ", "docker:naosprint/rcssservermj")
+    assert offered() == list(robots.names())
+    environment.setenv("NAOSPRINT_RCSSSERVERMJ", "embedded")
+    assert "t1" not in offered()
+
+
+def test_a_worker_without_servers_offers_what_it_can_embed(environment: pytest.MonkeyPatch) -> None:
+    environment.setenv("NAOSPRINT_WORKER_QUEUES", "embedded")
+    assert offered() == list(robots.names())
+    environment.setattr(world.metadata, "version", lambda name: "3.4.0")
+    assert "t1" not in offered() and "nao-0" in offered()
+
+
+def test_trainings_find_both_servers(environment: pytest.MonkeyPatch) -> None:
+    environment.setenv("NAOSPRINT_RCSSSERVERMJ", "docker:naosprint/rcssservermj")
+    environment.setenv("NAOSPRINT_SIMSERVER_NETWORK", "own")
+    assert WorkerSettings().server_environment == {  # type: ignore[call-arg]
+        "NAOSPRINT_SIMSERVER": "rcssserver3d",
+        "NAOSPRINT_RCSSSERVERMJ": "docker:naosprint/rcssservermj",
+        "NAOSPRINT_SIMSERVER_NETWORK": "own",
+    }
