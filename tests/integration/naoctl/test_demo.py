@@ -1,4 +1,4 @@
-"""The last act of the demonstration: a policy from the box runs beside the one just learnt."""
+"""The last part of the demonstration: a bundled policy beside the one just trained."""
 
 from __future__ import annotations
 
@@ -8,24 +8,27 @@ from pathlib import Path
 import naopolicies
 import pytest
 from naoctl import demo
-from naoctl.commands.policies import judge
+from naoctl.commands.policies import evaluate
 from naoctl.context import Context
+from naoctl.evaluations import headline
 from naoctl.stack.layout import Layout
 from rich.console import Console
 
 
-def test_a_policy_from_the_box_runs_beside_the_one_just_learnt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo, "SHIPPED_EPISODES", 4)
-    monkeypatch.setattr(demo, "SHIPPED_FILM_S", 0.1)
-    learnt = judge(demo.SHIPPED, episodes=2)
+def test_a_bundled_policy_is_shown_beside_the_one_just_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "BUNDLED_EPISODES", 4)
+    monkeypatch.setattr(demo, "BUNDLED_FILM_S", 0.1)
+    trained = evaluate(demo.BUNDLED, episodes=2)
     out = io.StringIO()
     context = Context(out=Console(file=out, width=200))
-    demo.Demo(context, Layout.at(tmp_path / "data"), tmp_path).let_shipped_run({"summary": learnt}, tmp_path / "run")
+    demo.Demo(context, Layout.at(tmp_path / "data"), tmp_path).show_bundled({"summary": trained}, tmp_path / "run")
     lines = {line[:12].strip(): line[12:] for line in out.getvalue().splitlines()}
-    shipped = judge(demo.SHIPPED, episodes=4)
-    assert lines["Just learnt"].startswith(f"{learnt['speed_mps']['mean']:.2f} m/s")
-    assert lines["Sprint"].startswith(f"{shipped['speed_mps']['mean']:.2f} m/s")
-    assert f"{naopolicies.card(demo.SHIPPED)['steps']:,} steps" in lines["Sprint"]
+    bundled = evaluate(demo.BUNDLED, episodes=4)
+    for text in headline(trained).values():
+        assert text in lines["Trained"]
+    for text in headline(bundled).values():
+        assert text in lines["Sprint"]
+    assert f"after {naopolicies.card(demo.BUNDLED)['steps']:,} steps" in lines["Sprint"]
     film = tmp_path / "run" / "replay.mp4"
     assert lines["Film"] == film.resolve().as_uri()
     assert b"ftyp" in film.read_bytes()[:12]

@@ -108,8 +108,8 @@ def test_flags_reach_the_specification_as_numbers() -> None:
         ({"preset": "swift"}, ["--preset", "fast"]),
         ({"hidden_sizes": "0"}, ["--hidden-sizes", "greater than or equal to 1"]),
         ({"min_height_m": "3"}, ["--min-height-m", "standing height"]),
-        ({"robot": "t1", "sensor_digits": "2"}, ["--sensor-digits", "no such field", "settle_steps"]),
-        ({"task": "velocity", "drift_penalty": "1"}, ["--drift-penalty", "no such field", "turn_weight"]),
+        ({"robot": "t1", "sensor_digits": "2"}, ["--sensor-digits", "no such setting", "settle_steps"]),
+        ({"task": "velocity", "drift_penalty": "1"}, ["--drift-penalty", "no such setting", "turn_weight"]),
         ({"kp": "60"}, ["--kp"]),
     ],
 )
@@ -122,7 +122,9 @@ def test_errors_name_the_flag_and_what_is_right(flags: dict[str, str], words: li
 
 
 def test_errors_of_a_file_name_the_field_and_the_file() -> None:
-    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.algorithm\.n_env: no such field; there are .*n_envs"):
+    with pytest.raises(
+        InvalidInput, match=r"job\.yaml: spec\.algorithm\.n_env: ppo has no such setting: choose one of .*n_envs"
+    ):
         build(TrainingSpec, {"algorithm": {"n_env": 3}}, where="job.yaml: spec.")
     with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.n_envs: moved to algorithm\.n_envs"):
         build(TrainingSpec, {"n_envs": 3}, where="job.yaml: spec.")

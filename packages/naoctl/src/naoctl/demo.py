@@ -129,7 +129,7 @@ class Demo:
         self._head(f"7. For comparison, the bundled policy {BUNDLED}")
         trained, bundled = evaluation["summary"], evaluate(BUNDLED, episodes=BUNDLED_EPISODES)
         for title, summary, steps in (
-            ("Just trained", trained, trained["checkpoint"]["step"]),
+            ("Trained", trained, trained["checkpoint"]["step"]),
             (BUNDLED.capitalize(), bundled, naopolicies.card(BUNDLED)["steps"]),
         ):
             results = ", ".join(f"{name.lower()} {text}" for name, text in headline(summary).items())

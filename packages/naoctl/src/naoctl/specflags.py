@@ -184,12 +184,11 @@ def build(
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise InvalidInput(_explain(model, values, error, from_flags or {}, prefix, where)) from None
+        raise InvalidInput(_explain(model, error, from_flags or {}, prefix, where)) from None
 
 
 def _explain(
     model: type[BaseModel],
-    values: Mapping[str, Any],
     error: ValidationError,
     from_flags: Mapping[str, Setting],
     prefix: str,
@@ -213,7 +212,7 @@ def _explain(
         places = (path, (*path, "name"), path[:2], path[:1])
         name = next((flags[place] for place in places if place in flags), where + ".".join(path))
         if item["type"] == "extra_forbidden":
-            known = ", ".join(_fields_at(model, values, path[:-1]))
+            known = ", ".join(_fields_at(model, path[:-1]))
             lines.append(f"{name}: no such field" + (f"; there are {known}" if known else ""))
         else:
             given = item.get("input")
@@ -222,17 +221,11 @@ def _explain(
     return "; ".join(lines)
 
 
-def _fields_at(model: type[BaseModel], values: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    """Return the names of the settings beside an unknown one."""
+def _fields_at(model: type[BaseModel], path: tuple[str, ...]) -> list[str]:
+    """Return the names of the fields beside an unknown one; sections name their own."""
     if not path:
         return list(model.model_fields)
-    section = values.get(path[0])
-    plugin = section.get("name") if isinstance(section, Mapping) else section
-    return [
-        setting.path[1]
-        for setting in training_settings().values()
-        if setting.path[:-1] == path and (not setting.plugins or plugin in (None, *setting.plugins))
-    ]
+    return [setting.path[1] for setting in training_settings().values() if setting.path[:-1] == path]
 
 
 def _is_mapping(annotation: Any) -> bool:
