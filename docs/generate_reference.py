@@ -20,14 +20,13 @@ from naoctl.cli import EPILOG, build_app
 from naojobs.events import EVENT_KINDS
 from naojobs.settings import ServiceSettings
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
-from naospec import EvaluationSpec, TrainingSpec
-from naospec.presets import PRESET_SUMMARIES, PRESETS
-from naospec.tasks import TASKS
-from naosprint.columns import COLUMNS
+from naospec import EvaluationSpec, RuntimeSettings, Stage, TrainingSpec, flat, plugins, presets, recipes
+from naosprint.rl.columns import PACE, PROGRESS
+from naosprint.tasks.base import EPISODE_METRICS
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_worker.settings import WorkerSettings
-from pydantic import BaseModel
+from pydantic import BaseModel, create_model
 from pydantic_core import PydanticUndefined
 
 if TYPE_CHECKING:
@@ -170,37 +169,76 @@ def _argument(action: argparse.Action) -> tuple[str, str]:
 
 def _specification() -> Iterator[str]:
     yield "# Specification"
-    yield "\nA job's `spec` and `evaluation`, the flags of `naoctl submit`, the options of `python -m naosprint` and"
-    yield "the dashboard's form are all these fields. An unknown field is refused."
+    yield "\nA job's `spec` and `evaluation`. The flags of `naoctl submit`, the options of `python -m naosprint` and"
+    yield "the dashboard's form are these settings under their short names: `algorithm.learning_rate` is"
+    yield "`--learning-rate`. An unknown setting is refused."
     yield "\n## Training\n"
-    yield "A field that is left out takes the value of the [preset](#presets).\n"
+    yield "A section is a mapping with the `name` of a plug-in and its settings, or the name alone. A setting that is"
+    yield "left out takes the value of the [preset](#presets).\n"
     yield from _fields(TrainingSpec)
+    for section, group in flat.GROUPS.items():
+        yield f"\n### {section}\n"
+        yield from _table(
+            ("Name", "Meaning"), [(_code(name), _cell(_about(group, name))) for name in plugins.names(group)]
+        )
+        yield ""
+        yield from _settings_of(section, set(plugins.names(group)))
+    yield "\n### stages\n"
+    yield from _fields(Stage)
+    yield "\n### runtime\n"
+    yield from _fields(RuntimeSettings)
     yield "\n## Evaluation\n"
     yield from _fields(EvaluationSpec)
     yield "\n## Presets\n"
-    for name, summary in PRESET_SUMMARIES.items():
-        yield f"- `{name}`: {summary}"
+    names = presets.names()
+    for name in names:
+        yield f"- `{name}`: {presets.summary(name)}"
     yield ""
-    names = [name for name in PRESETS if name != "custom"]
-    settings = list(next(iter(PRESETS.values())))
-    yield from _table(
-        ("Field", *(_code(name) for name in names)),
-        [(_code(field), *(_value(PRESETS[name][field]) for name in names)) for field in settings],
-    )
-    yield "\n## Tasks\n"
-    yield from _table(
-        ("Task", "What it is", "Finish line", "Longest episode", "Falls below"),
-        [
-            (
-                _code(task.name),
-                task.summary,
-                "none" if task.finish_x_m is None else f"x = {task.finish_x_m:g} m",
-                f"{task.max_steps} steps{'' if task.horizon_is_terminal else ' (a time limit)'}",
-                f"{task.min_height_m:g} m",
-            )
-            for task in TASKS.values()
-        ],
-    )
+    for family in (None, *sorted({family for name in names for family in presets.read(name).get("robots", {})})):
+        values = {name: _preset_values(name, family) for name in names}
+        paths = dict.fromkeys(path for one in values.values() for path in one)
+        shown = [name for name in names if values[name]]
+        if family is not None:
+            yield f"\nFor robots of family {_code(family)}, in place of these:\n"
+        rows = [
+            (_code(path), *(_value(values[name][path]) if path in values[name] else "" for name in shown))
+            for path in paths
+        ]
+        yield from _table(("Setting", *(_code(name) for name in shown)), rows)
+    yield "\n## Recipes\n"
+    yield "Jobs that are known to work, for `naoctl submit --recipe NAME`.\n"
+    yield from _table(("Recipe", "Meaning"), [(_code(name), _cell(recipes.summary(name))) for name in recipes.names()])
+
+
+def _about(group: str, name: str) -> str:
+    """Return one line about a plug-in."""
+    plugin = plugins.load(group, name)
+    return str(plugin.title if group == plugins.ROBOTS else plugin.summary)
+
+
+def _settings_of(section: str, names: set[str]) -> Iterator[str]:
+    """Write the settings of all plug-ins of a section, with the plug-ins that have each."""
+    rows = []
+    for setting in flat.settings().values():
+        if setting.path[0] != section or len(setting.path) != 2 or setting.path[1] == "name":
+            continue
+        part = create_model("_", value=(setting.info.annotation, setting.info)).model_json_schema()
+        field = part["properties"].get("value", {})
+        unit = f" Unit: {field['unit']}." if "unit" in field else ""
+        whose = ", ".join(_code(name) for name in setting.plugins) if set(setting.plugins) != names else ""
+        meaning = _cell(f"{setting.info.description or ''}{unit}")
+        rows.append((_code(setting.path[1]), _type(field), _value(setting.info.default), whose or "all", meaning))
+    if rows:
+        yield from _table(("Setting", "Values", "Default", "Of", "Meaning"), rows)
+
+
+def _preset_values(name: str, family: str | None) -> dict[str, Any]:
+    """Return what a preset sets by path; with a family, only what it sets for its robots in particular."""
+    content = presets.read(name)
+    content = content if family is None else content.get("robots", {}).get(family, {})
+    return {
+        f"{section}.{field}": value for section in presets.SECTIONS for field, value in content.get(section, {}).items()
+    }
 
 
 def _fields(model: type[BaseModel]) -> Iterator[str]:
@@ -209,12 +247,17 @@ def _fields(model: type[BaseModel]) -> Iterator[str]:
     for name, field in model.model_fields.items():
         part = schema["properties"][name]
         unit = f" Unit: {part['unit']}." if "unit" in part else ""
-        rows.append((_code(name), _type(part), _value(field.default), _cell(f"{field.description}{unit}")))
+        default = _value(part.get("default", field.default)) if not field.default_factory else "see below"
+        rows.append((_code(name), _type(part), default, _cell(f"{field.description}{unit}")))
     yield from _table(("Field", "Values", "Default", "Meaning"), rows)
 
 
 def _type(part: dict[str, Any]) -> str:
     """Say in words which values a JSON schema allows."""
+    if "x-plugin-group" in part:
+        return "section, or a name: " + ", ".join(
+            dict.fromkeys(_value(option["properties"]["name"]["const"]) for option in part["oneOf"])
+        )
     if "anyOf" in part:
         return " or ".join(_type(choice) for choice in part["anyOf"])
     if "$ref" in part:
@@ -309,18 +352,25 @@ def _metrics() -> Iterator[str]:
     yield "\n## Of a training\n"
     yield "One row is written after every update of the policy. `GET /jobs/{job_id}/metrics`, the live stream, and the"
     yield "`metrics.jsonl` that `naoctl download` fetches and that a training without the service writes have these"
-    yield "columns; a figure that has no value yet is missing.\n"
-    yield from _table(
-        ("Column", "Unit", "Meaning"),
-        [(_code(name), column.unit, _cell(column.meaning)) for name, column in COLUMNS.items()],
-    )
+    yield "columns; a metric that has no value yet is missing.\n"
+    tasks = [plugins.load(plugins.TASKS, name) for name in plugins.names(plugins.TASKS)]
+    kinds = [plugins.load(plugins.LEARNERS, name) for name in plugins.names(plugins.LEARNERS)]
+    groups = [
+        ("Every training", (*PROGRESS, *EPISODE_METRICS, *PACE)),
+        *((f"Task {_code(task.name)}", [metric for metric in task.metrics if metric.live]) for task in tasks),
+        *((f"Algorithm {_code(kind.name)}", kind.metrics) for kind in kinds),
+    ]
+    for title, metrics in groups:
+        yield f"\n### {title}\n"
+        rows = [(_code(metric.name), metric.unit, _cell(metric.description)) for metric in metrics]
+        yield from _table(("Column", "Unit", "Meaning"), rows)
     yield "\n## Of the service\n"
     yield "`GET /metrics` answers in Prometheus's text format, to tokens with the scope `admin`.\n"
-    rows = [
+    table = [
         (_code(name), kind, ", ".join(_code(label) for label in labels), _cell(text))
         for name, kind, labels, text in Telemetry.catalogue()
     ]
-    yield from _table(("Metric", "Kind", "Labels", "Meaning"), rows)
+    yield from _table(("Metric", "Kind", "Labels", "Meaning"), table)
 
 
 def _events() -> Iterator[str]:
@@ -435,6 +485,8 @@ def _code(text: str) -> str:
 
 
 def _value(value: Any) -> str:
+    if value is PydanticUndefined:
+        return "required"
     if isinstance(value, tuple):
         value = list(value)
     return _code(value if isinstance(value, str) and value else json.dumps(value))

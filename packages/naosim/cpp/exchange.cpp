@@ -68,7 +68,9 @@ void Exchange::attach(int row, int agent_fd, int monitor_fd) {
     stream->used = 0;
   }
   c.messages = c.frames = c.message_goal = c.frame_goal = 0;
+  c.spoken = Clock::now();
   c.failure.clear();
+  c.failed = false;
   clear(row);
 }
 
@@ -79,11 +81,13 @@ void Exchange::detach(int row) {
     stream->fd = -1;
   }
   if (c.failure.empty()) c.failure = kDetached;
+  c.failed = true;
 }
 
 void Exchange::fail(int row, std::string reason) {
-  std::string& failure = channels_[row].failure;
-  if (failure.empty() || failure == kDetached) failure = std::move(reason);
+  Channel& c = channels_[row];
+  if (c.failure.empty() || c.failure == kDetached) c.failure = std::move(reason);
+  c.failed = true;
 }
 
 void Exchange::send(int row, bool monitor, std::string_view framed) {
@@ -91,6 +95,7 @@ void Exchange::send(int row, bool monitor, std::string_view framed) {
   const int fd = monitor ? c.monitor.fd : c.agent.fd;
   if (fd < 0 || !c.failure.empty()) return;
   const auto until = after(5.0);
+  if (!monitor) c.spoken = Clock::now();
   while (!framed.empty()) {
     const ssize_t sent = ::send(fd, framed.data(), framed.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent > 0) {
@@ -195,9 +200,29 @@ int Exchange::gather(const std::uint8_t* rows, double timeout_s) {
     const std::string problem = lacking(row);
     if (!problem.empty()) fail(row, "malformed reply: " + problem);
   }
-  int failed = 0;
-  for (const Channel& c : channels_) failed += !c.failure.empty();
-  return failed;
+  return failed();
+}
+
+int Exchange::failed() const {
+  int count = 0;
+  for (const Channel& c : channels_) count += c.failed;
+  return count;
+}
+
+int Exchange::renew(const std::uint8_t* chosen, double silence_s, double timeout_s) {
+  const auto before = Clock::now() - std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(silence_s));
+  std::vector<std::uint8_t> rows(channels_.size(), 0);
+  for (int row = 0; row < size(); ++row) {
+    if (chosen != nullptr && !chosen[row]) continue;
+    Channel& c = channels_[row];
+    if (c.failed || c.spoken > before || c.messages < c.message_goal) continue;
+    rows[row] = 1;
+    c.message_goal = c.messages + 1;
+    c.frame_goal = c.frames + 1;
+    post(row, false, "(syn)");
+  }
+  wait(rows.data(), timeout_s);
+  return failed();
 }
 
 void Exchange::collect(const std::uint8_t* rows, int messages, int frames, double timeout_s) {

@@ -1,5 +1,7 @@
 // One round trip with many servers at once: send to all, then collect from all. What the messages say is up to subclasses.
 #pragma once
+#include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <string>
 #include <string_view>
@@ -24,6 +26,10 @@ class Exchange {
   // Wait for the answer of each chosen row to what was dispatched: one message and, with a monitor, one frame.
   // Returns how many rows have failed, all told.
   int gather(const std::uint8_t* rows, double timeout_s);
+  // Step those chosen servers to which nothing was sent for `silence_s`, so that they keep their robots. Other threads may open
+  // connections of other rows meanwhile.
+  // Returns how many rows have failed, all told.
+  int renew(const std::uint8_t* rows, double silence_s, double timeout_s);
   // Wait until every chosen row got `messages` agent messages and `frames` monitor frames.
   void collect(const std::uint8_t* rows, int messages, int frames, double timeout_s);
   // Read what is there and go on until nothing came for `quiet_s`.
@@ -53,8 +59,11 @@ class Exchange {
     Stream agent, monitor;
     long messages = 0, frames = 0;
     long message_goal = 0, frame_goal = 0;  // how many there will be once the server has answered
+    std::chrono::steady_clock::time_point spoken{};  // when something was last sent to the agent port
     std::string failure;
+    std::atomic<bool> failed{true};  // whether there is a failure, for other threads
   };
+  int failed() const;
   void send(int row, bool monitor, std::string_view framed);
   void wait(const std::uint8_t* rows, double timeout_s);
   bool receive(int row, bool monitor);  // false once the row has failed

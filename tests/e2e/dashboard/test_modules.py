@@ -228,13 +228,16 @@ def test_dragging_zooms_all_linked_charts_and_a_double_click_shows_all(page: Bro
 
 
 def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
-    """All charts of a job page together, each figure that they have, while rows come in and while zooming."""
+    """All charts of a job page together, each metric that they show, while rows come in and while zooming."""
     page.theme("light")
     following, zooming, reset, drawn = page.module(
         """
         const { CurvesTab } = await import("/ui/js/views/job-curves.js");
         const { Columns } = await import("/ui/js/columns.js");
-        const { CURVES } = await import("/ui/js/curves.js");
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const get = async (path) => (await fetch(path)).json();
+        const known = new Descriptions(await get("/tasks"), await get("/algorithms"));
+        const spec = { task: { name: "sprint1" }, algorithm: { name: "ppo" } }, curves = known.charts(spec);
         const native = window.requestAnimationFrame.bind(window), spent = [];
         // What the page does in a frame; canvases are drawn in it, too.
         window.requestAnimationFrame = (work) => native((now) => {
@@ -242,14 +245,14 @@ def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
           work(now);
           spent.push(performance.now() - before);
         });
-        const names = ["time_s", ...CURVES.flatMap((c) => c.lines?.map(([key]) => key) ?? [c.key])];
+        const names = ["time_s", ...curves.flatMap((c) => c.metrics.map((m) => m.name))];
         const value = (name, i) => (name === "time_s" ? i / 3 : Math.sin(i / 3000 + name.length) + Math.random() / 5);
-        const figures = (i) => Object.fromEntries(names.map((name) => [name, value(name, i)]));
-        const row = (i) => ({ step: 8192 * (i + 1), ...figures(i) });
+        const values = (i) => Object.fromEntries(names.map((name) => [name, value(name, i)]));
+        const row = (i) => ({ step: 8192 * (i + 1), ...values(i) });
         const metrics = new Columns();
         for (let i = 0; i < 100_000; i++) metrics.push(row(i));
         const store = Object.assign(new EventTarget(), {
-          id: "x", metrics, job: { state: "running", spec: { task: "sprint1" }, name: "x" },
+          id: "x", metrics, job: { state: "running", spec, name: "x" }, known,
           on(topic, listener) { this.addEventListener(topic, listener); },
         });
         const root = document.getElementById("main");
@@ -259,7 +262,7 @@ def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
         const settled = async () => { let n; do { n = spent.length; await frame(); } while (spent.length !== n); };
         await settled();
         const charts = tab.charts.map((c) => c.chart);
-        if (charts.filter((c) => c.u).length !== CURVES.length) throw new Error("not all charts were drawn");
+        if (charts.filter((c) => c.u).length !== curves.length) throw new Error("not all charts were drawn");
         const longest = async (act) => {
           spent.length = 0;
           const before = performance.now();
@@ -291,9 +294,51 @@ def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
         """
     )
     print(  # noqa: T201
-        f"longest frame at 100,000 points in 13 charts: {following:.1f} ms following, {zooming:.1f} ms zooming, "
+        f"longest frame at 100,000 points in each chart: {following:.1f} ms following, {zooming:.1f} ms zooming, "
         f"{reset:.1f} ms zooming out; {drawn} points in the zoomed part"
     )
     # 50 ms is where people begin to feel a delay; this is a software renderer.
     assert max(following, zooming, reset) < 50
     assert drawn >= 900, "zooming in does not show more points"
+
+
+def test_metrics_are_written_as_their_descriptions_say(page: Browser) -> None:
+    metrics = [
+        {"name": "a", "unit": "m/s", "digits": 2},
+        {"name": "b", "unit": "%", "digits": 1},
+        {"name": "c", "unit": "°", "digits": 1},
+        {"name": "d", "unit": "", "digits": 0},
+        {"name": "e", "unit": "", "digits": None},
+        {"name": "f", "unit": "", "digits": 6},
+    ]
+    found = page.module(
+        """
+        const { withUnit } = await import("/ui/js/format.js");
+        return args[0].map((m, i) => withUnit(m, args[1][i]));
+        """,
+        metrics,
+        [4.034, 0.0042, -3.25, 12345.4, 0.0012345, 5e-4],
+    )
+    assert found == ["4.03 m/s", "0.4 %", "\N{MINUS SIGN}3.3°", "12,345", "0.001235", "0.000500"]
+
+
+def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
+    found = page.module(
+        """
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const metric = (name, title) => ({ name, title, unit: "", digits: 2, better: null });
+        const task = { name: "jump", metrics: [metric("height_m", "Height")], listed: ["height_m", "gone"],
+          charts: [{ title: "Jumps", metrics: ["height_m"] }],
+          references: [{ metric: "height_m", value: 2, title: "record" }] };
+        const known = new Descriptions([task], []);
+        const charts = (spec, columns) => known.charts(spec, columns).filter((c) => c.group === "task")
+          .map((c) => [c.title, c.metrics.map((m) => m.title), c.refs]);
+        return [charts({ task: { name: "jump" } }, ["height_m", "my_metric", "step", "eta_s"]),
+          charts({ task: "gone" }, ["height_m"]), known.listed({ task: { name: "jump" } }).map((m) => m.title)];
+        """
+    )
+    assert found == [
+        [["Jumps", ["Height"], [{"y": 2, "label": "record"}]], ["My metric", ["My metric"], []]],
+        [["Height m", ["Height m"], []]],
+        ["Height"],
+    ]

@@ -38,7 +38,7 @@ def problem(answer: httpx.Response, status: int) -> dict[str, Any]:
 def test_a_job_from_submit_to_delete(client: httpx.Client) -> None:
     job = submit(client, name="first", tags=["a/b"], spec={"task": "sprint2", "total_steps": 1000})
     assert (job["state"], job["owner"], job["name"]) == ("queued", "alice", "first")
-    assert job["evaluation"]["task"] == "sprint2"
+    assert (job["spec"]["task"]["name"], job["evaluation"]["task"]) == ("sprint2", None)
     path = f"/jobs/{job['id']}"
     assert client.get(path).json() == job
     assert client.post(f"{path}/pause").json()["state"] == "paused"
@@ -53,7 +53,7 @@ def test_a_job_from_submit_to_delete(client: httpx.Client) -> None:
 
 def test_an_empty_object_is_a_job_of_defaults(client: httpx.Client) -> None:
     job = submit(client)
-    assert (job["name"], job["spec"]["preset"], job["priority"]) == ("sprint1-fast-0", "fast", 5)
+    assert (job["name"], job["spec"]["algorithm"]["preset"], job["priority"]) == ("sprint1-fast-0", "fast", 5)
 
 
 def test_a_job_without_evaluation(client: httpx.Client) -> None:
@@ -75,12 +75,20 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
 @pytest.mark.parametrize(
     ("body", "field", "hint"),
     [
-        ({"spec": {"learning_rate": 0}}, "spec.learning_rate", "greater than 0"),
-        ({"spec": {"learning_rat": 1}}, "spec.learning_rat", "no such field"),
-        ({"spec": {"batch_size": 1000}}, "spec.batch_size", "choose a divisor"),
+        ({"spec": {"algorithm": {"learning_rate": 0}}}, "spec.algorithm.learning_rate", "greater than 0"),
+        ({"spec": {"algorithm": {"learning_rat": 1}}}, "spec.algorithm.learning_rat", "no such setting"),
+        ({"spec": {"learning_rate": 1}}, "spec.learning_rate", "moved to algorithm.learning_rate"),
+        ({"spec": {"algorithm": {"batch_size": 1000}}}, "spec.algorithm.batch_size", "use a divisor"),
+        ({"spec": {"algorithm": {"hidden_sizes": [64, 0]}}}, "spec.algorithm.hidden_sizes.1", "greater than or equal"),
         ({"spec": {"task": "marathon"}}, "spec.task", "choose one of"),
-        ({"spec": {"min_height": 0.5}}, "spec.min_height", "smaller min_height"),
-        ({"spec": {"hidden_sizes": [64, 0]}}, "spec.hidden_sizes.1", "greater than or equal to 1"),
+        ({"spec": {"task": {"name": "sprint1", "min_height_m": 0.5}}}, "spec.task.min_height_m", "smaller min_height"),
+        ({"spec": {"task": {"name": "sprint1", "version": 9}}}, "spec.task.version", "installed is version"),
+        ({"spec": {"task": {"drift_penalty": -1}}}, "spec.task.drift_penalty", "greater than or equal to 0"),
+        ({"spec": {"robot": "r2"}}, "spec.robot", "choose one of"),
+        ({"spec": {"robot": "nao-0", "simulator": "moon"}}, "spec.simulator", "choose one of"),
+        ({"spec": {"runtime": {"simulator_threads": 0}}}, "spec.runtime.simulator_threads", "greater than or equal"),
+        ({"spec": {"stages": [{"steps": 0}]}}, "spec.stages.0.steps", "greater than or equal to 1"),
+        ({"spec": {"stages": [{"steps": 9, "algorithm": {"gamma": 2}}]}}, "spec.stages.0.algorithm.gamma", "less than"),
         ({"evaluation": {"episodes": 0}}, "evaluation.episodes", "greater than or equal to 1"),
         ({"tags": ["ok", "not ok"]}, "tags.1", "pattern"),
         ({"tags": ["a"] * 21}, "tags", "at most 20"),

@@ -1,4 +1,4 @@
-"""The policies in the box, over HTTP."""
+"""Bundled policies over HTTP."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import httpx
 import naopolicies
 import pytest
 from naospec import TrainingSpec
-from naosprint.policy import load_policy
-from naosprint.replay import load_replay
+from naosprint.analysis.replay import load_replay
+from naosprint.rl.policy import load_policy
 
 
-def test_cards_of_all_shipped_policies(client: httpx.Client) -> None:
+def test_cards_of_all_bundled_policies(client: httpx.Client) -> None:
     cards = client.get("/policies").json()
     assert [card["name"] for card in cards] == list(naopolicies.names())
     for card in cards:
@@ -29,7 +29,7 @@ def test_replay_can_be_played(client: httpx.Client, tmp_path: Path, name: str) -
     assert answer.headers["content-type"] == "application/json"
     path = tmp_path / "replay.json"
     path.write_bytes(answer.content)
-    assert load_replay(path).distance_m > 1.0
+    assert load_replay(path).displacement_m[0] > 1.0
 
 
 @pytest.mark.parametrize("path", ["/policies/sprnt", "/policies/sprnt/replay"])
@@ -42,7 +42,7 @@ def test_unknown_policy_is_answered_with_those_that_exist(client: httpx.Client, 
 
 
 @pytest.mark.parametrize("name", ["..", "%2e%2e%2fcard", "A", "x" * 61])
-def test_names_cannot_leave_the_box(client: httpx.Client, name: str) -> None:
+def test_names_cannot_leave_the_folder(client: httpx.Client, name: str) -> None:
     assert client.get(f"/policies/{name}/replay").status_code in (404, 422)
 
 

@@ -41,9 +41,9 @@ def test_a_job_is_announced_to_workers_that_have_its_simulator(
     with broker.client() as queue:
         queue.flushall()
         urgent = client.post("/jobs", json={"priority": 9}).json()["id"]
-        plain = client.post("/jobs", json={"spec": {"simulator": "rcssserver3d"}}).json()["id"]
+        plain = client.post("/jobs", json={"spec": {"simulator": "server"}}).json()["id"]
         client.get("/jobs")  # the announcement of the request before is done when the connection is free again
-        for key, job_id in (("embedded", urgent), ("rcssserver3d", plain)):
+        for key, job_id in (("embedded", urgent), ("server", plain)):
             (raw,) = queue.lrange(key, 0, -1)
             message = json.loads(raw)
             assert message["headers"]["task"] == "naosprint_worker.wake_up"
@@ -173,11 +173,37 @@ def test_what_a_form_needs_is_there(client: httpx.Client) -> None:
     schema = client.get("/spec/schema").json()
     fields = schema["$defs"]["TrainingSpec"]["properties"]
     assert all(field.get("description") for field in fields.values())
+    for section, path in (
+        ("task", "tasks"),
+        ("robot", "robots"),
+        ("simulator", "simulators"),
+        ("algorithm", "algorithms"),
+    ):
+        installed = client.get(f"/{path}").json()
+        options = fields[section]["oneOf"]
+        assert {option["properties"]["name"]["const"] for option in options} == {item["name"] for item in installed}
+        assert fields[section]["default"]["name"] in {item["name"] for item in installed}
+    robots = {robot["name"] for robot in client.get("/robots").json()}
+    assert {name for option in fields["simulator"]["oneOf"] for name in option["x-robots"]} == robots
     presets = {preset["name"]: preset for preset in client.get("/presets").json()}
-    assert presets["paper"]["spec"]["n_envs"] == 19
-    for preset in presets.values():
-        assert client.post("/jobs", json={"spec": preset["spec"]}).status_code == 201
-    assert "sprint1" in [task["name"] for task in client.get("/tasks").json()]
+    assert presets["paper"]["algorithm"]["n_envs"] == 19
+    for name in presets:
+        assert client.post("/jobs", json={"spec": {"algorithm": {"preset": name}}}).status_code == 201
+    for recipe in client.get("/recipes").json():
+        assert client.post("/jobs", json=recipe["job"]).status_code == 201
+
+
+def test_a_task_describes_what_it_measures(client: httpx.Client) -> None:
+    for task in client.get("/tasks").json():
+        live = {metric["name"] for metric in task["metrics"] if metric["live"]}
+        assert set(task["listed"]) <= live
+        assert {name for chart in task["charts"] for name in chart["metrics"]} <= live
+        assert all(metric["title"] and metric["description"] for metric in task["metrics"])
+        assert task["parameters"]["properties"]["reward_scale"]["default"] > 0
+    for algorithm in client.get("/algorithms").json():
+        assert {name for chart in algorithm["charts"] for name in chart["metrics"]} <= {
+            metric["name"] for metric in algorithm["metrics"]
+        }
 
 
 @pytest.mark.parametrize("followers", [0, 3])

@@ -197,7 +197,7 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     """One of a whole checkpoint, and one of a checkpoint that has lost a file."""
     first, _, newest = shared.checkpoints(finished)
     next((shared.artifacts / first.key).glob("*.npz")).unlink()
-    spec = EvaluationSpec(task="sprint2", episodes=3, n_envs=2, bootstrap_resamples=100)
+    spec = EvaluationSpec(episodes=3, n_envs=2, bootstrap_resamples=100)
     asked = [
         submission.request_evaluation(shared.sessions, finished, checkpoint_id=checkpoint.id, spec=spec).id
         for checkpoint in (newest, first)
@@ -224,7 +224,7 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
     service.start_worker()
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=2 * ROLLOUT)
     checkpoint = service.until(lambda: service.checkpoints(job_id)[:1], what="for a checkpoint")[0]
-    spec = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
+    spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
     asked = submission.request_evaluation(service.sessions, job_id, checkpoint_id=checkpoint.id, spec=spec).id
     assert service.notifier.wake_up(asked, "embedded") is None
 

@@ -47,3 +47,15 @@ def test_the_page_quotes_the_simulator_that_the_tests_use() -> None:
     quoted = "\n\n\n".join(text.rstrip() for text in documents.blocks(HOW_TO / "own-simulator.md", "python")[:3])
     code = TOY.read_text().partition("from __future__ import annotations\n\n")[2]
     assert quoted == code.rstrip()
+
+
+def test_the_page_quotes_the_task_that_the_integration_test_installs() -> None:
+    package = documents.ROOT / "tests" / "packages" / "naosprint-backwards"
+    page = HOW_TO / "own-task.md"
+    quoted = "\n\n\n".join(text.rstrip() for text in documents.blocks(page, "python")[:3])
+    code = (package / "naosprint_backwards.py").read_text().partition("from __future__ import annotations\n\n")[2]
+    assert quoted == code.rstrip()
+    (metadata,) = documents.blocks(page, "toml")
+    assert metadata == (package / "pyproject.toml").read_text()
+    lines = sum(len(path.read_text().splitlines()) for path in package.rglob("*") if path.suffix in (".py", ".toml"))
+    assert lines <= 120

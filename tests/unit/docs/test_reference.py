@@ -18,9 +18,8 @@ from naojobs.events import EVENT_KINDS
 from naojobs.models import Event
 from naojobs.settings import ServiceSettings
 from naojobs.states import WorkState
-from naospec import EvaluationSpec, TrainingSpec
-from naospec.presets import PRESETS
-from naosprint.columns import COLUMNS
+from naospec import EvaluationSpec, TrainingSpec, flat, plugins, presets, recipes
+from naosprint.rl.columns import columns
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_worker.settings import WorkerSettings
@@ -75,14 +74,20 @@ def test_every_command_of_the_other_programs_is_there(pages: dict[str, str]) -> 
     assert "### python -m naojobs token create" in pages["administration.md"]
 
 
-def test_every_field_and_preset_is_there(pages: dict[str, str]) -> None:
+def test_every_setting_of_a_specification_is_there(pages: dict[str, str]) -> None:
     page = pages["specification.md"]
     training, rest = page.split("\n## Evaluation\n")
-    evaluation, presets = rest.split("\n## Presets\n")
-    assert first_column(training) == set(TrainingSpec.model_fields)
+    evaluation, rest = rest.split("\n## Presets\n")
+    preset_part, recipe_part = rest.split("\n## Recipes\n")
+    assert set(TrainingSpec.model_fields) <= first_column(training)
+    for section, group in flat.GROUPS.items():
+        (part,) = re.findall(rf"^### {section}$(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL)
+        settings = {setting.path[1] for setting in flat.settings().values() if setting.path[0] == section}
+        assert first_column(part) == set(plugins.names(group)) | (settings - {"name"})
     assert first_column(evaluation) == set(EvaluationSpec.model_fields)
-    assert set(PRESETS["fast"]) <= first_column(presets)
-    assert "| `clip_range` | `0.2` | `0.1` |" in presets
+    assert {f"algorithm.{name}" for name in presets.read("fast")["algorithm"]} <= first_column(preset_part)
+    assert re.search(r"^\| `algorithm.clip_range` \| `0.2` \|.* `0.1` \|", preset_part, re.MULTILINE)
+    assert first_column(recipe_part) == set(recipes.names())
 
 
 def test_every_operation_and_schema_of_the_api_is_there(pages: dict[str, str]) -> None:
@@ -108,10 +113,11 @@ def test_every_setting_is_there(pages: dict[str, str]) -> None:
     assert read <= settings
 
 
-def test_every_figure_is_there(pages: dict[str, str]) -> None:
+def test_every_metric_is_there(pages: dict[str, str]) -> None:
     page = pages["metrics.md"]
     registered = {name for name in Telemetry(None)._registry._names_to_collectors if name.startswith("naosprint_")}  # type: ignore[arg-type]
-    assert first_column(page) >= set(COLUMNS) | {name for name, *_ in Telemetry.catalogue()}
+    assert first_column(page) >= {metric.name for metric in columns(TrainingSpec())}
+    assert first_column(page) >= {name for name, *_ in Telemetry.catalogue()}
     named = {name for name, *_ in Telemetry.catalogue()}
     parts = re.compile(r"_(?:bucket|count|sum|created|total)$")
     assert {parts.sub("", name) for name in registered} == {parts.sub("", name) for name in named}

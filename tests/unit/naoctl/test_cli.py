@@ -17,6 +17,9 @@ from naoctl.errors import ExitCode
 
 Jobs = Callable[..., dict[str, Any]]
 
+#: One result of an evaluation as it describes itself.
+RESULT = {"name": "height_m", "title": "Jump height", "unit": "m", "digits": 2, "value": 3.5, "interval": [3.0, 4.0]}
+
 
 class Ran:
     """What one run of the program printed and how it ended."""
@@ -46,14 +49,14 @@ def naoctl(server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.M
 def test_submit_sends_what_was_chosen_once(server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path) -> None:
     server.on("POST", "/jobs")(lambda request: request.json(job(state="queued"), 201))
     path = tmp_path / "job.toml"
-    path.write_text('name = "night"\n[spec]\npreset = "paper"\nseed = 3\n')
+    path.write_text('name = "night"\n[spec]\nalgorithm = {preset = "paper"}\nseed = 3\n')
     ran = naoctl("submit", str(path), "--seed", "4", "-t", "a", "-t", "b", "--priority", "9", "--no-evaluate")
     assert ran.code == 0, ran.err
     assert "Submitted job_01m7y0yae5d2d9p46g58mkcxxh" in ran.out
     asked = server.received[0]
     assert asked.body == {
         "name": "night",
-        "spec": {"preset": "paper", "seed": 4},
+        "spec": {"algorithm": {"preset": "paper"}, "seed": 4},
         "evaluation": None,
         "tags": ["a", "b"],
         "priority": 9,
@@ -88,7 +91,7 @@ def test_a_sweep_is_one_request(server: Any, naoctl: Callable[..., Ran], job: Jo
     ("words", "said"),
     [
         (["submit", "--n-envs", "0"], "--n-envs"),
-        (["submit", "--task", "sprint9"], "sprint1, sprint2"),
+        (["submit", "--task", "sprint9"], "sprint1, sprint1-erect, sprint2"),
         (["submit", "missing.yaml"], "missing.yaml"),
         (["submit", "--seeds", "0-1", "--watch"], "--watch"),
         (["list", "--state", "dead"], "queued, starting"),
@@ -268,26 +271,28 @@ def test_download_checks_every_file(server: Any, naoctl: Callable[..., Ran], job
     assert naoctl("download", job()["id"], "-o", str(tmp_path / "other")).code == ExitCode.CORRUPT
 
 
-def test_evaluate_waits_for_the_figures(
+def test_evaluate_waits_for_the_results(
     server: Any, naoctl: Callable[..., Ran], job: Jobs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("naoctl.commands.artifacts.POLL_S", 0.001)
-    judged = {
+    evaluation = {
         "id": "eval_1",
         "state": "queued",
         "error": None,
         "summary": None,
         "spec": {"episodes": 10, "seed": 5, "confidence": 0.95},
     }
-    done = {**judged, "state": "succeeded", "summary": {"distance_m": {"mean": 3.5, "ci": [3.0, 4.0]}}}
+    done = {**evaluation, "state": "succeeded", "summary": {"results": [RESULT], "headline": [RESULT["name"]]}}
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
-    server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(judged, 202))
-    server.on("GET", "/evaluations/eval_1")(lambda request: request.json(judged if len(server.received) < 4 else done))
+    server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(evaluation, 202))
+    server.on("GET", "/evaluations/eval_1")(
+        lambda request: request.json(evaluation if len(server.received) < 4 else done)
+    )
     ran = naoctl("eval", job()["id"], "--episodes", "10", "--seed", "5")
     assert ran.code == 0, ran.err
     assert "3.50 m [3.00, 4.00]" in ran.out
     body = server.received[1].body
-    assert (body["spec"]["episodes"], body["spec"]["seed"], body["spec"]["task"]) == (10, 5, "sprint1")
+    assert (body["spec"]["episodes"], body["spec"]["seed"], body["spec"]["task"]) == (10, 5, None)
     assert naoctl("eval", job()["id"], "--episodes", "0").code == ExitCode.USAGE
 
 
@@ -342,16 +347,20 @@ def test_tokens_are_made_listed_and_revoked_over_http(server: Any, naoctl: Calla
 
 
 def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
-    other = job(id="job_" + "2" * 26, name="other", spec={**job()["spec"], "learning_rate": 1e-3})
+    algorithm = {**job()["spec"]["algorithm"], "learning_rate": 1e-3}
+    other = job(id="job_" + "2" * 26, name="other", spec={**job()["spec"], "algorithm": algorithm})
     for one in (job(), other):
         server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
         server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request: request.json([]))
     ran = naoctl("compare", job()["id"], other["id"])
-    assert "learning_rate" in ran.out
+    assert "algorithm.learning_rate" in ran.out
     assert "0.0005" in ran.out and "0.001" in ran.out
     assert "preset" not in ran.out
     found = json.loads(naoctl("compare", job()["id"], other["id"], "--json").out)
-    assert [item["spec"] for item in found] == [{"learning_rate": 5e-4}, {"learning_rate": 1e-3}]
+    assert [item["spec"] for item in found] == [
+        {"algorithm.learning_rate": 5e-4},
+        {"algorithm.learning_rate": 1e-3},
+    ]
 
 
 def test_login_keeps_a_token_that_works(
@@ -408,14 +417,14 @@ def test_shell_completes_commands() -> None:
 def test_the_client_needs_neither_torch_nor_the_service() -> None:
     code = (
         "import sys, naoctl.cli; naoctl.cli.build_app(); "
-        "heavy = {'torch', 'numpy', 'sqlalchemy', 'celery', 'redis', 'psutil', 'naojobs', 'naosprint', 'naosim'}; "
+        "heavy = {'torch', 'matplotlib', 'mujoco', 'sqlalchemy', 'celery', 'redis', 'psutil', 'naojobs'}; "
         "print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_policies_are_listed_judged_and_exported_without_the_service(
+def test_policies_are_listed_evaluated_and_exported_without_the_service(
     naoctl: Callable[..., Ran], server: Any, tmp_path: Path
 ) -> None:
     listed = naoctl("policies", "list", "--json")
@@ -423,9 +432,9 @@ def test_policies_are_listed_judged_and_exported_without_the_service(
     assert "sprint" in cards
     for name in cards:
         assert name in naoctl("policies", "list").out
-    judged = naoctl("policies", "evaluate", "sprint", "--episodes", "4", "--json")
-    assert judged.code == 0, judged.err
-    summary = json.loads(judged.out)
+    evaluated = naoctl("policies", "evaluate", "sprint", "--episodes", "4", "--json")
+    assert evaluated.code == 0, evaluated.err
+    summary = json.loads(evaluated.out)
     assert summary["episodes"] == 4
     assert summary["checkpoint"]["step"] == cards["sprint"]["lineage"][-1]["steps"]
     exported = naoctl("policies", "export", "sprint", "-o", str(tmp_path / "export"))

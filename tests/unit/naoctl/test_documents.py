@@ -61,7 +61,7 @@ def test_the_job_file_of_the_tutorial_is_a_job(tmp_path: Path) -> None:
     path = tmp_path / "night.yaml"
     path.write_text(text)
     job = JobCreate.model_validate(make_body(load_job_file(path), {"seed": "3"}, {}))
-    assert (job.name, job.spec.preset, job.spec.seed) == ("night", "paper", 3)
+    assert (job.name, job.spec.algorithm.preset, job.spec.seed) == ("night", "paper", 3)
 
 
 def test_the_documents_know_every_exit_code() -> None:

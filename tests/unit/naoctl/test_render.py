@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 from naoctl import render
-from naoctl.judgement import headline
+from naoctl.descriptions import PACE, Descriptions, metric_of
+from naoctl.evaluations import headline
 from rich.console import Console
 
 
@@ -71,9 +72,45 @@ def test_text_of_the_service_cannot_steer_the_terminal() -> None:
     assert render.plain("a\x1b[31mb\x07\r\nc\td") == "a�[31mb���c\td"
 
 
+JUMP = {
+    "name": "jump",
+    "metrics": [
+        {"name": "reward", "title": "Reward"},
+        {"name": "height_m", "title": "Height", "unit": "m", "better": "higher"},
+        {"name": "miss_rate", "title": "Misses", "unit": "%", "digits": 0, "better": "lower"},
+    ],
+    "listed": ["height_m", "miss_rate"],
+}
+METRICS = [*map(metric_of, JUMP["metrics"]), PACE]  # type: ignore[arg-type]
+
+
+class Service:
+    """A service that knows a task which is not installed here."""
+
+    def get(self, path: str) -> list[dict[str, Any]]:
+        assert path == "/tasks"
+        return [JUMP]
+
+
+def of_service(job: dict[str, Any], **metrics: float) -> dict[str, Any]:
+    """Return the job with that task and these metrics."""
+    return {**job, "spec": {**job["spec"], "task": {"name": "jump"}}, "latest_metrics": metrics}
+
+
+def test_a_task_that_is_not_installed_here_is_described_by_the_service(job: Callable[..., dict[str, Any]]) -> None:
+    descriptions = Descriptions(Service())  # type: ignore[arg-type]
+    rows = [job(), of_service(job(), height_m=1.25, miss_rate=0.5)]
+    text = shown(render.jobs_table(rows, descriptions))
+    assert "Height" in text and "1.25 m" in text
+    assert "2.25 m" in text, "the metric of a task that is installed"
+    assert [metric.name for metric in descriptions.shown(rows[1])] == ["reward", "height_m", "miss_rate", "steps_per_s"]
+    unknown = {**job(), "spec": {"task": "of an older version"}}
+    assert "first" in shown(render.jobs_table([unknown], Descriptions()))
+
+
 def test_the_list_shows_what_matters(job: Callable[..., dict[str, Any]]) -> None:
     rows = [job(), job(id="job_" + "2" * 26, name="[red]x[/red]\x1b[2J", latest_metrics={}, total_steps=0)]
-    text = shown(render.jobs_table(rows))
+    text = shown(render.jobs_table(rows, Descriptions()))
     assert "job_01m7y0yae5d2d9p46g58mkcxxh" in text
     assert "25%" in text
     assert "2.25 m" in text
@@ -86,7 +123,7 @@ def test_the_list_fits_any_terminal_and_keeps_ids_and_states_whole(
     job: Callable[..., dict[str, Any]], width: int
 ) -> None:
     rows = [job(name="a long name of a job that goes on and on", state="evaluating", total_steps=200_000_000)]
-    text = shown(render.jobs_table(rows, width), width=width)
+    text = shown(render.jobs_table(rows, Descriptions(), width), width=width)
     assert "job_01m7y0yae5d2d9p46g58mkcxxh" in text
     assert "evaluating" in text
     assert len(text.splitlines()) == 2
@@ -104,20 +141,24 @@ def test_a_job_in_detail(job: Callable[..., dict[str, Any]]) -> None:
 def test_the_live_picture_shows_progress_figures_and_course(job: Callable[..., dict[str, Any]]) -> None:
     curve = render.Curve()
     for step in range(100):
-        curve.add({"step": step * 10, "reward": step, "fall_rate": 1 - step / 100, "eta_s": 61, "policy_loss": None})
-    text = shown(render.live_view(job(), curve, width=80, ascii_only=False, note="checkpoint at step 500"), width=80)
+        curve.add({"step": step * 10, "reward": step, "miss_rate": 1 - step / 100, "eta_s": 61, "policy_loss": None})
+    text = shown(
+        render.live_view(job(), curve, METRICS, width=80, ascii_only=False, note="checkpoint at step 500"), width=80
+    )
     assert "990 of 1,000 steps" in text
     assert "1:01 min" in text
     assert "99.00" in text
     assert "▁" in text and "█" in text
     assert "checkpoint at step 500" in text
-    falls = next(line for line in text.splitlines() if line.startswith("Falls"))
-    assert falls.split()[1:3] == ["1%", "1%"]
+    misses = next(line for line in text.splitlines() if line.startswith("Misses"))
+    assert misses.split()[1:5] == ["1", "%", "1", "%"]
     assert max(len(line) for line in text.splitlines()) <= 80
 
 
 def test_the_live_picture_without_any_figure_yet(job: Callable[..., dict[str, Any]]) -> None:
-    text = shown(render.live_view(job(state="queued", progress_step=0), render.Curve(), width=60, ascii_only=True))
+    text = shown(
+        render.live_view(job(state="queued", progress_step=0), render.Curve(), METRICS, width=60, ascii_only=True)
+    )
     assert "queued" in text
     assert "ETA -" in text
 
@@ -133,25 +174,29 @@ def test_curves_stay_small() -> None:
 
 
 def test_a_line_of_progress(job: Callable[..., dict[str, Any]]) -> None:
-    line = render.progress_line(job(), {"step": 500, "reward": 1.234, "fall_rate": 0.5, "eta_s": 30.0})
-    assert line.split() == ["500", "of", "1,000", "steps", "50%", "reward", "1.23", "falls", "50%", "ETA", "30", "s"]
+    line = render.progress_line(job(), {"step": 500, "reward": 1.234, "miss_rate": 0.5, "eta_s": 30.0}, METRICS)
+    assert " ".join(line.split()) == "500 of 1,000 steps 50% reward 1.23 misses 50 % ETA 30 s"
 
 
-def test_headline_figures_carry_their_intervals() -> None:
-    summary = {
-        "distance_m": {"mean": 12.25, "ci": [12.0, 12.7]},
-        "speed_mps": {"mean": None, "ci": None},
-        "falls": {"rate": 0.25, "ci": [0.2, 0.3]},
-        "paper": {"top_speed_mps": 3.9, "top_speed_sd_mps": 0.07},
-        "run_challenge": {"score": {"mean": 1.5, "ci": [1.4, 1.6]}},
-        "training": {"seed": 3},
+def result(name: str, value: float | None, **more: Any) -> dict[str, Any]:
+    """One result of an evaluation as it describes itself."""
+    return {"name": name, "title": name.capitalize(), "unit": "m", "digits": 2, "value": value, **more}
+
+
+def test_results_carry_their_intervals() -> None:
+    results = [
+        result("height", 12.25, interval=[12.0, 12.7]),
+        result("width", None, interval=None),
+        result("misses", 0.25, unit="%", digits=1, interval=[0.2, 0.3]),
+        result("angle", 3.0, unit="°", digits=1, sd=0.5),
+        result("left_out", 1.0),
+    ]
+    names = ["misses", "height", "width", "angle", "unknown"]
+    assert headline({"results": results, "headline": names}) == {
+        "Misses": "25.0 % [20.0, 30.0]",
+        "Height": "12.25 m [12.00, 12.70]",
+        "Width": "-",
+        "Angle": "3.0° (sd 0.5)",
     }
-    assert headline(summary) == {
-        "Distance": "12.25 m [12.00, 12.70]",
-        "Speed, whole run": "-",
-        "Run challenge score": "1.50 [1.40, 1.60]",
-        "Top speed (paper)": "3.90 m/s (sd 0.07)",
-        "Falls": "25.0% [20.0%, 30.0%]",
-    }
+    assert list(headline({"results": results})) == ["Height", "Width", "Misses", "Angle", "Left_out"]
     assert headline({}) == {}
-    assert headline({"paper": {"top_speed_mps": None}}) == {"Top speed (paper)": "-"}

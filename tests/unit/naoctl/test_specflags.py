@@ -6,8 +6,17 @@ from typing import Any
 import pytest
 import typer
 from naoctl.errors import ExitCode, InvalidInput
-from naoctl.specflags import build, choices_of, flag_name, parse_flags, spec_parameters, with_parameters
-from naospec import EvaluationSpec, TrainingSpec
+from naoctl.specflags import (
+    build,
+    choices_of,
+    flag_name,
+    parse_flags,
+    settings_of,
+    spec_parameters,
+    training_settings,
+    with_parameters,
+)
+from naospec import EvaluationSpec, TrainingSpec, flat
 from typer.testing import CliRunner
 
 
@@ -19,30 +28,47 @@ def command_with_flags() -> tuple[typer.Typer, list[dict[str, Any]]]:
         seen.append(spec)
 
     app = typer.Typer()
-    parameters = spec_parameters(TrainingSpec, panel="Training", aliases={"total_steps": ["--steps"]})
+    parameters = spec_parameters(training_settings(), panel="Training", aliases={"total_steps": ["--steps"]})
     app.command()(with_parameters(train, {"spec": parameters}))
     return app, seen
 
 
-def test_every_field_of_the_specification_has_a_flag() -> None:
-    names = {parameter.name for parameter in spec_parameters(TrainingSpec, panel="x")}
-    assert names == set(TrainingSpec.model_fields)
+def spec_of(flags: dict[str, Any]) -> TrainingSpec:
+    settings = training_settings()
+    return build(
+        TrainingSpec, flat.nest(parse_flags(settings, flags)), from_flags={name: settings[name] for name in flags}
+    )
+
+
+def test_every_setting_of_the_specification_has_a_flag() -> None:
+    paths = {setting.path for setting in training_settings().values()}
+    spec = TrainingSpec().model_dump()
+    expected = {
+        (section, field)
+        for section in ("task", "robot", "simulator", "algorithm", "runtime")
+        for field in spec[section]
+        if field != "version"
+    }
+    assert paths >= expected | {("total_steps",), ("seed",)}
+    names = {parameter.name for parameter in spec_parameters(training_settings(), panel="x")}
+    assert names == set(training_settings())
 
 
 def test_help_shows_each_field_with_its_description_and_bounds() -> None:
     app, _ = command_with_flags()
     text = " ".join(CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output.split())
-    for field, info in TrainingSpec.model_fields.items():
+    for field, setting in training_settings().items():
         assert flag_name(field) in text
-        assert (info.description or "").split(".")[0][:30] in text
+        assert (setting.info.description or "").split(".")[0][:25] in text
+    assert "(task velocity)" in text, "a setting of one task alone names it"
     assert "[above 0 and below 1]" in text
 
 
 def test_only_given_flags_arrive() -> None:
     app, seen = command_with_flags()
-    arguments = ["--steps", "1000", "--no-normalise-rewards", "--target-kl", "none", "--preset", "paper"]
+    arguments = ["--steps", "1000", "--no-normalize-rewards", "--target-kl", "none", "--preset", "paper"]
     assert CliRunner().invoke(app, arguments).exit_code == 0
-    assert seen == [{"total_steps": "1000", "normalise_rewards": False, "target_kl": "none", "preset": "paper"}]
+    assert seen == [{"total_steps": "1000", "normalize_rewards": False, "target_kl": "none", "preset": "paper"}]
 
 
 @pytest.mark.parametrize(
@@ -52,21 +78,21 @@ def test_only_given_flags_arrive() -> None:
         ({"target_kl": "0.5"}, {"target_kl": "0.5"}),
         ({"hidden_sizes": "64, 32"}, {"hidden_sizes": ["64", "32"]}),
         ({"sensor_digits": "3"}, {"sensor_digits": 3}),
+        ({"kp": '{"legs": 60}'}, {"kp": {"legs": 60}}),
         ({"sensor_digits": "null"}, {"sensor_digits": None}),
         ({"task": "none"}, {"task": "none"}),
-        ({"normalise_rewards": True}, {"normalise_rewards": True}),
+        ({"normalize_rewards": True}, {"normalize_rewards": True}),
     ],
 )
 def test_flag_values_become_field_values(flags: dict[str, Any], expected: dict[str, Any]) -> None:
-    assert parse_flags(TrainingSpec, flags) == expected
+    assert parse_flags(training_settings(), flags) == expected
 
 
 def test_flags_reach_the_specification_as_numbers() -> None:
-    flags = parse_flags(
-        TrainingSpec, {"learning_rate": "1e-4", "hidden_sizes": "32,16", "n_envs": "64", "sensor_digits": "none"}
-    )
-    spec = build(TrainingSpec, flags)
-    assert (spec.learning_rate, spec.hidden_sizes, spec.n_envs, spec.sensor_digits) == (1e-4, (32, 16), 64, None)
+    spec = spec_of({"learning_rate": "1e-4", "hidden_sizes": "32,16", "n_envs": "64", "sensor_digits": "none"})
+    algorithm = spec.algorithm
+    assert (algorithm.learning_rate, algorithm.hidden_sizes, algorithm.n_envs) == (1e-4, (32, 16), 64)
+    assert spec.simulator.sensor_digits is None
 
 
 @pytest.mark.parametrize(
@@ -81,42 +107,49 @@ def test_flags_reach_the_specification_as_numbers() -> None:
         ({"sensor_digits": "7"}, ["--sensor-digits", "2 or 3"]),
         ({"preset": "swift"}, ["--preset", "fast"]),
         ({"hidden_sizes": "0"}, ["--hidden-sizes", "greater than or equal to 1"]),
+        ({"min_height_m": "3"}, ["--min-height-m", "standing height"]),
+        ({"robot": "t1", "sensor_digits": "2"}, ["--sensor-digits", "no such field", "settle_steps"]),
+        ({"task": "velocity", "drift_penalty": "1"}, ["--drift-penalty", "no such field", "turn_weight"]),
+        ({"kp": "60"}, ["--kp"]),
     ],
 )
 def test_errors_name_the_flag_and_what_is_right(flags: dict[str, str], words: list[str]) -> None:
     with pytest.raises(InvalidInput) as caught:
-        build(TrainingSpec, parse_flags(TrainingSpec, flags), from_flags=flags)
+        spec_of(flags)
     assert caught.value.code is ExitCode.USAGE
     for word in words:
         assert word in str(caught.value)
 
 
 def test_errors_of_a_file_name_the_field_and_the_file() -> None:
-    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.n_env: no such field; there are .*n_envs"):
-        build(TrainingSpec, {"n_env": 3}, where="job.yaml: spec.")
+    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.algorithm\.n_env: no such field; there are .*n_envs"):
+        build(TrainingSpec, {"algorithm": {"n_env": 3}}, where="job.yaml: spec.")
+    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.n_envs: moved to algorithm\.n_envs"):
+        build(TrainingSpec, {"n_envs": 3}, where="job.yaml: spec.")
 
 
 def test_prefixed_flags_keep_two_models_apart() -> None:
-    parameters = spec_parameters(EvaluationSpec, panel="x", prefix="eval_", leave_out=["task"])
+    settings = settings_of(EvaluationSpec, leave_out=["task"])
+    parameters = spec_parameters(settings, panel="x", prefix="eval_")
     assert "eval_seed" in {p.name for p in parameters}
     assert "eval_task" not in {p.name for p in parameters}
-    assert parse_flags(EvaluationSpec, {"eval_simulator": "none"}, prefix="eval_") == {"simulator": None}
+    assert parse_flags(settings, {"eval_simulator": "none"}, prefix="eval_") == {"simulator": None}
     with pytest.raises(InvalidInput, match="--eval-episodes"):
-        build(EvaluationSpec, {"episodes": 0}, from_flags=["episodes"], prefix="eval_")
+        build(EvaluationSpec, {"episodes": 0}, from_flags={"episodes": settings["episodes"]}, prefix="eval_")
 
 
 def test_choices_come_from_literals_and_schema() -> None:
-    fields = TrainingSpec.model_fields
-    assert "sprint2-erect" in choices_of(fields["task"])
-    assert choices_of(fields["preset"]) == ("fast", "paper", "custom")
-    assert choices_of(fields["sensor_digits"]) == ("2", "3", "none")
-    assert choices_of(fields["n_envs"]) == ()
+    settings = training_settings()
+    assert "sprint2-erect" in settings["task"].choices
+    assert set(choices_of(settings["preset"].info)) == {"fast", "paper", "custom"}
+    assert choices_of(settings["sensor_digits"].info) == ("2", "3", "none")
+    assert choices_of(settings["n_envs"].info) == ()
 
 
 def test_a_command_keeps_its_own_parameters() -> None:
     def train(name: str = "x", spec: dict[str, Any] = {}) -> None:  # noqa: B006
         """Train."""
 
-    made = with_parameters(train, {"spec": spec_parameters(EvaluationSpec, panel="x")})
+    made = with_parameters(train, {"spec": spec_parameters(settings_of(EvaluationSpec), panel="x")})
     assert list(inspect.signature(made).parameters)[:2] == ["name", "episodes"]
     assert made.__doc__ == "Train."

@@ -3,25 +3,26 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from naoctl.commands.submit import make_body, make_group, parse_seeds
+from naoctl.commands.submit import make_body, make_group, parse_seeds, read_recipe
 from naoctl.errors import InvalidInput
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, recipes
 
 
 def test_only_what_the_user_chose_is_sent() -> None:
     body = make_body({}, {"preset": "paper", "total_steps": "5000", "target_kl": "none"}, {"eval_episodes": "10"})
     assert body == {
-        "spec": {"preset": "paper", "total_steps": 5000, "target_kl": None},
+        "spec": {"algorithm": {"preset": "paper", "target_kl": None}, "total_steps": 5000},
         "evaluation": {"episodes": 10},
     }
     assert make_body({}, {}, {}) == {"spec": {}}
 
 
 def test_flags_override_the_file() -> None:
-    file = {"name": "night", "spec": {"preset": "paper", "seed": 1}, "evaluation": {"episodes": 5, "seed": 2}}
+    spec = {"algorithm": {"preset": "paper"}, "robot": "nao-4", "seed": 1}
+    file = {"name": "night", "spec": spec, "evaluation": {"episodes": 5, "seed": 2}}
     body = make_body(file, {"seed": "7"}, {"eval_episodes": "50"})
     assert body["name"] == "night"
-    assert body["spec"] == {"preset": "paper", "seed": 7}
+    assert body["spec"] == {"algorithm": {"preset": "paper"}, "robot": {"name": "nao-4"}, "seed": 7}
     assert body["evaluation"] == {"episodes": 50, "seed": 2}
 
 
@@ -29,8 +30,23 @@ def test_the_body_means_the_same_to_the_service() -> None:
     flags = {"preset": "paper", "n_envs": "8", "batch_size": "64", "hidden_sizes": "32,32", "sensor_digits": "none"}
     body = make_body({}, flags, {})
     spec = TrainingSpec.model_validate(body["spec"])
-    assert (spec.n_envs, spec.batch_size, spec.hidden_sizes, spec.sensor_digits) == (8, 64, (32, 32), None)
-    assert spec.clip_range == TrainingSpec(preset="paper").clip_range
+    algorithm = spec.algorithm
+    assert (algorithm.n_envs, algorithm.batch_size, algorithm.hidden_sizes) == (8, 64, (32, 32))
+    assert spec.simulator.sensor_digits is None
+    assert algorithm.clip_range == TrainingSpec(algorithm={"preset": "paper"}).algorithm.clip_range
+
+
+@pytest.mark.parametrize("name", recipes.names())
+def test_flags_override_a_recipe(name: str) -> None:
+    body = make_body(read_recipe(name), {"seed": "9"}, {"eval_episodes": "50"})
+    assert body["name"] == name
+    assert body["spec"] == {**make_body(read_recipe(name), {}, {})["spec"], "seed": 9}
+    assert body["evaluation"]["episodes"] == 50
+
+
+def test_an_unknown_recipe_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="--recipe: unknown recipe 'soup'"):
+        read_recipe("soup")
 
 
 def test_evaluation_can_be_left_out_or_asked_back() -> None:
@@ -50,7 +66,10 @@ def test_evaluation_is_checked_with_its_own_flags() -> None:
 @pytest.mark.parametrize(
     ("file", "words"),
     [
-        ({"task": "sprint1"}, "task: no such field of a job. Put it below `spec:`."),
+        ({"task": "sprint1"}, "task: no such field of a job. Put it below `spec > task:`."),
+        ({"seed": 1}, "seed: no such field of a job. Put it below `spec:`."),
+        ({"n_envs": 1}, "n_envs: no such field of a job. Put it below `spec > algorithm:`."),
+        ({"spec": {"n_envs": 1}}, "job.yaml: spec.n_envs: moved to algorithm.n_envs"),
         ({"nme": "x"}, "nme: no such field of a job. There are name"),
         ({"spec": {"total_step": 3}}, "job.yaml: spec.total_step: no such field"),
         ({"spec": {"seed": "x"}}, "job.yaml: spec.seed"),
@@ -79,11 +98,11 @@ def test_seeds_that_make_no_sense(text: str) -> None:
 
 def test_a_sweep_is_one_request() -> None:
     body = make_body({}, {"total_steps": "1000"}, {})
-    group = make_group(body, "0-1", ["learning-rate=1e-4,3e-4", "hidden_sizes=32"])
+    group = make_group(body, "0-1", ["learning-rate=1e-4,3e-4", "algorithm.hidden_sizes=32"])
     assert group == {
         "job": body,
         "seeds": [0, 1],
-        "grid": {"learning_rate": [1e-4, 3e-4], "hidden_sizes": [[32]]},
+        "grid": {"learning_rate": [1e-4, 3e-4], "algorithm.hidden_sizes": [[32]]},
     }
     assert make_group(body, None, []) is None
 
@@ -93,7 +112,7 @@ def test_a_sweep_is_one_request() -> None:
     [
         (["learning_rate"], "FIELD=A,B"),
         (["learning_rate="], "FIELD=A,B"),
-        (["speed=1"], "no field"),
+        (["speed=1"], "no setting"),
         (["seed=1", "seed=2"], "twice"),
         (["n_envs=64,63"], "does not divide"),
         (["clip_range=2"], "clip_range"),

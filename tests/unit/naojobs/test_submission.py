@@ -39,6 +39,25 @@ def test_a_task_in_a_grid_brings_its_own_height() -> None:
     assert [job.spec for job in jobs] == [TrainingSpec(), TrainingSpec(task="sprint1-erect")]
 
 
+def test_tasks_and_robots_in_a_grid_bring_their_own_settings() -> None:
+    base = JobRequest(TrainingSpec(task={"name": "sprint1", "reward_scale": 50}, algorithm={"n_envs": 64}))
+    grid = {"task.name": ["sprint1-erect", "sprint2"], "robot": ["t1", "nao-4"]}
+    jobs = expand_group(GroupRequest(job=base, grid=grid))
+    assert [job.spec for job in jobs] == [
+        TrainingSpec(task={"name": task, "reward_scale": 50}, robot=robot, algorithm={"n_envs": 64})
+        for task in grid["task.name"]
+        for robot in grid["robot"]
+    ]
+    assert jobs[0].name == "sprint1-fast-0-name-sprint1-erect-robot-t1"
+
+
+@pytest.mark.parametrize(("name", "values", "words"), [("speed", [1], "'speed'"), ("task", ["x"], "choose one")])
+def test_what_cannot_be_varied_is_refused(name: str, values: list[object], words: str) -> None:
+    with pytest.raises(InvalidError, match=words) as caught:
+        expand_group(GroupRequest(job=JobRequest(), grid={name: values}))
+    assert caught.value.field == f"grid.{name}"
+
+
 def test_groups_have_a_largest_size() -> None:
     with pytest.raises(InvalidError, match="more than"):
         expand_group(GroupRequest(job=JobRequest(), seeds=range(100), grid={"n_epochs": [1, 2, 3]}))

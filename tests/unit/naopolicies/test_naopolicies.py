@@ -1,4 +1,4 @@
-"""Test the shipped policies: what is in the box is whole, and its card says what it is."""
+"""The bundled policies are complete, and their cards describe them."""
 
 from __future__ import annotations
 
@@ -7,31 +7,56 @@ from pathlib import Path
 import naopolicies
 import numpy as np
 import pytest
-from naospec import task
-from naosprint.policy import load_policy
-from naosprint.replay import load_replay
+from naospec import EvaluationSpec, plugins
+from naosprint.analysis.replay import load_replay
+from naosprint.analysis.results import by_name, headline, value_text
+from naosprint.rl.policy import load_policy
 
 
 @pytest.mark.parametrize("name", naopolicies.names())
-def test_policy_is_whole_and_its_card_is_about_it(name: str) -> None:
-    """Checksums fit, the policy acts, and card, checkpoint and replay speak of the same robot and task."""
+def test_policy_is_complete_and_its_card_is_about_it(name: str) -> None:
+    """Checksums fit, the policy acts, and card, checkpoint and replay are of the same robot and task."""
     folder, card = naopolicies.folder(name), naopolicies.card(name)
     policy, manifest = load_policy(folder)
     actions = policy.act(np.zeros((3, len(manifest.observations))))
     assert actions.shape == (3, len(manifest.actions))
     assert np.isfinite(actions).all()
     assert card["name"] == name
-    assert (card["robot_type"], card["task"]) == (manifest.spec.robot_type, manifest.spec.task)
-    assert task(card["task"]).min_height_m <= manifest.spec.fall_height_m
-    assert card["lineage"][-1]["steps"] == manifest.steps
-    assert card["figures"]["episodes"] >= 1000
-    assert load_replay(folder / naopolicies.REPLAY).robot_type == card["robot_type"]
+    assert (card["robot"], card["task"]) == (manifest.spec.robot.name, manifest.spec.task.name)
+    assert manifest.spec.model_dump(mode="json")["task"] == naopolicies.spec(name)["task"]
+    assert load_replay(folder / naopolicies.REPLAY).robot.name == card["robot"]
+
+
+@pytest.mark.parametrize("name", naopolicies.names())
+def test_card_has_results_and_lineage(name: str) -> None:
+    """Results of a thousand episodes in the task's order, and every job with what it set."""
+    card = naopolicies.card(name)
+    _, manifest = load_policy(naopolicies.folder(name))
+    assert card["episodes"] == card["evaluation"]["episodes"] >= 1000
+    assert EvaluationSpec.model_validate(card["evaluation"]).seed > 0
+    task = plugins.load(plugins.TASKS, card["task"])
+    assert tuple(card["headline"]) == task.presentation.headline
+    assert set(card["headline"]) <= set(by_name(card))
+    for result in headline(card):
+        assert value_text(result) in card["summary"]
+    last = card["lineage"][-1]
+    assert (last["task"], last["robot"]) == (card["task"], card["robot"])
+    assert last["steps"] == manifest.steps
+    assert last["overrides"] == _plain(manifest.spec.overrides())
+    assert card["steps"] == sum(part["steps"] for part in card["lineage"])
+    for part in card["lineage"]:
+        assert set(part["curve"]) == {"step", *task.presentation.listed}
+        assert len({len(values) for values in part["curve"].values()}) == 1
+
+
+def _plain(overrides: dict[str, object]) -> dict[str, object]:
+    return {path: list(value) if isinstance(value, tuple) else value for path, value in overrides.items()}
 
 
 def test_unknown_name_lists_those_that_exist(tmp_path: Path) -> None:
     """A wrong name is answered with the right ones."""
     with pytest.raises(ValueError, match="unknown policy 'sprnt': choose one of"):
         naopolicies.folder("sprnt")
-    with pytest.raises(ValueError, match="neither a checkpoint's folder nor a shipped policy"):
+    with pytest.raises(ValueError, match="neither a checkpoint directory nor a bundled policy; these are: sprint, "):
         naopolicies.resolve("sprnt")
     assert naopolicies.resolve(str(tmp_path)) == tmp_path

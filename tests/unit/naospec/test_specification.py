@@ -1,137 +1,300 @@
-"""Test that specifications accept what is possible and name what is not."""
+"""Specifications accept what is possible and say what is not."""
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import pytest
-from naospec import PRESETS, TASKS, EvaluationSpec, TrainingSpec
+from naosim import robots
+from naospec import EvaluationSpec, TrainingSpec, needs, plugins, presets, validation_words
+from naospec.flat import MOVED, nest, settings
 from pydantic import ValidationError
 
 
+def spec_of(**values: Any) -> TrainingSpec:
+    """Return a specification with settings by their short names."""
+    return TrainingSpec.model_validate(nest(values))
+
+
+def words_of(content: dict[str, Any]) -> str:
+    """Return what is said about an impossible specification."""
+    with pytest.raises(ValidationError) as caught:
+        TrainingSpec.model_validate(content)
+    return validation_words(caught.value.errors())
+
+
 def test_defaults_are_those_of_preset_fast() -> None:
-    """The class defaults and the preset are one truth."""
+    """What is left out has the preset's value, whatever the sections' own defaults."""
     spec = TrainingSpec()
-    assert spec.preset == "fast"
-    assert spec == TrainingSpec.from_preset("fast")
-    assert {name: getattr(spec, name) for name in PRESETS["fast"]} == dict(PRESETS["fast"])
-    assert spec.departures() == {}
+    assert (spec.task.name, spec.robot.name, spec.simulator.name) == ("sprint1", "nao-0", "embedded")
+    assert (spec.algorithm.name, spec.algorithm.preset) == ("ppo", "fast")
+    for section in presets.SECTIONS:
+        for name, value in presets.values("fast", section, "nao").items():
+            found = getattr(getattr(spec, section), name, value)
+            assert found == (tuple(value) if isinstance(value, list) else value), name
+    assert spec.overrides() == {}
 
 
 def test_preset_paper_is_table_two() -> None:
-    """Preset paper carries the hyperparameters of the paper's table II."""
-    spec = TrainingSpec(preset="paper")
-    assert (spec.n_envs, spec.n_steps, spec.batch_size, spec.n_epochs) == (19, 4096, 19 * 64, 10)
-    assert (spec.clip_range, spec.learning_rate, spec.gamma, spec.gae_lambda) == (0.1, 1e-4, 0.99, 0.95)
-    assert (spec.entropy_coefficient, spec.observation_clip, spec.initial_log_std) == (0.0, 5.0, 0.0)
-    assert spec.learning_rate_schedule == "constant"
-    assert spec.hidden_sizes == (64, 64)
-    assert spec.reward_scale == 100.0
-    assert not spec.normalise_rewards
-    assert not spec.symmetric_policy
-    assert not spec.bootstrap_at_end
+    """Preset paper has the hyperparameters of the paper's table II."""
+    algorithm = TrainingSpec.model_validate({"algorithm": {"preset": "paper"}}).algorithm
+    assert (algorithm.n_envs, algorithm.n_steps, algorithm.batch_size, algorithm.n_epochs) == (19, 4096, 19 * 64, 10)
+    assert (algorithm.clip_range, algorithm.learning_rate, algorithm.gamma, algorithm.gae_lambda) == (
+        *(0.1, 1e-4, 0.99, 0.95),
+    )
+    assert (algorithm.entropy_coefficient, algorithm.observation_clip, algorithm.initial_log_std) == (0.0, 5.0, 0.0)
+    assert algorithm.learning_rate_schedule == "constant"
+    assert algorithm.hidden_sizes == (64, 64)
+    assert not algorithm.normalize_rewards
+    assert not algorithm.symmetric_policy
+    assert not algorithm.bootstrap_at_end
+    assert spec_of(preset="paper").task.reward_scale == 100.0
 
 
-def test_departures_name_what_was_overridden() -> None:
-    """A preset with an override says so."""
-    spec = TrainingSpec.from_preset("paper", clip_range=0.2, seed=5)
-    assert spec.departures() == {"clip_range": 0.2}
+def test_overrides_name_what_differs_from_the_preset() -> None:
+    spec = spec_of(preset="paper", clip_range=0.2, drift_penalty=0.5, seed=5)
+    assert spec.overrides() == {"algorithm.clip_range": 0.2, "task.drift_penalty": 0.5}
     assert spec.seed == 5
 
 
-@pytest.mark.parametrize("preset", sorted(PRESETS))
-def test_every_preset_knows_the_same_fields(preset: str) -> None:
-    """No preset forgets a learning setting, and every name is a field."""
-    assert set(PRESETS[preset]) == set(PRESETS["fast"])
-    assert set(PRESETS[preset]) <= set(TrainingSpec.model_fields)
+@pytest.mark.parametrize("robot", robots.names())
+def test_without_preset_leaves_out_what_others_decide(robot: str) -> None:
+    """What is left is what was chosen, so that another preset or robot can decide the rest."""
+    spec = spec_of(robot=robot, preset="fast", learning_rate=1e-4, total_steps=1000)
+    content = spec.without_preset()
+    assert content["algorithm"] == {"name": "ppo", "preset": "fast", "learning_rate": 1e-4}
+    assert "min_height_m" not in content["task"]
+    assert TrainingSpec.model_validate(content) == spec
+    other = TrainingSpec.model_validate({**content, "algorithm": {**content["algorithm"], "preset": "paper"}})
+    assert (other.algorithm.learning_rate, other.algorithm.clip_range) == (1e-4, 0.1)
 
 
-@pytest.mark.parametrize("name", sorted(TASKS))
-def test_min_height_comes_from_the_task(name: str) -> None:
-    """Left out or null, the minimum height is the task's; given, it is kept."""
-    assert TrainingSpec(task=name).fall_height_m == TASKS[name].min_height_m
-    assert TrainingSpec(task=name, min_height=None).fall_height_m == TASKS[name].min_height_m
-    assert TrainingSpec(task=name, min_height=0.3).fall_height_m == 0.3
+def test_sections_have_a_short_form() -> None:
+    """A name alone stands for a section without settings."""
+    short = TrainingSpec.model_validate({"task": "sprint2", "robot": "nao-1", "simulator": "server"})
+    long = TrainingSpec.model_validate(
+        {"task": {"name": "sprint2"}, "robot": {"name": "nao-1"}, "simulator": {"name": "server"}}
+    )
+    assert short == long
 
 
 def test_json_round_trip_keeps_the_specification_and_its_digest() -> None:
-    """What is stored comes back equal."""
-    spec = TrainingSpec(preset="paper", task="sprint2-erect", hidden_sizes=(32, 15), target_kl=None)
-    again = TrainingSpec.model_validate_json(spec.model_dump_json())
-    assert again == spec
-    assert again.digest() == spec.digest()
-    assert json.loads(spec.canonical_json()) == spec.model_dump(mode="json")
+    """What is stored comes back equal, stages included."""
+    stages = [
+        {"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}},
+        {"steps": 1000, "task": {"reward_scale": 1}},
+    ]
+    for spec in (
+        spec_of(preset="paper", task="sprint2-erect", hidden_sizes=(32, 15), target_kl=None),
+        TrainingSpec.model_validate({"stages": stages}),
+    ):
+        again = TrainingSpec.model_validate_json(spec.model_dump_json())
+        assert again == spec
+        assert again.digest() == spec.digest()
+        assert TrainingSpec.model_validate(spec.model_dump()) == spec
 
 
-def test_digest_tells_specifications_apart() -> None:
-    """Any field changes the digest."""
-    assert TrainingSpec(seed=1).digest() != TrainingSpec(seed=2).digest()
-    assert len(TrainingSpec().digest()) == 64
+def test_digest_tells_specifications_apart_but_not_runtimes() -> None:
+    """Everything but the runtime settings changes what is learned."""
+    digest = TrainingSpec().digest()
+    assert len(digest) == 64
+    assert spec_of(simulator_threads=7, checkpoint_interval_steps=5).digest() == digest
+    for change in ({"seed": 1}, {"robot": "nao-1"}, {"sensor_digits": 3}, {"drift_penalty": 0.0}, {"total_steps": 5}):
+        assert spec_of(**change).digest() != digest
 
 
 @pytest.mark.parametrize(
-    ("fields", "words"),
+    ("content", "words"),
     [
-        ({"task": "sprint9"}, ["task", "sprint1", "sprint2-erect"]),
-        ({"preset": "slow"}, ["preset", "fast"]),
-        ({"robot_type": 5}, ["robot_type", "4"]),
-        ({"simulator": "gazebo"}, ["simulator", "embedded"]),
-        ({"n_envs": 0}, ["n_envs", "1"]),
-        ({"batch_size": 5000}, ["batch_size", "8192", "4096"]),
-        ({"hidden_sizes": [64, 33]}, ["hidden_sizes", "even", "symmetric_policy"]),
-        ({"target_kl": None}, ["target_kl", "adaptive"]),
-        ({"n_steps": 1_000_000, "batch_size": 1_000_000}, ["n_steps", "128000000"]),
-        ({"min_height": 0.385}, ["min_height", "0.385", "standing height"]),
-        ({"min_height": 0.4, "robot_type": 2}, ["min_height", "robot type 2"]),
-        ({"learning_rate": float("nan")}, ["learning_rate"]),
-        ({"gamma": float("inf")}, ["gamma"]),
+        ({"task": "sprint9"}, ["task: unknown task 'sprint9': choose one of", "sprint1", "sprint2-erect"]),
+        ({"robot": "asimo"}, ["robot: unknown robot 'asimo'", "nao-4"]),
+        ({"simulator": "gazebo"}, ["simulator: unknown simulator 'gazebo'", "embedded"]),
+        ({"algorithm": "sac"}, ["algorithm: unknown algorithm 'sac'", "ppo"]),
+        ({"algorithm": {"preset": "slow"}}, ["algorithm.preset", "fast"]),
+        ({"algorithm": {"n_envs": 0}}, ["algorithm.n_envs", "1"]),
+        ({"algorithm": {"batch_size": 5000}}, ["algorithm: batch_size: 5000 does not divide", "8192", "4096"]),
+        ({"algorithm": {"hidden_sizes": [64, 33]}}, ["hidden_sizes", "even", "symmetric_policy=false"]),
+        ({"algorithm": {"target_kl": None}}, ["target_kl", "adaptive"]),
+        ({"algorithm": {"n_steps": 1_000_000, "batch_size": 1_000_000}}, ["n_steps", "128000000"]),
+        ({"algorithm": {"learning_rate": float("nan")}}, ["algorithm.learning_rate"]),
+        ({"algorithm": {"gamma": float("inf")}}, ["algorithm.gamma"]),
+        ({"algorithm": {"hidden_sizes": [64, 0]}}, ["algorithm.hidden_sizes"]),
+        ({"task": {"name": "sprint1", "min_height_m": 0.385}}, ["task.min_height_m: 0.385", "standing height"]),
+        (
+            {"task": {"name": "sprint1", "min_height_m": 0.4}, "robot": "nao-2"},
+            ["task.min_height_m: 0.4", "robot nao-2"],
+        ),
+        ({"task": {"name": "sprint1", "version": 99}}, ["task.version", "99", "installed is version"]),
+        ({"task": {"name": "sprint1", "finish": 3}}, ["task.finish"]),
         ({"total_steps": 0}, ["total_steps"]),
-        ({"max_server_failures": -1}, ["max_server_failures", "0"]),
-        ({"hidden_sizes": [64, 0]}, ["hidden_sizes"]),
+        ({"runtime": {"max_server_failures": -1}}, ["runtime.max_server_failures", "0"]),
         ({"colour": "red"}, ["colour"]),
-        ({"task": 3}, ["task"]),
-        ({"preset": ["fast"]}, ["preset"]),
+        ({"task": 3}, ["task: expected a name, or a mapping"]),
+        ({"task": {"name": 3}}, ["task: `name` is missing"]),
+        ({"algorithm": {"preset": ["fast"]}}, ["algorithm.preset"]),
+        ({"simulator": {"name": "embedded", "sensor_digits": 7}}, ["simulator.sensor_digits"]),
     ],
 )
-def test_impossible_specifications_are_refused_by_field(fields: dict[str, Any], words: list[str]) -> None:
-    """The message names the field and shows a way out."""
-    with pytest.raises(ValidationError) as caught:
-        TrainingSpec.model_validate(fields)
-    message = str(caught.value)
+def test_impossible_specifications_are_refused_by_field(content: dict[str, Any], words: list[str]) -> None:
+    """The message names the field and a way out."""
+    message = words_of(content)
     for word in words:
         assert word in message
 
 
-def test_longer_legs_allow_a_higher_limit() -> None:
-    """The standing height is that of the robot type."""
-    assert TrainingSpec(min_height=0.4, robot_type=1).fall_height_m == 0.4
+@pytest.mark.parametrize("name", sorted(MOVED))
+def test_the_flat_form_is_refused_with_the_new_place(name: str) -> None:
+    """Each field of earlier versions says where it is now, and that place exists."""
+    place = MOVED[name]
+    assert f"{name}: moved to {place}" in words_of({name: 1})
+    if name != "robot_type":
+        section, _, field = place.partition(".")
+        known = {setting.path for setting in settings().values()}
+        assert (section, field) in known
+
+
+def test_all_moved_fields_are_named_at_once() -> None:
+    message = words_of({"preset": "fast", "robot_type": 1, "n_envs": 8, "torch_threads": 2})
+    assert message == (
+        "preset: moved to algorithm.preset; robot_type: moved to robot: use nao-0 to nao-4; "
+        "n_envs: moved to algorithm.n_envs; torch_threads: moved to runtime.learner_threads"
+    )
 
 
 def test_specification_is_frozen() -> None:
     """A specification cannot change under a running job."""
-    with pytest.raises(ValidationError):
-        setattr(TrainingSpec(), "seed", 4)  # noqa: B010 - the type checker refuses plain assignment
+    spec = TrainingSpec()
+    for target, name in ((spec, "seed"), (spec.task, "reward_scale"), (spec.algorithm, "n_envs")):
+        with pytest.raises(ValidationError):
+            setattr(target, name, 4)
 
 
 def test_planned_steps_are_whole_rollouts() -> None:
-    """Total steps are rounded up to whole rollouts."""
-    spec = TrainingSpec(total_steps=200_000)
-    assert spec.rollout_steps == 8_192
-    assert spec.planned_steps == 25 * 8_192
+    """Total steps are rounded up to whole rollouts, those of each stage by themselves."""
+    spec = spec_of(total_steps=200_000)
+    assert (spec.rollout_steps, spec.planned_steps, spec.stage_ends) == (8_192, 25 * 8_192, (25 * 8_192,))
+    staged = TrainingSpec.model_validate(
+        {"stages": [{"steps": 10_000}, {"steps": 10_000, "algorithm": {"n_steps": 128}}]}
+    )
+    assert staged.total_steps == 20_000
+    assert staged.stage_ends == (2 * 8_192, 2 * 8_192 + 16_384)
+    assert staged.planned_steps == staged.stage_ends[-1]
+
+
+def test_stages_override_algorithm_and_task() -> None:
+    spec = TrainingSpec.model_validate(
+        {
+            "seed": 4,
+            "algorithm": {"learning_rate": 1e-3},
+            "stages": [
+                {"steps": 1000},
+                {"steps": 500, "seed": 7, "algorithm": {"clip_range": 0.1}, "task": {"drift_penalty": 0.0}},
+            ],
+        }
+    )
+    first, second = spec.stage_specs
+    assert (first.seed, second.seed) == (4, 7)
+    assert (first.algorithm.clip_range, second.algorithm.clip_range) == (0.2, 0.1)
+    assert (first.task.drift_penalty, second.task.drift_penalty) == (1.0, 0.0)
+    assert first.algorithm.learning_rate == second.algorithm.learning_rate == 1e-3
+    assert (first.total_steps, second.total_steps, first.stages) == (1000, 500, ())
+    assert TrainingSpec().stage_specs == (TrainingSpec(),)
+
+
+@pytest.mark.parametrize(
+    ("stages", "words"),
+    [
+        ([{"steps": 0}], "stages.0.steps"),
+        ([{"steps": 10}, {"steps": 10, "algorithm": {"clip_range": 7}}], "stages.1.algorithm.clip_range"),
+        ([{"steps": 10, "algorithm": {"preset": "paper"}}], "stages.0.algorithm.preset: cannot differ between stages"),
+        ([{"steps": 10, "task": {"name": "sprint2"}}], "stages.0.task.name: cannot differ between stages"),
+        ([{"steps": 10}, {"steps": 10, "algorithm": {"hidden_sizes": [8]}}], "stages.1.algorithm: all stages train"),
+        ([{"steps": 10, "robot": "nao-9"}], "stages.0.robot: unknown robot"),
+        ([{"steps": 10, "task": {"min_height_m": 0.385}}], "stages.0: task.min_height_m: 0.385"),
+        ([{"steps": 10, "algorithm": {"batch_size": 5000}}], "stages.0.algorithm: batch_size: 5000 does not divide"),
+    ],
+)
+def test_impossible_stages_are_refused_by_place(stages: list[dict[str, Any]], words: str) -> None:
+    assert words in words_of({"stages": stages})
+
+
+def test_total_steps_are_the_stages_sum() -> None:
+    assert "total_steps: 7 is not the sum of the stages' steps, 30" in words_of(
+        {"total_steps": 7, "stages": [{"steps": 10}, {"steps": 20}]}
+    )
 
 
 def test_schema_documents_every_field() -> None:
-    """The job form and the reference page get a title and a description for each field."""
+    """The job form and the reference page get a title and a description for each field of each plug-in."""
     for model in (TrainingSpec, EvaluationSpec):
         for name, field in model.model_json_schema()["properties"].items():
             assert field.get("description"), name
             assert field.get("title"), name
-            assert "default" in field, name
+    properties = TrainingSpec.model_json_schema()["properties"]
+    for section in ("task", "robot", "simulator", "algorithm"):
+        options = properties[section]["oneOf"]
+        group = properties[section]["x-plugin-group"]
+        assert {option["properties"]["name"]["const"] for option in options} == set(plugins.names(group))
+        for option in options:
+            for name, field in option["properties"].items():
+                assert field.get("title"), (section, name)
+                assert field.get("description"), (section, name)
 
 
-def test_evaluation_refuses_an_unknown_task() -> None:
-    """An evaluation checks its task too."""
-    with pytest.raises(ValidationError, match="sprint1"):
-        EvaluationSpec(task="marathon")
+def test_every_setting_has_one_short_name() -> None:
+    """Flags and tables use it; the path leads back to the setting."""
+    known = settings()
+    assert len({setting.path for setting in known.values()}) == len(known)
+    for name in ("task", "robot", "simulator", "algorithm", "learning_rate", "min_height_m", "sensor_digits", "seed"):
+        assert name in known
+    assert known["robot"].choices == plugins.names(plugins.ROBOTS)
+    assert "sprint1" in known["min_height_m"].plugins
+    assert known["reward_scale"].plugins == ()
+
+
+def test_nest_puts_values_in_their_sections() -> None:
+    base = {"task": "sprint2", "algorithm": {"name": "ppo", "n_envs": 4}}
+    found = nest({"learning_rate": 1e-4, "algorithm.n_envs": 8, "seed": 3, "robot": "nao-1"}, base)
+    assert found == {
+        "task": {"name": "sprint2"},
+        "algorithm": {"name": "ppo", "n_envs": 8, "learning_rate": 1e-4},
+        "seed": 3,
+        "robot": {"name": "nao-1"},
+    }
+    assert base["algorithm"] == {"name": "ppo", "n_envs": 4}
+    for name in ("colour", "weather.rain", "task.a.b"):
+        with pytest.raises(KeyError, match=name):
+            nest({name: 1})
+
+
+def test_needs_are_what_a_worker_must_have() -> None:
+    assert needs(spec_of(task="sprint2", robot="nao-3")) == {
+        "task": "sprint2",
+        "task_version": 1,
+        "robot": "nao-3",
+        "simulator": "embedded",
+        "algorithm": "ppo",
+    }
+
+
+def test_evaluations_run_the_trainings_task_or_another() -> None:
+    trained = spec_of(robot="nao-1", drift_penalty=0.25, min_height_m=0.3)
+    same = EvaluationSpec().applied_to(trained)
+    assert (same.task, same.robot, same.simulator) == (trained.task, trained.robot, trained.simulator)
+    other = EvaluationSpec.model_validate({"task": "sprint2", "start_noise_deg": 0.0, "simulator": "server"})
+    applied = other.applied_to(trained)
+    assert (applied.task.name, applied.task.start_noise_deg, applied.simulator.name) == ("sprint2", 0.0, "server")
+    assert applied.robot == trained.robot
+    staged = TrainingSpec.model_validate({"stages": [{"steps": 10}, {"steps": 10, "task": {"drift_penalty": 0.0}}]})
+    assert EvaluationSpec().applied_to(staged).task.drift_penalty == 0.0
+
+
+def test_evaluations_refuse_what_does_not_exist() -> None:
+    for content, words in (
+        ({"task": "marathon"}, "sprint1"),
+        ({"simulator": "gazebo"}, "embedded"),
+        ({"episodes": 0}, "1"),
+    ):
+        with pytest.raises(ValidationError, match=words):
+            EvaluationSpec.model_validate(content)
     assert EvaluationSpec().episodes == 1000

@@ -157,7 +157,9 @@ import sys
 import naosprint.tasks.sprint
 print("torch" in sys.modules, [name for name in sys.modules if name.startswith("gymnasium.envs")] != [])
 """
-    without = "import importlib.util as u; f = u.find_spec; u.find_spec = lambda n, *a: n != 'gymnasium' and f(n, *a) or None"
+    without = (
+        "import importlib.util as u; f = u.find_spec; u.find_spec = lambda n, *a: n != 'gymnasium' and f(n, *a) or None"
+    )
     for block, registered in (("", "True"), (without, "False")):
         text = code.format(block=block)
         done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)

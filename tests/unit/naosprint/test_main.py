@@ -1,4 +1,4 @@
-"""Test the command line as people use it."""
+"""The command line as people use it."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ import sys
 from pathlib import Path
 
 import pytest
-from naospec import TrainingSpec
+from naospec import EvaluationSpec
+from naospec.flat import settings
 from naosprint.__main__ import main
-from naosprint.checkpoint import read_manifest
+from naosprint.rl.checkpoint import read_manifest
 
 SMALL = [
     *("--n-envs", "8", "--n-steps", "32", "--batch-size", "64", "--n-epochs", "2"),
-    *("--hidden-sizes", "16,16", "--torch-threads", "1"),
+    *("--hidden-sizes", "16,16", "--learner-threads", "1"),
 ]
 
 
-def test_help_lists_every_field(capsys: pytest.CaptureFixture[str]) -> None:
-    """The options are those of the specification."""
-    with pytest.raises(SystemExit) as ended:
-        main(["train", "--help"])
-    assert ended.value.code == 0
-    text = capsys.readouterr().out
-    for name in TrainingSpec.model_fields:
-        assert f"--{name.replace('_', '-')} VALUE" in text
+def test_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
+    """The options are the settings of all plug-ins, and the fields of an evaluation."""
+    for command, names in (("train", settings()), ("evaluate", EvaluationSpec.model_fields)):
+        with pytest.raises(SystemExit) as ended:
+            main([command, "--help"])
+        assert ended.value.code == 0
+        text = capsys.readouterr().out
+        for name in names:
+            assert f"--{name.replace('_', '-')} VALUE" in text
 
 
 def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +39,8 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
     status, steps, path = capsys.readouterr().out.split()
     assert (status, steps) == ("finished", "512")
     spec = read_manifest(Path(path)).spec
-    assert (spec.n_envs, spec.hidden_sizes, spec.sensor_digits) == (8, (16, 16), None)
+    assert (spec.algorithm.n_envs, spec.algorithm.hidden_sizes) == (8, (16, 16))
+    assert spec.simulator.sensor_digits is None
     rows = [json.loads(line) for line in (work / "metrics.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [256, 512]
 
@@ -54,6 +57,9 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
     assert main([*arguments, "--no-film", "--title", "Run 1"]) == 0
     page = Path(capsys.readouterr().out.strip())
     assert "<title>Run 1</title>" in page.read_text()
+    assert main([*arguments, "--no-film"]) == 0
+    assert "<title>sprint1</title>" in page.read_text()
+    capsys.readouterr()
 
     assert main(["export", path, str(tmp_path / "policy")]) == 0
     names = [Path(line).name for line in capsys.readouterr().out.splitlines()]
@@ -73,22 +79,22 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["train", "x", "--task", "swim"], "--task: unknown task 'swim'"),
-        (["train", "x", "--n-envs", "many"], "--n-envs"),
+        (["train", "x", "--task", "swim"], "--task: unknown task 'swim': choose one of "),
+        (["train", "x", "--n-envs", "many"], "--n-envs: "),
+        (["train", "x", "--min-height-m", "-1"], "--min-height-m: "),
         (["train", "x", "--batch-size", "7"], "batch_size: 7 does not divide"),
+        (["train", "x", "--simulator", "gazebo"], "--simulator: unknown simulator 'gazebo'"),
         (
-            ["train", "x", "--simulator", "rcssserver3d", "--n-envs", "2", "--n-steps", "64", "--batch-size", "128"],
+            ["train", "x", "--simulator", "server", "--n-envs", "2", "--n-steps", "64", "--batch-size", "128"],
             "NAOSPRINT_SIMSERVER: there is no program 'no-such-server'",
         ),
-        (
-            ["train", "x", "--simulator", "rcssserver3d", "--n-envs", "4096"],
-            "n_envs: 4096 robots need as many servers",
-        ),
-        (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint's folder nor a shipped policy"),
-        (["evaluate", "nowhere", "--episodes", "0"], "--episodes"),
+        (["train", "x", "--simulator", "server", "--n-envs", "4096"], "n_envs: 4096 robots need as many servers"),
+        (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint directory nor a bundled policy"),
+        (["evaluate", "nowhere", "--episodes", "0"], "--episodes: "),
+        (["evaluate", "nowhere", "--task", "swim"], "--task: unknown task 'swim'"),
         (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
         (["report", "nowhere", "page"], "nowhere: no complete evaluation"),
-        (["export", "nowhere", "policy"], "neither a checkpoint's folder nor a shipped policy"),
+        (["export", "nowhere", "policy"], "neither a checkpoint directory nor a bundled policy"),
         (["replay", ".", "policy"], "no checkpoint here"),
     ],
 )

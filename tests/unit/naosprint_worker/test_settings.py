@@ -26,8 +26,8 @@ def settings(monkeypatch: pytest.MonkeyPatch, **values: str) -> WorkerSettings:
 
 
 def test_queues_are_a_comma_separated_list(monkeypatch: pytest.MonkeyPatch) -> None:
-    got = settings(monkeypatch, NAOSPRINT_WORKER_QUEUES="embedded, rcssserver3d,embedded")
-    assert got.worker_queues == ("embedded", "rcssserver3d")
+    got = settings(monkeypatch, NAOSPRINT_WORKER_QUEUES="embedded, server,embedded")
+    assert got.worker_queues == ("embedded", "server")
 
 
 @pytest.mark.parametrize(("queues", "message"), [("embeded", "unknown queue 'embeded'"), (" , ", "no queue given")])

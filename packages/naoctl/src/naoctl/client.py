@@ -129,7 +129,7 @@ class Client:
         on_lost: Callable[[str, float], None] | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> Iterator[Event]:
-        """Yield server-sent events for ever; after a lost connection go on behind the last event that arrived.
+        """Yield server-sent events for ever; after a lost connection continue after the last event received.
 
         Args:
             path: the stream.

@@ -1,4 +1,4 @@
-"""Everything once, in front of the user: service, training, evaluation, download, proof, and a policy from the box."""
+"""Demonstration of everything: service, training, evaluation, download, check, and a bundled policy."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from naoctl.commands.artifacts import (
     write_metrics,
     write_report,
 )
-from naoctl.commands.policies import judge
+from naoctl.commands.policies import evaluate
 from naoctl.commands.submit import make_body
 from naoctl.commands.watch import watch_job
 from naoctl.config import Target
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
-from naoctl.judgement import newest_evaluation
+from naoctl.evaluations import headline, newest_evaluation
 from naoctl.render import duration
 from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
 
-#: The policy from the box that runs at the end, over how many episodes, and how much of one is filmed, seconds.
-SHIPPED, SHIPPED_EPISODES, SHIPPED_FILM_S = "sprint", 20, 5
+#: The bundled policy that runs at the end, over how many episodes, and how much of one is filmed, seconds.
+BUNDLED, BUNDLED_EPISODES, BUNDLED_FILM_S = "sprint", 20, 5
 
 
 class Demo:
@@ -53,7 +53,7 @@ class Demo:
         """Do all of it; whatever happens, nothing is left running unless ``keep``.
 
         Raises:
-            CliError: when the figures of the downloaded policy are not those the service reported.
+            CliError: when the results of the downloaded policy are not those the service reported.
             typer.Exit: when the job did not succeed.
         """
         began = time.monotonic()
@@ -64,11 +64,11 @@ class Demo:
             self.context.say("Sign in", stack.sign_in_url)
             with Client(Target(stack.url, stack.token)) as client:
                 job = self._train(client, steps, seed, episodes)
-                evaluation = self._show_figures(client, job)
+                evaluation = self._show_results(client, job)
                 checkpoint_folder = self._download(client, job, evaluation)
             self._verify(checkpoint_folder, evaluation)
             self._report(checkpoint_folder.parent)
-            self.let_shipped_run(evaluation, self.output / SHIPPED)
+            self.show_bundled(evaluation, self.output / BUNDLED)
         finally:
             if not keep:
                 self._head("8. Stop")
@@ -91,7 +91,7 @@ class Demo:
         job = client.get(f"/jobs/{job['id']}")
         return job
 
-    def _show_figures(self, client: Client, job: dict[str, Any]) -> dict[str, Any]:
+    def _show_results(self, client: Client, job: dict[str, Any]) -> dict[str, Any]:
         self._head("3. How good the policy is")
         evaluation = newest_evaluation(client, job["id"])
         if evaluation is None:
@@ -124,31 +124,30 @@ class Demo:
         for film in sorted(page.parent.glob("*.mp4")):
             self.context.say("Film", film.resolve().as_uri())
 
-    def let_shipped_run(self, evaluation: dict[str, Any], folder: Path) -> None:
-        """Let a policy from the box run; show its speed beside the one just learnt, and film it."""
-        self._head(f"7. Beside it, the policy {SHIPPED} from the box")
-        learnt, shipped = evaluation["summary"], judge(SHIPPED, episodes=SHIPPED_EPISODES)
+    def show_bundled(self, evaluation: dict[str, Any], folder: Path) -> None:
+        """Evaluate a bundled policy, show its results beside those of the one just trained, and film it."""
+        self._head(f"7. For comparison, the bundled policy {BUNDLED}")
+        trained, bundled = evaluation["summary"], evaluate(BUNDLED, episodes=BUNDLED_EPISODES)
         for title, summary, steps in (
-            ("Just learnt", learnt, learnt["checkpoint"]["step"]),
-            (SHIPPED.capitalize(), shipped, naopolicies.card(SHIPPED)["steps"]),
+            ("Just trained", trained, trained["checkpoint"]["step"]),
+            (BUNDLED.capitalize(), bundled, naopolicies.card(BUNDLED)["steps"]),
         ):
-            speed, falls = summary["speed_mps"]["mean"], summary["falls"]["rate"]
-            self.context.say(
-                title,
-                f"{speed:.2f} m/s, {falls:.0%} falls: {summary['episodes']:,} episodes, trained for {steps:,} steps",
-            )
+            results = ", ".join(f"{name.lower()} {text}" for name, text in headline(summary).items())
+            self.context.say(title, f"{summary['episodes']:,} episodes after {steps:,} steps: {results}")
         try:
-            run_naosprint("replay", SHIPPED, str(folder), "--film-seconds", str(SHIPPED_FILM_S))
+            run_naosprint("replay", BUNDLED, str(folder), "--film-seconds", str(BUNDLED_FILM_S))
         except CliError as error:
             self.context.say("Film", str(error))
             return
         self.context.say("Film", (folder / "replay.mp4").resolve().as_uri())
 
     def _verify(self, checkpoint: Path, evaluation: dict[str, Any]) -> None:
-        """Judge the downloaded policy anew in a process of its own, without the service, and compare every figure."""
-        self._head("5. The same figures again, from the downloaded file alone")
+        """Evaluate the downloaded policy again without the service, in another process, and compare every number."""
+        self._head("5. The same results again, from the downloaded file alone")
         flags = []
         for field, value in evaluation["spec"].items():
+            if field == "task":  # the training's
+                continue
             flags += [
                 f"--{field.replace('_', '-')}",
                 "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value),
@@ -158,7 +157,7 @@ class Demo:
         differing = differences(evaluation["summary"], again)
         if differing:
             raise CliError(
-                f"{len(differing)} figures of the downloaded policy are others than the service reported, "
+                f"{len(differing)} numbers of the downloaded policy differ from those that the service reported, "
                 f"first {differing[0]}",
                 code=ExitCode.FAILURE,
             )

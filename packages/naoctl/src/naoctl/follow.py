@@ -26,7 +26,7 @@ RESULT = {
 class Update:
     """Hold one thing that the stream told, and the job as it is known after it.
 
-    ``kind`` is ``job`` (its row changed), ``metrics`` (a row of figures), ``log`` or ``event``.
+    ``kind`` is ``job`` (its row changed), ``metrics`` (a row of metrics), ``log`` or ``event``.
     """
 
     kind: str

@@ -7,12 +7,18 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from naosprint.tasks.metrics import format_value
 from rich.console import Console, Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
+
+from naoctl.descriptions import Descriptions, common, section_name, value_text
+
+if TYPE_CHECKING:
+    from naosprint.tasks.metrics import Metric
 
 Json = Mapping[str, Any]
 
@@ -31,15 +37,6 @@ STATE_STYLE = {
 BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.-=+*#%"
 MISSING = "-"
-
-#: The figures of a metrics row that people look at: key, heading, how to write it.
-FIGURES: tuple[tuple[str, str, str], ...] = (
-    ("reward", "Reward", "{:.2f}"),
-    ("distance_m", "Distance", "{:.2f} m"),
-    ("speed_mps", "Speed", "{:.2f} m/s"),
-    ("fall_rate", "Falls", "{:.0%}"),
-    ("steps_per_s", "Pace", "{:,.0f} steps/s"),
-)
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -156,39 +153,38 @@ def percent(job: Json) -> float:
     return min(1.0, job.get("progress_step", 0) / total) if total else 0.0
 
 
-def figure(metrics: Json, key: str, form: str) -> str:
-    """Write one figure of a metrics row, or a dash where the row has none."""
-    value = metrics.get(key)
-    return form.format(value) if isinstance(value, int | float) and math.isfinite(value) else MISSING
+#: Columns of the list of jobs beside id, name, state and metrics: heading, least terminal width at which it is shown.
+LIST_COLUMNS = (("Done", 0), ("Steps", 100), ("Submitted", 90))
+#: Least terminal width at which the list of jobs shows its first, second and third metric.
+METRIC_WIDTHS = (78, 112, 126)
 
 
-#: Columns of the list of jobs beside id, name and state: heading, least terminal width at which it is shown.
-LIST_COLUMNS = (("Done", 0), ("Steps", 100), ("Reward", 112), ("Distance", 78), ("Submitted", 90))
-
-
-def jobs_table(jobs: Iterable[Json], width: int = 200) -> Table:
+def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
     """Return the list of jobs, with as many columns as the width has room for; the name gives way first."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("ID", no_wrap=True, min_width=30)
     table.add_column("Name", no_wrap=True, overflow="ellipsis", max_width=40)
     table.add_column("State", no_wrap=True, min_width=10)
+    listed = common([descriptions.listed(job) for job in jobs])
+    metrics = [metric for metric, least in zip(listed, METRIC_WIDTHS, strict=False) if width >= least]
     shown = [heading for heading, least in LIST_COLUMNS if width >= least]
-    for heading in shown:
+    headings = [*shown[:2], *(metric.title for metric in metrics), *shown[2:]]
+    for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for job in jobs:
-        metrics = job.get("latest_metrics") or {}
+        row = job.get("latest_metrics") or {}
+        own = {metric.name for metric in descriptions.listed(job)}
         cells = {
             "Done": f"{percent(job):.0%}",
             "Steps": f"{job['total_steps']:,}",
-            "Reward": figure(metrics, "reward", "{:.2f}"),
-            "Distance": figure(metrics, "distance_m", "{:.2f} m"),
             "Submitted": ago(job.get("created_at")),
+            **{metric.title: value_text(metric, row) if metric.name in own else MISSING for metric in metrics},
         }
         # A table that is too wide shrinks all its columns; only the name can lose characters without losing sense.
-        room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in shown) - 4
+        room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in headings) - 4
         name = plain(job["name"])
         short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
-        table.add_row(cell(job["id"]), cell(short), state_text(job["state"]), *(cells[heading] for heading in shown))
+        table.add_row(cell(job["id"]), cell(short), state_text(job["state"]), *(cells[heading] for heading in headings))
     return table
 
 
@@ -202,9 +198,18 @@ def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
     return table
 
 
-def job_details(job: Json) -> Table:
-    """Return the table of a job's details."""
-    spec = job["spec"]
+def training_text(spec: Json) -> str:
+    """Return what a stored specification trains, in one line: task, robot, preset, seed, simulator."""
+    algorithm = spec.get("algorithm")
+    preset = algorithm.get("preset", MISSING) if isinstance(algorithm, Mapping) else MISSING
+    robot, simulator = section_name(spec, "robot"), section_name(spec, "simulator")
+    return (
+        f"{section_name(spec, 'task')}, robot {robot}, preset {preset}, seed {spec.get('seed', MISSING)}, {simulator}"
+    )
+
+
+def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
+    """Return one job in detail, with its newest value of each of ``metrics``."""
     started, finished = parse_time(job.get("started_at")), parse_time(job.get("finished_at"))
     took = ((finished or datetime.now(UTC)) - started).total_seconds() if started else None
     state = state_text(job["state"])
@@ -219,7 +224,7 @@ def job_details(job: Json) -> Table:
         ("State", state),
         *([("Waiting", cell(job["waiting_reason"]))] if job.get("waiting_reason") else []),
         ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
-        ("Training", f"{spec['task']}, preset {spec['preset']}, seed {spec['seed']}, {spec['simulator']}"),
+        ("Training", training_text(job["spec"])),
         ("Owner", cell(job["owner"])),
         ("Tags", cell(", ".join(job["tags"]) or MISSING)),
         ("Attempt", f"{job['attempt']} ({job.get('failures', 0)} of at most {job['max_attempts']} lost)"),
@@ -231,17 +236,17 @@ def job_details(job: Json) -> Table:
         rows.append(("Parent", job["parent_job_id"]))
     if job.get("group_id"):
         rows.append(("Group", job["group_id"]))
-    metrics = job.get("latest_metrics") or {}
-    rows += [(title, figure(metrics, key, form)) for key, title, form in FIGURES if key in metrics]
+    latest = job.get("latest_metrics") or {}
+    rows += [(metric.title, value_text(metric, latest)) for metric in metrics if metric.name in latest]
     if job.get("error"):
         rows.append(("Error", Text(plain(job["error"]), style="red")))
     return pairs(rows)
 
 
 class Curve:
-    """Keep the figures of a job over time, as many as a terminal is wide and no more than memory allows."""
+    """Metrics of a job over time, no more points than a terminal can show."""
 
-    #: Points kept per figure; beyond it every second one is dropped.
+    #: Points kept per metric; beyond it every second one is dropped.
     LIMIT = 4096
 
     def __init__(self) -> None:
@@ -260,8 +265,10 @@ class Curve:
                 del values[1::2]
 
 
-def live_view(job: Json, curve: Curve, *, width: int, ascii_only: bool, note: str = "") -> RenderableType:
-    """Return the picture that ``watch`` keeps on the screen: progress, figures and curves of one job."""
+def live_view(
+    job: Json, curve: Curve, metrics: Sequence[Metric], *, width: int, ascii_only: bool, note: str = ""
+) -> RenderableType:
+    """Return the picture that ``watch`` keeps on the screen: progress, metrics and curves of one job."""
     latest = curve.latest
     step = max(int(latest.get("step", 0)), int(job.get("progress_step") or 0))
     total = job["total_steps"]
@@ -279,15 +286,15 @@ def live_view(job: Json, curve: Curve, *, width: int, ascii_only: bool, note: st
     table.add_column("Now", justify="right", no_wrap=True)
     table.add_column("Best", justify="right", no_wrap=True)
     table.add_column("Course", no_wrap=True)
-    for key, title, form in FIGURES:
-        values = curve.series.get(key)
+    for metric in metrics:
+        values = curve.series.get(metric.name)
         if not values:
             continue
-        best = min(values) if key == "fall_rate" else max(values)
+        best = min(values) if metric.better == "lower" else max(values)
         table.add_row(
-            title,
-            form.format(values[-1]),
-            form.format(best),
+            metric.title,
+            format_value(metric, values[-1]),
+            format_value(metric, best),
             sparkline(values, max(10, min(60, width - 44)), ascii_only=ascii_only),
         )
     parts: list[RenderableType] = [head, line]
@@ -298,11 +305,9 @@ def live_view(job: Json, curve: Curve, *, width: int, ascii_only: bool, note: st
     return Group(*parts)
 
 
-def progress_line(job: Json, metrics: Json) -> str:
+def progress_line(job: Json, row: Json, metrics: Sequence[Metric]) -> str:
     """Return one line that says how far a job is, for output that is no terminal."""
-    step, total = int(metrics.get("step", job.get("progress_step", 0))), job["total_steps"]
-    figures = "  ".join(
-        f"{title.lower()} {figure(metrics, key, form)}" for key, title, form in FIGURES if key in metrics
-    )
+    step, total = int(row.get("step", job.get("progress_step", 0))), job["total_steps"]
+    values = "  ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in metrics if metric.name in row)
     share = min(1.0, step / total) if total else 0.0
-    return f"{step:>12,} of {total:,} steps {share:>4.0%}  {figures}  ETA {duration(metrics.get('eta_s'))}"
+    return f"{step:>12,} of {total:,} steps {share:>4.0%}  {values}  ETA {duration(row.get('eta_s'))}"

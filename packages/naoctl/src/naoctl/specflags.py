@@ -1,13 +1,17 @@
-"""One command-line flag per field of a specification, derived from the model."""
+"""One command-line flag per setting of a specification, derived from its models."""
 
 from __future__ import annotations
 
 import inspect
+import json
 import types
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import typer
+from naospec import flat
+from naospec.flat import Setting
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from typer.models import OptionInfo
@@ -16,6 +20,14 @@ from naoctl.errors import InvalidInput
 
 #: What a user writes to set a nullable field to null.
 NULL_WORDS = frozenset({"none", "null"})
+#: Headings above the flags of each section in ``--help``.
+PANELS = {
+    "task": "Task",
+    "robot": "Robot",
+    "simulator": "Simulator",
+    "algorithm": "Algorithm (left out: the preset's value)",
+    "runtime": "Runtime",
+}
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -41,45 +53,53 @@ def choices_of(info: FieldInfo) -> tuple[str, ...]:
     return tuple(words)
 
 
+@cache
+def training_settings() -> dict[str, Setting]:
+    """Return every setting of a training that has a flag, by short name; plug-ins contribute theirs."""
+    return flat.settings()
+
+
+def settings_of(model: type[BaseModel], *, leave_out: Iterable[str] = ()) -> dict[str, Setting]:
+    """Return the fields of a specification without sections as settings, by name."""
+    skipped = set(leave_out)
+    return {name: Setting(name, (name,), info) for name, info in model.model_fields.items() if name not in skipped}
+
+
 def spec_parameters(
-    model: type[BaseModel],
+    settings: Mapping[str, Setting],
     *,
     panel: str,
     prefix: str = "",
     aliases: Mapping[str, Iterable[str]] | None = None,
     flag_prefix: str | None = None,
-    leave_out: Iterable[str] = (),
 ) -> list[inspect.Parameter]:
-    """Return one keyword parameter per field for a Typer command; a parameter is None unless the user gave its flag.
+    """Return one keyword parameter per setting for a Typer command; a parameter is None unless the user gave its flag.
 
     Args:
-        model: the specification.
-        panel: heading above the flags in ``--help``.
-        prefix: put before field names, to keep two models apart in one command.
+        settings: settings by short name.
+        panel: heading above the flags in ``--help``; settings in sections have their section's.
+        prefix: put before names, to keep two specifications apart in one command.
         flag_prefix: the prefix that users see in flags, when it is another.
-        aliases: further flags by field name, for example ``{"total_steps": ["--steps"]}``.
-        leave_out: fields that get no flag.
+        aliases: further flags by name, for example ``{"total_steps": ["--steps"]}``.
     """
     aliases = aliases or {}
-    skipped = set(leave_out)
     parameters = []
-    for field, info in model.model_fields.items():
-        if field in skipped:
-            continue
+    for field, setting in settings.items():
+        info = setting.info
         name = flag_name(field, prefix if flag_prefix is None else flag_prefix)
-        choices = choices_of(info)
+        choices = setting.choices or choices_of(info)
         annotation: Any = str | None
         declarations = [name, *aliases.get(field, ())]
-        metavar: str | None = _metavar(info, choices)
+        metavar: str | None = "NAME" if setting.choices else _metavar(info, choices)
         if info.annotation is bool:
             annotation, metavar = bool | None, None
             declarations = [f"{name}/--no-{name[2:]}"]
         option: OptionInfo = typer.Option(
             *declarations,
-            help=_help(info),
+            help=_help(setting),
             metavar=metavar,
             show_default=False,
-            rich_help_panel=panel,
+            rich_help_panel=PANELS.get(setting.path[0], panel) if len(setting.path) > 1 else panel,
             autocompletion=_completion(choices) if choices else None,
         )
         parameters.append(
@@ -118,18 +138,19 @@ def with_parameters(function: Callable[..., None], named: Mapping[str, list[insp
     return command
 
 
-def parse_flags(model: type[BaseModel], flags: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
-    """Turn flag values into field values: ``none`` into null where the field may be null, ``64,64`` into a list."""
+def parse_flags(settings: Mapping[str, Setting], flags: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
+    """Turn flag values into values: ``none`` into null where the field may be null, ``64,64`` into a list."""
     values: dict[str, Any] = {}
     for name, raw in flags.items():
         field = name.removeprefix(prefix)
-        info = model.model_fields[field]
-        parts = _alternatives(info.annotation)
+        parts = _alternatives(settings[field].info.annotation)
         value: Any = raw
         if isinstance(raw, str):
             text = raw.strip()
             if type(None) in parts and text.lower() in NULL_WORDS:
                 value = None
+            elif any(_is_mapping(part) for part in parts):
+                value = _json(field, text)
             elif any(get_origin(part) in (tuple, list) for part in parts):
                 value = [item.strip() for item in text.split(",") if item.strip()]
             elif _literal_numbers(parts):
@@ -144,11 +165,18 @@ def build(
     model: type[ModelT],
     values: Mapping[str, Any],
     *,
-    from_flags: Iterable[str] = (),
+    from_flags: Mapping[str, Setting] | None = None,
     prefix: str = "",
     where: str = "",
 ) -> ModelT:
     """Validate ``values`` and build the model.
+
+    Args:
+        model: the specification.
+        values: its content.
+        from_flags: settings that came from flags, by short name.
+        prefix: prefix of those flags.
+        where: put before the paths of all other fields.
 
     Raises:
         InvalidInput: naming every wrong field, as its flag if it came from one, and what would be right.
@@ -156,39 +184,67 @@ def build(
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise InvalidInput(*explain(model, error, from_flags=from_flags, prefix=prefix, where=where)) from None
+        raise InvalidInput(_explain(model, values, error, from_flags or {}, prefix, where)) from None
 
 
-def explain(
+def _explain(
     model: type[BaseModel],
+    values: Mapping[str, Any],
     error: ValidationError,
-    *,
-    from_flags: Iterable[str] = (),
-    prefix: str = "",
-    where: str = "",
-) -> tuple[str, ...]:
-    """Put a validation error into words: one line, every wrong field by the name the user gave it."""
-    flags = set(from_flags)
+    from_flags: Mapping[str, Setting],
+    prefix: str,
+    where: str,
+) -> str:
+    """Return a validation error as one line: every wrong field by the name the user gave it."""
+    flags = {setting.path: flag_name(name, prefix) for name, setting in from_flags.items()}
     lines = []
     for item in error.errors(include_url=False, include_context=False):
-        path = [str(part) for part in item["loc"]]
+        path = tuple(str(part) for part in item["loc"])
         message = item["msg"].removeprefix("Value error, ")
-        if not path and ":" in message and message.split(":", 1)[0] in model.model_fields:
-            field, message = message.split(":", 1)
-            path, message = [field], message.strip()
+        head, colon, rest = message.partition(": ")
+        if colon and all(part.isidentifier() for part in head.split(".")):
+            # a check over several fields names the one to change
+            named = tuple(head.split("."))
+            path, message = named if named[: len(path)] == path else (*path, *named), rest
         if not path:
             lines.append(message)
             continue
-        field = path[0]
-        name = flag_name(field, prefix) if field in flags else where + ".".join(path)
+        # a section's own error belongs to the flag that chose its plug-in; an item's, to its list's
+        places = (path, (*path, "name"), path[:2], path[:1])
+        name = next((flags[place] for place in places if place in flags), where + ".".join(path))
         if item["type"] == "extra_forbidden":
-            known = ", ".join(model.model_fields)
-            lines.append(f"{name}: no such field; there are {known}")
+            known = ", ".join(_fields_at(model, values, path[:-1]))
+            lines.append(f"{name}: no such field" + (f"; there are {known}" if known else ""))
         else:
             given = item.get("input")
             shown = f" (got {given!r})" if isinstance(given, str | int | float | bool) else ""
             lines.append(f"{name}: {message[:1].lower()}{message[1:]}{shown}")
-    return ("; ".join(lines),)
+    return "; ".join(lines)
+
+
+def _fields_at(model: type[BaseModel], values: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    """Return the names of the settings beside an unknown one."""
+    if not path:
+        return list(model.model_fields)
+    section = values.get(path[0])
+    plugin = section.get("name") if isinstance(section, Mapping) else section
+    return [
+        setting.path[1]
+        for setting in training_settings().values()
+        if setting.path[:-1] == path and (not setting.plugins or plugin in (None, *setting.plugins))
+    ]
+
+
+def _is_mapping(annotation: Any) -> bool:
+    origin = get_origin(annotation) or annotation
+    return isinstance(origin, type) and issubclass(origin, Mapping)
+
+
+def _json(field: str, text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        raise InvalidInput(f"{flag_name(field)}: expected a JSON object, got {text!r}") from None
 
 
 def _alternatives(annotation: Any) -> tuple[Any, ...]:
@@ -215,12 +271,17 @@ def _metavar(info: FieldInfo, choices: tuple[str, ...]) -> str:
     for part in parts:
         if get_origin(part) in (tuple, list):
             return "INT,INT,..."
+        if _is_mapping(part):
+            return "JSON"
     word = "INTEGER" if int in parts else "NUMBER" if float in parts else "TEXT"
     return f"{word}|none" if type(None) in parts else word
 
 
-def _help(info: FieldInfo) -> str:
+def _help(setting: Setting) -> str:
+    info = setting.info
     text = info.description or info.title or ""
+    if setting.choices:
+        text += f" One of {', '.join(setting.choices)}."
     bounds = {
         name: getattr(item, name) for item in info.metadata for name in ("ge", "gt", "le", "lt") if hasattr(item, name)
     }
@@ -232,6 +293,8 @@ def _help(info: FieldInfo) -> str:
     )
     if limits:
         text += f" [{limits}]"
+    if setting.plugins:
+        text += f" ({setting.path[0]} {', '.join(setting.plugins)})"
     return text.replace("[", "\\[")
 
 

@@ -87,7 +87,7 @@ def fetch(
     if actual != remote.sha256:
         part.unlink()
         raise CliError(
-            f"{remote.name} arrived with SHA-256 {actual[:12]}… instead of {remote.sha256[:12]}…",
+            f"{remote.name} was received with SHA-256 {actual[:12]}… instead of {remote.sha256[:12]}…",
             fix="Nothing was kept; run the same command again, and if it repeats, the store is damaged.",
             code=ExitCode.CORRUPT,
         )

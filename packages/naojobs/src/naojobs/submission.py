@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from naospec import EvaluationSpec, TrainingSpec, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from naospec.flat import nest
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -147,7 +147,7 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
         except ValidationError as error:
             raise InvalidError(f"{label}: {validation_words(error.errors())}", f"grid.{next(iter(point))}") from error
         # Without blanks, so that it can be typed as it is.
-        suffix = "".join(f"-{name}-{value}" for name, value in point.items()).replace(" ", "")
+        suffix = "".join(f"-{name.rpartition('.')[2]}-{value}" for name, value in point.items()).replace(" ", "")
         jobs.append(replace(request.job, spec=spec, name=f"{request.job.display_name}{suffix}"[:200]))
     return jobs
 
@@ -233,6 +233,15 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
     parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
+    robot = parent.spec.get("robot", {}).get("name")
+    if robot in plugins.names(plugins.ROBOTS):
+        family = plugins.load(plugins.ROBOTS, robot).family
+        if family != request.spec.robot_description.family:
+            raise InvalidError(
+                f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
+                f"use a robot of family {family}",
+                "spec.robot",
+            )
     theirs = parent.spec.get("algorithm", {})
     for name, value in request.spec.algorithm.policy_shape().items():
         if theirs.get(name) != value:

@@ -1,10 +1,10 @@
-"""Sprint policies in the box: weights, cards and a run of each to look at; data alone, nothing to import with it.
+"""Bundled policies: weights, cards and a recorded episode of each. Data only; importing it loads nothing else.
 
-Each policy is a folder under ``shipped``:
+Each policy is a folder under ``bundled``:
 
-    checkpoint.json, policy.npz     a checkpoint without what only its training would need
-    card.json                       what it is, how it came about, how good it is
-    replay.json                     one episode as it looked
+- ``checkpoint.json``, ``policy.npz``: a checkpoint without what only its training would need.
+- ``card.json``: what it is, how it was trained, and the results of its evaluation.
+- ``replay.json``: one recorded episode.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ CARD = "card.json"
 CHECKPOINT = "checkpoint.json"
 REPLAY = "replay.json"
 
-_SHIPPED = Path(__file__).parent / "shipped"
+_BUNDLED = Path(__file__).parent / "bundled"
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all shipped policies."""
-    return tuple(sorted(card.parent.name for card in _SHIPPED.glob(f"*/{CARD}")))
+    """Return the names of all bundled policies."""
+    return tuple(sorted(card.parent.name for card in _BUNDLED.glob(f"*/{CARD}")))
 
 
 def folder(name: str) -> Path:
@@ -33,7 +33,7 @@ def folder(name: str) -> Path:
     """
     if name not in names():
         raise ValueError(f"unknown policy {name!r}: choose one of {', '.join(names())}")
-    return _SHIPPED / name
+    return _BUNDLED / name
 
 
 def card(name: str) -> dict[str, Any]:
@@ -47,7 +47,7 @@ def card(name: str) -> dict[str, Any]:
 
 
 def spec(name: str) -> dict[str, Any]:
-    """Return the specification of the last training of the policy called ``name``: the fields of a ``TrainingSpec``.
+    """Return the specification of the last training of the policy called ``name``: the sections of a ``TrainingSpec``.
 
     Raises:
         ValueError: if there is no such policy; the message lists those that exist.
@@ -57,7 +57,7 @@ def spec(name: str) -> dict[str, Any]:
 
 
 def resolve(text: str) -> Path:
-    """Return the folder that a user means: a checkpoint's path, or the name of a shipped policy.
+    """Return the folder of a checkpoint that is given by its path, or by the name of a bundled policy.
 
     Raises:
         ValueError: if it is neither.
@@ -68,5 +68,5 @@ def resolve(text: str) -> Path:
     if text in names():
         return folder(text)
     raise ValueError(
-        f"{text!r} is neither a checkpoint's folder nor a shipped policy; those are: {', '.join(names()) or 'none'}"
+        f"{text!r} is neither a checkpoint directory nor a bundled policy; these are: {', '.join(names()) or 'none'}"
     )

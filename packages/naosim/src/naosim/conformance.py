@@ -149,8 +149,8 @@ def robots_start_where_they_should(subject: Subject) -> None:
         front = rotation[:, :, simulator.robot.front_axis]
         turned = np.arctan2(front[:, 1], front[:, 0]) - HEADING_RAD
         _require(bool((np.abs(turned) < _NEAR_RAD).all()), f"heading: {turned} rad from the start's")
-        fallen = position[:, 2] < simulator.robot.fall_height_m
-        _require(not fallen.any(), f"height: {position[:, 2]} m is below fall_height_m")
+        down = position[:, 2] < simulator.robot.fall_height_m
+        _require(not down.any(), f"height: {position[:, 2]} m is below fall_height_m")
         bent = np.abs(np.diff(_angles(simulator), axis=0)).max()
         _require(bent > np.rad2deg(BEND_RAD) / 2, f"starts: the postures differ by {bent:.2f} degrees only")
 

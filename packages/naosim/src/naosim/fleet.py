@@ -101,6 +101,7 @@ class Fleet(ABC):
         self.failed: Flags = np.zeros(n, dtype=np.bool_)
         """(n,), environments whose server is lost; they keep still until replaced."""
         self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
+        self._entering: Flags = np.zeros(n, dtype=np.bool_)  # environments whose server is being started
         self._handles: list[ServerHandle | None] = [None] * n
         self._lock = threading.RLock()
         self._idle = np.zeros((n, joints))
@@ -256,11 +257,12 @@ class Fleet(ABC):
                         f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
                         f"the last: server {row}: {self.reason(row)}"
                     )
-            self._open(lost)
-            for row in lost:
-                if self.failed[row]:
-                    raise ServerLostError(f"server {row}: {self.reason(row)}")
-            return lost
+        # without the lock: servers that wait must be kept alive meanwhile
+        self._open(lost)
+        for row in lost:
+            if self.failed[row]:
+                raise ServerLostError(f"server {row}: {self.reason(row)}")
+        return lost
 
     @contextmanager
     def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
@@ -309,15 +311,22 @@ class Fleet(ABC):
 
     def _note_failures(self) -> None:
         for row in range(self.n):
-            if not self.failed[row] and self._exchange.failure(row):
+            if not self.failed[row] and not self._entering[row] and self._exchange.failure(row):
                 self.failed[row] = True
                 logger.warning("server %d is lost: %s", row, self.reason(row))
 
     def _open(self, rows: Sequence[int]) -> None:
+        self._entering[list(rows)] = True
         with ThreadPoolExecutor(max_workers=min(8, len(rows))) as pool:
             list(pool.map(self._open_one, rows))
 
     def _open_one(self, row: int) -> None:
+        try:
+            self._open_server(row)
+        finally:
+            self._entering[row] = False
+
+    def _open_server(self, row: int) -> None:
         self._exchange.detach(row)
         deadline = time.monotonic() + self._start_timeout_s
         problem = ""

@@ -150,8 +150,9 @@ class PluginSection:
         options = []
         for name, model, robots in variants(self.group):
             option = dict(handler.resolve_ref_schema(handler(model.__pydantic_core_schema__)))
-            title = dict(option["properties"]["name"])
-            option["properties"] = {**option["properties"], "name": {**title, "const": name, "type": "string"}}
+            described = {key: value for key, value in option["properties"]["name"].items() if key != "default"}
+            option["properties"] = {**option["properties"], "name": {**described, "const": name, "type": "string"}}
+            option["required"] = ["name"]
             option["title"] = name
             if robots:
                 option["x-robots"] = list(robots)

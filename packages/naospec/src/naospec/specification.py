@@ -165,6 +165,11 @@ class Stage(BaseModel):
     seed: int | None = Field(
         default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
     )
+    robot: str | None = Field(
+        default=None,
+        title="Robot",
+        description="Robot of the stage, with its default settings; left out: the training's.",
+    )
     algorithm: dict[str, Any] = Field(
         default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
     )
@@ -182,16 +187,32 @@ class TrainingSpec(_Specification):
     """
 
     task: Annotated[Any, PluginSection(plugins.TASKS)] = Field(
-        default=None, validate_default=True, title="Task", description="What to learn."
+        default=None,
+        validate_default=True,
+        title="Task",
+        description="What to learn.",
+        json_schema_extra={"default": {"name": DEFAULTS["task"]}},
     )
     robot: Annotated[Any, PluginSection(plugins.ROBOTS)] = Field(
-        default=None, validate_default=True, title="Robot", description="The robot."
+        default=None,
+        validate_default=True,
+        title="Robot",
+        description="The robot.",
+        json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
     )
     simulator: Annotated[Any, PluginSection(plugins.SIMULATORS)] = Field(
-        default=None, validate_default=True, title="Simulator", description="Where the robot runs."
+        default=None,
+        validate_default=True,
+        title="Simulator",
+        description="Where the robot runs.",
+        json_schema_extra={"default": {"name": DEFAULTS["simulator"]}},
     )
     algorithm: Annotated[Any, PluginSection(plugins.LEARNERS)] = Field(
-        default=None, validate_default=True, title="Algorithm", description="How the robot learns."
+        default=None,
+        validate_default=True,
+        title="Algorithm",
+        description="How the robot learns.",
+        json_schema_extra={"default": {"name": DEFAULTS["algorithm"]}},
     )
     total_steps: int = Field(
         default=10_000_000,
@@ -248,7 +269,7 @@ class TrainingSpec(_Specification):
         stages = filled.get("stages")
         if stages and "total_steps" not in filled:
             steps = [stage.get("steps") if isinstance(stage, dict) else stage.steps for stage in stages]
-            if all(isinstance(count, int) for count in steps):
+            if all(isinstance(count, int) and count > 0 for count in steps):
                 filled["total_steps"] = sum(steps)
         return filled
 
@@ -307,6 +328,8 @@ class TrainingSpec(_Specification):
             content = self.model_dump(exclude={"stages"})
             content["total_steps"] = stage.steps
             content["seed"] = self.seed if stage.seed is None else stage.seed
+            if stage.robot is not None:
+                content["robot"] = {"name": stage.robot}
             for section in ("algorithm", "task"):
                 changes = getattr(stage, section)
                 fixed = {"name", "preset", "version"} & changes.keys()
@@ -347,7 +370,10 @@ class TrainingSpec(_Specification):
         return found
 
     def without_preset(self) -> dict[str, Any]:
-        """Return the sections without what preset, task and robot decide, so that others can decide it."""
+        """Return the sections without what preset, task and robot decide and without defaults.
+
+        Another preset, task, robot or simulator can then decide it.
+        """
         content = self.model_dump(mode="json", exclude_defaults=False)
         changed = self.overrides()
         family = self.robot_description.family
@@ -355,12 +381,17 @@ class TrainingSpec(_Specification):
             for name in presets.values(self.algorithm.preset, section, family):
                 if f"{section}.{name}" not in changed:
                     content[section].pop(name, None)
+        bare = self.task_class.resolve(type(self.task)(name=self.task.name), self.robot_description)
+        for section, default in (
+            ("task", bare),
+            *((name, type(getattr(self, name))()) for name in GROUPS if name != "task"),
+        ):
+            given = presets.values(self.algorithm.preset, section, family) if section in presets.SECTIONS else {}
+            for name in type(default).model_fields:
+                same = getattr(getattr(self, section), name) == getattr(default, name)
+                if name not in ("name", "preset") and same and name not in given:
+                    content[section].pop(name, None)
         content["task"].pop("version", None)
-        bare = type(self.task)(name=self.task.name)
-        resolved = self.task_class.resolve(bare, self.robot_description)
-        for name in type(self.task).model_fields:
-            if name != "name" and getattr(bare, name) != getattr(resolved, name) == getattr(self.task, name):
-                content["task"].pop(name, None)
         if self.stages:
             content.pop("total_steps")
         return content
@@ -430,9 +461,7 @@ class EvaluationSpec(_Specification):
         Raises:
             pydantic.ValidationError: if the combination is impossible.
         """
-        content = trained.model_dump(exclude={"stages"})
-        if trained.stages:
-            content = trained.stage_specs[-1].model_dump(exclude={"stages"})
+        content = trained.stage_specs[-1].model_dump(exclude={"stages"})
         if self.task is not None:
             content["task"] = self.task.model_dump(exclude_none=True)
         if self.start_noise_deg is not None:

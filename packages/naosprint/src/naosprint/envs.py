@@ -191,7 +191,9 @@ class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
         self._ended[:] = False
         return self._robots.observations(), {}
 
-    def step(self, actions: Float32Array) -> tuple[Float32Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+    def step(
+        self, actions: Float32Array
+    ) -> tuple[Float32Array, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Take one step of 20 ms with the (n, A) actions in [-1, 1]."""
         environment, again = self._robots.environment, self._ended
         if not again.all():

@@ -15,7 +15,7 @@ DEFAULT_ID = f"{NAMESPACE}/Sprint-v0"
 
 
 def env_id(name: str, version: int) -> str:
-    """Return the id of a task's environment: ``naosprint/Sprint1Erect-v1`` for version 1 of ``sprint1-erect``."""
+    """Return the id of a task's environment: ``naosprint/RunBackwards-v1`` for version 1 of ``run-backwards``."""
     camel = "".join(part[:1].upper() + part[1:] for part in name.replace("_", "-").split("-"))
     return f"{NAMESPACE}/{camel}-v{version}"
 

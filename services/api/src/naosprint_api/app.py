@@ -17,14 +17,14 @@ from starlette.types import ASGIApp
 from naosprint_api import __version__, problems
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
-from naosprint_api.routes import artifacts, jobs, policies, streams, system, tokens
+from naosprint_api.routes import artifacts, catalog, jobs, policies, streams, system, tokens
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
 STATIC = Path(__file__).parent / "static"
 
 _DESCRIPTION = """\
-Submit sprint trainings for NAO robots, follow them live and download what they have learned.
+Submit trainings of simulated humanoid robots, follow them live and download what they have learned.
 
 Every error is a problem document (RFC 9457) whose `errors` name the fields to change.
 """
@@ -51,7 +51,15 @@ def create_app(service: Service) -> FastAPI:
     )
     app.state.service = service
     # Streams come before jobs: /jobs/stream is no job's id.
-    routers = (system.router, streams.router, jobs.router, artifacts.router, policies.router, tokens.router)
+    routers = (
+        system.router,
+        catalog.router,
+        streams.router,
+        jobs.router,
+        artifacts.router,
+        policies.router,
+        tokens.router,
+    )
     problems.install(app, routers)
     for router in routers:
         app.include_router(router)

@@ -26,7 +26,9 @@ _log = logging.getLogger(__name__)
 class FieldError(BaseModel):
     """Names one field and what is wrong with it."""
 
-    field: str = Field(description="Path of the field, e.g. spec.learning_rate; `body` for the request as a whole.")
+    field: str = Field(
+        description="Path of the field, e.g. spec.algorithm.learning_rate; `body` for the request as a whole."
+    )
     message: str = Field(description="What is wrong, and what would be right.")
 
 
@@ -89,10 +91,15 @@ def field_errors(error: RequestValidationError) -> list[FieldError]:
             message = "give a JSON object and Content-Type: application/json"
         # A validator over several fields puts the one to change in front of its message.
         head, colon, rest = message.partition(": ")
-        if item["type"] == "value_error" and colon and head.isidentifier():
-            path, message = [*path, head], rest
+        if colon and all(part.isidentifier() or part.isdecimal() for part in head.split(".")):
+            path, message = [*path, *_below(path, head.split("."))], rest
         found.append(FieldError(field=".".join(str(part) for part in path) or str(place), message=message))
     return found
+
+
+def _below(path: Sequence[Any], named: list[str]) -> list[str]:
+    """Return the part of a named path that is not the end of ``path`` already."""
+    return named[1:] if path and path[-1] == named[0] else named
 
 
 def allowed_methods(routers: Sequence[APIRouter], path: str) -> set[str]:

@@ -10,7 +10,7 @@ from naojobs.models import DEFAULT_TIME_LIMIT_S
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
-from naospec import TASKS, EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
@@ -55,22 +55,6 @@ class JobCreate(_Request):
         description="Start from this checkpoint; left out, from the parent job's newest when this job starts.",
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def _evaluate_the_trained_task(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        evaluation = data.get("evaluation", {})
-        if not isinstance(evaluation, dict) or "task" in evaluation:
-            return data
-        spec = data.get("spec", {})
-        task = spec.get("task") if isinstance(spec, dict) else getattr(spec, "task", None)
-        return (
-            data
-            if not isinstance(task, str) or task not in TASKS
-            else {**data, "evaluation": {**evaluation, "task": task}}
-        )
-
     @model_validator(mode="after")
     def _checkpoint_needs_job(self) -> Self:
         if self.parent_checkpoint_id is not None and self.parent_job_id is None:
@@ -90,7 +74,10 @@ class GroupCreate(_Request):
     grid: dict[str, Annotated[list[Any], Field(min_length=1, max_length=MAX_GROUP_SIZE)]] = Field(
         default_factory=dict,
         max_length=8,
-        description="Fields of the training specification, each with its values; one job for each combination.",
+        description=(
+            "Settings of the training, by short name (learning_rate) or by path (algorithm.learning_rate), each with "
+            "its values; one job for each combination."
+        ),
     )
 
     def request(self) -> GroupRequest:
@@ -111,8 +98,8 @@ class JobPublic(_Public):
     waiting_reason: str | None = Field(
         None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
     )
-    spec: TrainingSpec
-    evaluation: EvaluationSpec | None
+    spec: dict[str, Any] = Field(description="What it trains, as it was stored.")
+    evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for not at all.")
     attempt: int = Field(description="How often a worker has claimed it.")
     failures: int = Field(description="Attempts lost since the last submit or retry.")
     max_attempts: int = Field(description="The job fails when failures reaches it.")
@@ -221,7 +208,7 @@ class EvaluationPublic(BaseModel):
     job_id: str
     checkpoint_id: str
     state: EvaluationState
-    spec: EvaluationSpec
+    spec: dict[str, Any] = Field(description="How it evaluates, as it was stored.")
     waiting_reason: str | None = Field(
         description="Why no worker can take the queued evaluation; null if a worker can, and in all other states."
     )

@@ -17,10 +17,21 @@ logger = logging.getLogger(__name__)
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return the installed tasks, the simulators that the settings allow, and the robots that one of them can run."""
     return Capabilities(
-        tasks={name: plugins.load(plugins.TASKS, name).version for name in plugins.names(plugins.TASKS)},
+        tasks=_versions(),
         robots=list(_robots(settings)),
         simulators=list(settings.worker_queues),
     )
+
+
+def _versions() -> dict[str, int]:
+    """Return the version of each installed task by name; one that cannot be loaded is left out."""
+    versions = {}
+    for name in plugins.names(plugins.TASKS):
+        try:
+            versions[name] = int(plugins.load(plugins.TASKS, name).version)
+        except plugins.BrokenPluginError as error:
+            logger.warning("task left out: %s", error)
+    return versions
 
 
 def _robots(settings: WorkerSettings) -> Iterator[str]:

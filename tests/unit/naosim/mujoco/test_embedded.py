@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.shapes import sole_heights
 from naosim.mujoco.traces import load
 from naosim.mujoco.world import MujocoUnavailableError, library, metadata
-from naosim.robots.booster import K1, T1
+from naosim.robots.booster import K1, T1, kind_of
 from naosim.robots.description import Robot
 from naosim.simulator import Starts
 
@@ -245,3 +246,40 @@ def test_the_recordings_start_is_reached_by_the_simulators_own_start() -> None:
     simulator.start(np.array([0]), np.array([0]))
     assert np.abs(simulator.perceptors["joint_angles"] - trace.perceptors["joint_angles"][0]).max() < 3.0  # it rocks
     assert np.abs(simulator.truth.torso_position[0] - trace.states["qpos"][0, 7:10]).max() < 0.03
+
+
+@BOTH
+def test_sole_heights_tell_flight_as_contacts_do(robot: Robot) -> None:
+    """A server reports no contacts; by the perceived pose a robot flies in nearly the same steps."""
+    simulator = opened(4, robot)
+    jump = np.array(
+        [
+            {"hip_pitch": -0.5, "knee_pitch": 1.0, "ankle_pitch": -0.5}.get(kind_of(name), 0.0)
+            for name in robot.joint_names
+        ]
+    )
+    agree, flying = [], []
+    for step in range(60):
+        simulator.step(robot.nominal + jump * np.maximum(0.0, np.sign(np.sin(0.35 * step + np.arange(4))))[:, None])
+        sensed = simulator.perceptors
+        quaternions = sensed["torso_quat"] / np.linalg.norm(sensed["torso_quat"], axis=1, keepdims=True)
+        pose = np.concatenate((sensed["torso_pos"], quaternions, np.radians(sensed["joint_angles"])), axis=1)
+        above = (sole_heights(simulator.world, pose) > 0.0).all(axis=1)
+        standing = simulator.truth.torso_position[:, 2] > robot.fall_height_m
+        agree += (above == simulator.airborne())[standing].tolist()
+        flying += simulator.airborne()[standing].tolist()
+    assert np.mean(agree) > 0.9 and 0.1 < np.mean(flying) < 0.9
+
+
+def test_torque_shares_are_those_of_the_motors() -> None:
+    simulator = opened(2)
+    at_rest = simulator.torque_shares(np.array([1]))
+    first = simulator.world.model.nv - 23
+    limits = np.array([joint.max_torque for joint in T1.joints])
+    for targets in flailing(T1, 2, 30):
+        simulator.step(targets)
+        applied = [data.qfrc_actuator[first:] / limits for data in simulator.batch.data]
+        assert simulator.torque_shares(slice(0, 2)) == pytest.approx(np.array(applied), abs=1e-9)
+    assert np.abs(simulator.torque_shares(slice(0, 2))).max() == 1.0
+    simulator.start(np.array([1]), np.array([1]))
+    assert np.array_equal(simulator.torque_shares(np.array([1])), at_rest)

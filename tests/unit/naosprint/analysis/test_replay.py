@@ -43,9 +43,7 @@ def test_document_explains_itself(tmp_path: Path) -> None:
     document = json.loads(some_replay(3).to_json())
     assert document["frames"] == len(document["position_m"]) == len(document["rotation_wxyz"]) == 3
     assert document["dt_s"] == 0.02
-    assert document["bodies"][0] == {
-        "name": "torso", "shape": "box", "size_m": [0.1, 0.1, 0.18], "side": "centre"
-    }
+    assert document["bodies"][0] == {"name": "torso", "shape": "box", "size_m": [0.1, 0.1, 0.18], "side": "centre"}
     assert len(document["position_m"][0]) == 3 * len(document["bodies"])
     assert len(document["rotation_wxyz"][0]) == 4 * len(document["bodies"])
 

@@ -161,7 +161,10 @@ def test_example_agent_sees_and_does_what_the_environment_does(
     rng = np.random.default_rng(1)
     for step in range(400):
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = environment.simulator.truth.torso_rotation[0], environment.simulator.truth.torso_position[0]
+        pose[:3, :3], pose[:3, 3] = (
+            environment.simulator.truth.torso_rotation[0],
+            environment.simulator.truth.torso_position[0],
+        )
         seen = runner.observe(_message(environment), pose)
         np.testing.assert_allclose(seen, environment.observations[0], atol=1e-6, err_msg=f"step {step}")
         actions = policy.act(environment.observations)

@@ -91,9 +91,7 @@ def test_state_carries_over() -> None:
 
 def test_mirrored_moments_are_those_of_samples_and_images() -> None:
     """As if every sample had come with its mirror image, and the same on both sides, bit for bit."""
-    mirror = Mirror.of_names(
-        ("step", "llj1", "rlj1", "yaw"), ("step", "rlj1", "llj1", "yaw"), (1.0, 1.0, 1.0, -1.0)
-    )
+    mirror = Mirror.of_names(("step", "llj1", "rlj1", "yaw"), ("step", "rlj1", "llj1", "yaw"), (1.0, 1.0, 1.0, -1.0))
     plain, mirrored = RunningMoments(4), RunningMoments(4, mirror)
     rng = np.random.default_rng(3)
     for _ in range(4):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -86,7 +85,16 @@ def stock_learner(ours: PPO) -> StockPPO:
     theirs.policy.load_state_dict({name: tensor.clone() for name, tensor in ours.policy.state_dict().items()})
     theirs.policy.log_std.requires_grad_(ours.policy.log_std.requires_grad)
     buffer = theirs.rollout_buffer
-    for name in ("observations", "actions", "rewards", "episode_starts", "values", "log_probs", "advantages", "returns"):
+    for name in (
+        "observations",
+        "actions",
+        "rewards",
+        "episode_starts",
+        "values",
+        "log_probs",
+        "advantages",
+        "returns",
+    ):
         getattr(buffer, name)[:] = getattr(rollout, name)
     buffer.pos, buffer.full = settings.n_steps, True
     theirs.set_logger(Logger(folder=None, output_formats=[]))

@@ -17,9 +17,10 @@ from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
 from naosprint.rl.columns import columns
 from naosprint.rl.policy import load_policy
 
-from ..checkpoints import assert_same
+from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
+
 
 def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
     """One row per update with all documented metrics, checkpoints at the start, the interval and the end."""

@@ -88,7 +88,9 @@ def test_short_episodes_are_truncated_after_two_seconds() -> None:
 
 def test_fraction_of_environments_with_short_episodes(make_spec: Callable[..., TrainingSpec]) -> None:
     """The fraction is the specification's."""
-    environment, _ = open_training_environment(make_spec(n_envs=8, n_steps=8, batch_size=64, start_episode_fraction=0.25))
+    environment, _ = open_training_environment(
+        make_spec(n_envs=8, n_steps=8, batch_size=64, start_episode_fraction=0.25)
+    )
     assert environment.short.tolist() == [True] * 2 + [False] * 6
     environment.close()
 

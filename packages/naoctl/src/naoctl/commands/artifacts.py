@@ -28,11 +28,11 @@ from rich.progress import (
 from rich.table import Table
 
 from naoctl.client import Client
-from naoctl.commands.submit import EVAL_PREFIX
+from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError, ExitCode
+from naoctl.evaluations import headline, newest_evaluation
 from naoctl.follow import ENDED
-from naoctl.judgement import headline, newest_evaluation
 from naoctl.render import ago, cell, pairs, size, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
@@ -72,7 +72,7 @@ def download(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Download a job's policy, the newest judgement of it and its metrics; every file's SHA-256 is checked.
+    """Download a job's policy, its newest evaluation and its metrics; every file's SHA-256 is checked.
 
     What is there already and right is not fetched again, and what an interrupted download left goes on.
     """
@@ -85,9 +85,9 @@ def download(
             point = choose_checkpoint(client, found, checkpoint)
             chosen.append(("checkpoint", folder / f"checkpoint-{point['step']:012d}", point))
         if what in (What.ALL, What.EVALUATION):
-            judged = newest_evaluation(client, found["id"])
-            if judged:
-                chosen.append(("evaluation", folder / "evaluation", judged))
+            evaluated = newest_evaluation(client, found["id"])
+            if evaluated:
+                chosen.append(("evaluation", folder / "evaluation", evaluated))
             elif what is What.EVALUATION:
                 raise CliError(
                     f"Job {found['id']} has no finished evaluation",
@@ -168,23 +168,23 @@ def report(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Get a page with curves, figures and a film about a job's policy.
+    """Get a page with curves, results and a film about a job's policy.
 
-    It is the one that a worker has drawn, if there is one; else it is drawn here, which needs naosprint.
+    It is the one that a worker has drawn, if there is one; else it is drawn here, which needs PyTorch.
     """
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
-        judged = newest_evaluation(client, found["id"])
-        if judged is None:
+        evaluated = newest_evaluation(client, found["id"])
+        if evaluated is None:
             raise CliError(
                 f"Job {found['id']} has no finished evaluation",
                 fix=f"Ask for one: naoctl eval {found['id']}",
                 code=ExitCode.NOT_FOUND,
             )
         folder = output or Path(_folder_name(found))
-        fetch_artifacts(context, client, [("evaluation", folder / "evaluation", judged)], quiet=as_json)
-        if film is None and any(file["name"] == REPORT_PAGE for file in judged["files"]):
+        fetch_artifacts(context, client, [("evaluation", folder / "evaluation", evaluated)], quiet=as_json)
+        if film is None and any(file["name"] == REPORT_PAGE for file in evaluated["files"]):
             page = folder / "report" / REPORT_PAGE
             page.parent.mkdir(exist_ok=True)
             shutil.copyfile(folder / "evaluation" / REPORT_PAGE, page)  # all it shows is in it
@@ -201,7 +201,7 @@ def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
     """Write a report from the ``evaluation`` and ``metrics.jsonl`` in a folder and return the path of its page.
 
     Raises:
-        CliError: when naosprint is not installed here or refuses.
+        CliError: when naosprint cannot run here or refuses.
     """
     arguments = [str(folder / "evaluation"), str(folder / "report"), "--title", title]
     if (folder / "metrics.jsonl").stat().st_size:
@@ -221,7 +221,7 @@ def export(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a job's policy for use elsewhere (ONNX, NumPy, JSON); needs naosprint on this machine."""
+    """Write a job's policy for use elsewhere (ONNX, NumPy, JSON); needs PyTorch on this machine."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -244,10 +244,12 @@ def run_naosprint(*words: str) -> str:
     A process of its own: the command line itself stays light and never imports PyTorch.
 
     Raises:
-        CliError: when naosprint is not installed here, or with its last words when it fails.
+        CliError: when naosprint cannot run here, or with its last words when it fails.
     """
-    if importlib.util.find_spec("naosprint") is None:
-        raise CliError("naosprint is not installed here", fix="Run this where it is, or `make install` in a checkout.")
+    if importlib.util.find_spec("torch") is None:
+        raise CliError(
+            "PyTorch is not installed here", fix="Install naosprint[train], or run this where it is installed."
+        )
     done = subprocess.run([sys.executable, "-m", "naosprint", *words], check=False, capture_output=True, text=True)
     if done.returncode:
         last = done.stderr.strip().splitlines()
@@ -307,7 +309,7 @@ def evaluate(
     checkpoint: Annotated[
         str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
     ] = None,
-    wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the figures.")] = True,
+    wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the results.")] = True,
     time_limit: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", min=1, help="Longest run of the evaluation.", show_default="6 hours"),
@@ -316,7 +318,7 @@ def evaluate(
     as_json: JsonFlag = False,
     evaluation: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
 ) -> None:
-    """Judge a job's policy: run episodes and report distance, speed and falls with confidence intervals."""
+    """Evaluate a job's policy: run episodes and report the task's results with confidence intervals."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -327,9 +329,9 @@ def evaluate(
         if checkpoint is not None:
             body["checkpoint_id"] = choose_checkpoint(client, found, checkpoint)["id"]
         if evaluation:
-            values = {"task": found["spec"]["task"], **parse_flags(EvaluationSpec, evaluation, prefix=EVAL_PREFIX)}
-            names = [name.removeprefix(EVAL_PREFIX) for name in evaluation]
-            body["spec"] = build(EvaluationSpec, values, from_flags=names).model_dump(mode="json")
+            values = parse_flags(EVALUATION_SETTINGS, evaluation, prefix=EVAL_PREFIX)
+            from_flags = {name: EVALUATION_SETTINGS[name] for name in values}
+            body["spec"] = build(EvaluationSpec, values, from_flags=from_flags).model_dump(mode="json")
         asked = client.post(f"/jobs/{found['id']}/evaluations", body)
         if wait:
             asked = await_evaluation(client, asked)
@@ -350,7 +352,7 @@ def await_evaluation(client: Client, evaluation: dict[str, Any]) -> dict[str, An
 
 
 def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
-    """Print an evaluation's main figures; ``--json`` and the downloaded ``evaluation.json`` have all of them."""
+    """Print an evaluation's main results; ``--json`` and the downloaded ``evaluation.json`` have all of them."""
     rows: list[tuple[str, Any]] = [
         ("Evaluation", evaluation["id"]),
         ("State", state_text(evaluation["state"])),
@@ -394,7 +396,5 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     for function in (checkpoints, download, report, export):
         app.command(function.__name__)(function)
-    parameters = spec_parameters(
-        EvaluationSpec, panel="Evaluation", prefix=EVAL_PREFIX, leave_out=["task"], flag_prefix=""
-    )
+    parameters = spec_parameters(EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, flag_prefix="")
     app.command("eval")(with_parameters(evaluate, {"evaluation": parameters}))

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
 from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput
+from naoctl.evaluations import headline, newest_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.judgement import headline, newest_evaluation
-from naoctl.render import FIGURES, MISSING, cell, figure, job_details, jobs_table, plain, state_text
+from naoctl.render import MISSING, cell, job_details, jobs_table, plain, state_text
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
@@ -53,10 +54,11 @@ def list_jobs(
         jobs = list(
             client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
         )
-    if as_json:
+        table = None if as_json else jobs_table(jobs, Descriptions(client), context.out.width)
+    if table is None:
         context.json(jobs)
     elif jobs:
-        context.out.print(jobs_table(jobs, context.out.width))
+        context.out.print(table)
         if len(jobs) == limit:
             context.note(f"The newest {limit}; --limit shows more.")
     else:
@@ -72,14 +74,15 @@ def status(
     ] = "last",
     as_json: JsonFlag = False,
 ) -> None:
-    """Show one job: state, progress, figures, and why it failed if it did."""
+    """Show one job: state, progress, metrics, and why it failed if it did."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
+        metrics = [] if as_json else Descriptions(client).shown(found)
     if as_json:
         context.json(found)
     else:
-        context.out.print(job_details(found))
+        context.out.print(job_details(found, metrics))
 
 
 def _steer(
@@ -146,7 +149,7 @@ def delete(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Delete jobs that have ended, with their checkpoints, evaluations and figures."""
+    """Delete jobs that have ended, with their checkpoints, evaluations and metrics."""
     context = context_of(ctx)
     gone = []
     with context.client() as client:
@@ -171,20 +174,20 @@ def compare(
     ],
     as_json: JsonFlag = False,
 ) -> None:
-    """Put jobs side by side: what they were told differently, and what came of it."""
+    """Compare jobs: the settings that differ, and the results."""
     context = context_of(ctx)
     if len(jobs) < 2:
         raise InvalidInput("compare wants two jobs or more", fix="Name another job.")
     with context.client() as client:
         found = [find_job(client, reference) for reference in jobs]
         summaries = [(newest_evaluation(client, job["id"]) or {}).get("summary") for job in found]
+        descriptions = Descriptions(client)
+        metrics = common([descriptions.shown(job) for job in found])
     if len({job["id"] for job in found}) < len(found):
         raise InvalidInput("The same job is named twice", fix="`naoctl list` shows the ids of all.")
-    differing = [
-        field
-        for field in found[0]["spec"]
-        if any(job["spec"].get(field) != found[0]["spec"].get(field) for job in found[1:])
-    ]
+    specs = [flattened(job["spec"]) for job in found]
+    paths = dict.fromkeys(path for spec in specs for path in spec)
+    differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
     if as_json:
         context.json(
             [
@@ -192,11 +195,11 @@ def compare(
                     "id": job["id"],
                     "name": job["name"],
                     "state": job["state"],
-                    "spec": {field: job["spec"].get(field) for field in differing},
+                    "spec": {path: spec.get(path) for path in differing},
                     "latest_metrics": job.get("latest_metrics") or {},
                     "evaluation": summary,
                 }
-                for job, summary in zip(found, summaries, strict=True)
+                for job, spec, summary in zip(found, specs, summaries, strict=True)
             ]
         )
         return
@@ -207,19 +210,29 @@ def compare(
     table.add_row("ID", *(job["id"] for job in found))
     table.add_row("State", *(state_text(job["state"]) for job in found))
     table.add_row("Steps", *(f"{job['progress_step']:,}" for job in found))
-    for field in differing:
-        table.add_row(field, *(cell(job["spec"].get(field)) for job in found))
-    for key, title, form in FIGURES:
-        cells = [figure(job.get("latest_metrics") or {}, key, form) for job in found]
-        if any(cell != MISSING for cell in cells):
-            table.add_row(title, *cells)
-    judged = [headline(summary or {}) for summary in summaries]
-    names = dict.fromkeys(name for figures in judged for name in figures)
+    for path in differing:
+        table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
+    for metric in metrics:
+        cells = [value_text(metric, job.get("latest_metrics") or {}) for job in found]
+        if any(text != MISSING for text in cells):
+            table.add_row(metric.title, *cells)
+    results = [headline(summary or {}) for summary in summaries]
+    names = dict.fromkeys(name for result in results for name in result)
     if names:
         table.add_row("[bold]Evaluation[/bold]", *("" for _ in found))
         for name in names:
-            table.add_row(name, *(figures.get(name, MISSING) for figures in judged))
+            table.add_row(name, *(result.get(name, MISSING) for result in results))
     context.out.print(table)
+
+
+def flattened(value: Any, path: str = "") -> dict[str, Any]:
+    """Return a stored specification by path with dots: ``{"algorithm.learning_rate": 0.0005}``."""
+    if not isinstance(value, dict):
+        return {path: value}
+    found: dict[str, Any] = {}
+    for key, item in value.items():
+        found |= flattened(item, f"{path}.{key}" if path else key)
+    return found
 
 
 def register(app: typer.Typer) -> None:

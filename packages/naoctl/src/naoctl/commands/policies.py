@@ -1,30 +1,34 @@
-"""``naoctl policies``: the policies in the box, judged, shown and exported on this machine, without the service."""
+"""``naoctl policies``: evaluate, replay and export bundled policies on this machine, without the service."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import naopolicies
 import typer
+from naospec import plugins
+from naosprint.tasks.metrics import format_value
 from rich.table import Table
 
 from naoctl.commands.artifacts import run_naosprint
 from naoctl.context import JsonFlag, context_of
+from naoctl.descriptions import UNNAMED, metric_of, section_name
 from naoctl.errors import CliError, ExitCode
-from naoctl.judgement import headline
-from naoctl.render import pairs
+from naoctl.evaluations import headline
+from naoctl.render import MISSING, pairs
 
 app = typer.Typer(
-    help="Sprint policies that come with naosprint: list, judge, replay and export them.",
+    help="Policies that come with naosprint: list, evaluate, replay and export them.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="A shipped policy.", autocompletion=lambda: list(naopolicies.names()))
+    str, typer.Argument(metavar="NAME", help="A bundled policy.", autocompletion=lambda: list(naopolicies.names()))
 ]
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the policy.")
@@ -33,26 +37,30 @@ Output = Annotated[
 
 @app.command("list")
 def list_policies(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the policies in the box."""
+    """List the bundled policies."""
     context = context_of(ctx)
     cards = [naopolicies.card(name) for name in naopolicies.names()]
     if as_json:
         context.json(cards)
         return
-    columns = ("Name", "Robot", "Task", "Top speed", "Falls", "Deviation", "Trained")
+    shown = {result["name"]: result["title"] for card in cards for result in _headline(card)}
+    columns = ("Name", "Robot", "Task", *shown.values(), "Trained")
     table = Table(*columns, box=None, pad_edge=False, header_style="bold")
     for card in cards:
-        paper = card["figures"]["paper"]
+        texts = {result["name"]: format_value(metric_of(result), result["value"]) for result in _headline(card)}
         table.add_row(
             card["name"],
-            f"type {card['robot_type']}",
+            card["robot"],
             card["task"],
-            f"{paper['top_speed_mps']:.2f} m/s",
-            f"{card['figures']['falls']['rate']:.1%}",
-            f"{paper['deviation_deg']['mean']:.1f}°",
+            *(texts.get(name, MISSING) for name in shown),
             f"{card['steps'] / 1e6:,.0f} M steps",
         )
-    context.out.print(table if cards else "No policies are shipped with this version.")
+    context.out.print(table if cards else "No policies are bundled with this version.")
+
+
+def _headline(card: Mapping[str, Any]) -> list[dict[str, Any]]:
+    results = {result["name"]: result for result in card["results"]}
+    return [results[name] for name in card["headline"] if name in results]
 
 
 @app.command("evaluate")
@@ -61,13 +69,15 @@ def evaluate_policy(
     name: Name,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to run.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starts.")] = 0,
-    simulator: Annotated[str, typer.Option(help="embedded or rcssserver3d.")] = "embedded",
+    simulator: Annotated[
+        str, typer.Option(metavar="NAME", help=f"One of {', '.join(plugins.names(plugins.SIMULATORS))}.")
+    ] = "embedded",
     as_json: JsonFlag = False,
 ) -> None:
-    """Judge a policy anew, on this machine."""
+    """Evaluate a policy again, on this machine."""
     context = context_of(ctx)
     _known(name)
-    summary = judge(name, episodes=episodes, seed=seed, simulator=simulator)
+    summary = evaluate(name, episodes=episodes, seed=seed, simulator=simulator)
     if as_json:
         context.json(summary)
     else:
@@ -76,7 +86,7 @@ def evaluate_policy(
 
 @app.command("replay")
 def replay_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
-    """Let a policy run once, and film it."""
+    """Run one episode of a policy, and film it."""
     _write("replay", ctx, name, output or Path(f"{name}-run"), as_json=as_json)
 
 
@@ -86,14 +96,22 @@ def export_policy(ctx: typer.Context, name: Name, output: Output = None, as_json
     _write("export", ctx, name, output or Path(f"{name}-export"), as_json=as_json)
 
 
-def judge(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
-    """Run a shipped policy over the whole field, whichever task it was trained on; return its figures.
+def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
+    """Run a bundled policy as its card's evaluation does; return the results.
 
     Raises:
         CliError: when naosprint is not installed here or fails.
     """
-    task = naopolicies.card(name)["task"].replace("sprint2", "sprint1")
-    words = ("--task", task, "--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
+    task = section_name(naopolicies.card(name)["evaluation"], "task")
+    words = (
+        *(("--task", task) if task != UNNAMED else ()),
+        "--episodes",
+        str(episodes),
+        "--seed",
+        str(seed),
+        "--simulator",
+        simulator,
+    )
     summary: dict[str, Any] = json.loads(run_naosprint("evaluate", name, *words))
     return summary
 
@@ -110,7 +128,7 @@ def _write(word: str, ctx: typer.Context, name: str, folder: Path, *, as_json: b
 
 
 def _known(name: str) -> None:
-    """Refuse what is no shipped policy; a checkpoint's folder is for ``python -m naosprint``."""
+    """Refuse what is no bundled policy; a checkpoint's folder is for ``python -m naosprint``."""
     try:
         naopolicies.folder(name)
     except ValueError as error:

@@ -26,7 +26,7 @@ def up(
     port: PortOption = None,
     workers: Annotated[int, typer.Option("--workers", min=1, max=256, help="Jobs that run side by side.")] = 1,
     queues: Annotated[
-        str, typer.Option("--queues", help="Simulators that jobs may use: embedded, rcssserver3d.")
+        str, typer.Option("--queues", help="Simulators that jobs may use: embedded, server.")
     ] = "embedded",
     detach: Annotated[
         bool, typer.Option("--detach", "-d", help="Run in the background; `naoctl down` stops it.")
@@ -164,11 +164,11 @@ def demo(
     episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes of the evaluation.")] = 1000,
     data_dir: DataDir = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where the policy and its figures go.")
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where the policy and its results go.")
     ] = None,
     keep: Annotated[bool, typer.Option("--keep", help="Leave the service running at the end.")] = False,
 ) -> None:
-    """Show everything once: start the service, train a robot live, judge its policy, fetch and check it, stop."""
+    """Show everything once: start the service, train a robot live, evaluate its policy, fetch and check it, stop."""
     _need_stack()
     from naoctl.demo import Demo
     from naoctl.stack.layout import Layout, default_data_dir

@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, flat, recipes
+from naospec.flat import Setting
 from pydantic import TypeAdapter
 
 from naoctl.client import Client
 from naoctl.commands.watch import watch_job
 from naoctl.context import JsonFlag, complete_job, context_of, find_job
+from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable
 from naoctl.jobfile import load_job_file
 from naoctl.render import plain
-from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
+from naoctl.specflags import build, parse_flags, settings_of, spec_parameters, training_settings, with_parameters
 
 JOB_FIELDS = (
     "name",
@@ -30,10 +32,16 @@ JOB_FIELDS = (
     "parent_checkpoint_id",
 )
 EVAL_PREFIX = "eval_"
+#: Settings of an evaluation that have a flag.
+EVALUATION_SETTINGS = settings_of(EvaluationSpec, leave_out=["task"])
 #: Most jobs of one sweep that are asked for without a file.
 MAX_SEEDS = 256
 #: Attempts to hand in a job when the answer is lost; the key keeps it from being made twice.
 SUBMIT_ATTEMPTS = 3
+
+
+def _complete_recipe(incomplete: str) -> list[str]:
+    return [name for name in recipes.names() if name.startswith(incomplete)]
 
 
 def submit(
@@ -44,7 +52,15 @@ def submit(
             metavar="[FILE]", help="Job as YAML, TOML or JSON; flags override what it says.", dir_okay=False
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option("--name", "-n", help="What to call the job.")] = None,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"Submit a job that is known to work: {', '.join(recipes.names()) or 'none'}; flags override it.",
+            autocompletion=_complete_recipe,
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option("--name", "-n", help="Name of the job.")] = None,
     tag: Annotated[list[str] | None, typer.Option("--tag", "-t", help="Word to find it by; may be repeated.")] = None,
     priority: Annotated[
         int | None, typer.Option(min=0, max=9, help="0 to 9; higher goes first.", show_default="5")
@@ -62,7 +78,8 @@ def submit(
         typer.Option(metavar="FIELD=A,B", help="Make one job per value, as a group; repeat it for all combinations."),
     ] = None,
     evaluate: Annotated[
-        bool | None, typer.Option("--evaluate/--no-evaluate", help="Judge the final policy.", show_default="evaluate")
+        bool | None,
+        typer.Option("--evaluate/--no-evaluate", help="Evaluate the final policy.", show_default="evaluate"),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
     key: Annotated[str | None, typer.Option("--idempotency-key", help="The same key never makes a second job.")] = None,
@@ -73,11 +90,13 @@ def submit(
 ) -> None:
     """Submit a training.
 
-    Without any flag this trains task sprint1 with preset fast. Every field of the specification has a flag.
+    Without any flag this trains the default task with preset fast. Every setting of the specification has a flag.
     """
     context = context_of(ctx)
+    if file and recipe:
+        raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
     body = make_body(
-        load_job_file(file) if file else {},
+        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
         spec,
         evaluation,
         evaluate=evaluate,
@@ -111,14 +130,24 @@ def submit(
             context.json(job)
             return
         if not as_json:
-            context.out.print(
-                f"Submitted {job['id']} ({plain(job['name'])}): {job['total_steps']:,} steps of {job['spec']['task']}",
-                markup=False,
-            )
+            steps, task = f"{job['total_steps']:,} steps", section_name(job["spec"], "task")
+            context.out.print(f"Submitted {job['id']} ({plain(job['name'])}): {steps} of {task}", markup=False)
         if watch:
             watch_job(context, client, job, as_json=as_json)
         else:
             context.note(f"Follow it with: naoctl watch {job['id']}")
+
+
+def read_recipe(name: str) -> dict[str, Any]:
+    """Return the job of a recipe.
+
+    Raises:
+        InvalidInput: naming the recipes that exist.
+    """
+    try:
+        return recipes.job(name)
+    except ValueError as error:
+        raise InvalidInput(f"--recipe: {error}") from None
 
 
 def make_body(
@@ -134,27 +163,31 @@ def make_body(
     Only what the user chose is sent; the service fills in what the preset decides.
 
     Args:
-        file: what the job file holds.
-        spec_flags: flags of the training as given, by field name.
+        file: content of the job file.
+        spec_flags: flags of the training as given, by short name.
         evaluation_flags: flags of the evaluation as given, by field name with its prefix.
-        evaluate: whether to judge the policy at all; None leaves it to the file.
+        evaluate: whether to evaluate the policy at all; None: as the file says.
         where: put before the names of fields that come from the file.
 
     Raises:
         InvalidInput: naming the flag or the file's field that is wrong.
     """
+    settings = training_settings()
     for field in file:
         if field not in JOB_FIELDS:
-            fix = (
-                "Put it below `spec:`." if field in TrainingSpec.model_fields else f"There are {', '.join(JOB_FIELDS)}."
+            place = settings[field].path[:-1] if field in settings else ()
+            below = f"Put it below `{' > '.join(('spec', *place))}:`."
+            inside = field in settings or field in TrainingSpec.model_fields
+            raise InvalidInput(
+                f"{where}{field}: no such field of a job",
+                fix=below if inside else f"There are {', '.join(JOB_FIELDS)}.",
             )
-            raise InvalidInput(f"{where}{field}: no such field of a job", fix=fix)
     body = dict(file)
-    spec = _table(file, "spec", where)
-    chosen = {**spec, **parse_flags(TrainingSpec, spec_flags)}
-    training = build(TrainingSpec, chosen, from_flags=spec_flags, where=f"{where}spec.")
-    dumped = training.model_dump(mode="json")
-    body["spec"] = {field: dumped[field] for field in TrainingSpec.model_fields if field in chosen}
+    chosen = flat.nest(parse_flags(settings, spec_flags), _table(file, "spec", where))
+    training = build(
+        TrainingSpec, chosen, from_flags={name: settings[name] for name in spec_flags}, where=f"{where}spec."
+    )
+    body["spec"] = _only_given(training.model_dump(mode="json"), chosen)
     if evaluate is False:
         if evaluation_flags:
             raise InvalidInput("--no-evaluate contradicts the --eval-… flags", fix="Leave one of them out.")
@@ -162,20 +195,29 @@ def make_body(
     elif evaluation_flags or file.get("evaluation") is not None:
         asked = {
             **_table(file, "evaluation", where),
-            **parse_flags(EvaluationSpec, evaluation_flags, prefix=EVAL_PREFIX),
+            **parse_flags(EVALUATION_SETTINGS, evaluation_flags, prefix=EVAL_PREFIX),
         }
         names = [name.removeprefix(EVAL_PREFIX) for name in evaluation_flags]
-        judged = build(
+        checked = build(
             EvaluationSpec,
-            {"task": training.task, **asked},
-            from_flags=names,
+            asked,
+            from_flags={name: EVALUATION_SETTINGS[name] for name in names},
             prefix=EVAL_PREFIX,
             where=f"{where}evaluation.",
         ).model_dump(mode="json")
-        body["evaluation"] = {field: judged[field] for field in asked}
+        body["evaluation"] = _only_given(checked, asked)
     elif evaluate:
         body.pop("evaluation", None)
     return body
+
+
+def _only_given(checked: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Return the checked values of what was given, with the types that the specification gave them."""
+    kept = {}
+    for name, value in given.items():
+        inner = checked[name]
+        kept[name] = _only_given(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else inner
+    return kept
 
 
 def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict[str, Any] | None:
@@ -187,6 +229,8 @@ def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict
     if seeds is None and not grid:
         return None
     numbers = parse_seeds(seeds) if seeds is not None else []
+    known = training_settings()
+    known = {**known, **{".".join(setting.path): setting for setting in known.values()}}
     axes: dict[str, list[Any]] = {}
     for entry in grid:
         field, sign, values = entry.partition("=")
@@ -194,16 +238,16 @@ def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict
         items = [item.strip() for item in values.split(",") if item.strip()]
         if not sign or not items:
             raise InvalidInput(f"--grid {entry!r} is not FIELD=A,B", fix="For example --grid learning_rate=1e-4,3e-4.")
-        if field not in TrainingSpec.model_fields:
-            raise InvalidInput(f"--grid: {field} is no field of a training", fix="`naoctl submit --help` lists them.")
+        if field not in known:
+            raise InvalidInput(f"--grid: {field} is no setting", fix="`naoctl submit --help` lists them.")
         if field in axes:
             raise InvalidInput(f"--grid: {field} is given twice", fix="Give all its values at once.")
-        axes[field] = [parse_flags(TrainingSpec, {field: item})[field] for item in items]
+        axes[field] = [parse_flags(known, {field: item})[field] for item in items]
     for picked in itertools.product(*axes.values()):
         combination = dict(zip(axes, picked, strict=True))
         if combination:
-            build(TrainingSpec, {**body["spec"], **combination}, where="--grid: ")
-    return {"job": body, "seeds": numbers, "grid": {field: _as_json(field, values) for field, values in axes.items()}}
+            build(TrainingSpec, flat.nest(combination, body["spec"]), where="--grid: ")
+    return {"job": body, "seeds": numbers, "grid": {name: _typed(known[name], values) for name, values in axes.items()}}
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -224,9 +268,11 @@ def parse_seeds(text: str) -> list[int]:
     return found
 
 
-def _as_json(field: str, values: list[Any]) -> list[Any]:
-    """Return grid values as the model reads them, so that 1e-4 is sent as a number."""
-    annotation: Any = TrainingSpec.model_fields[field].annotation
+def _typed(setting: Setting, values: list[Any]) -> list[Any]:
+    """Return grid values as the specification reads them, so that 1e-4 is sent as a number."""
+    if setting.choices:
+        return values
+    annotation: Any = setting.info.annotation
     adapter: TypeAdapter[Any] = TypeAdapter(annotation)
     return [adapter.dump_python(adapter.validate_python(value), mode="json") for value in values]
 
@@ -253,9 +299,7 @@ def _hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command, with one flag per field of the specifications."""
-    training = spec_parameters(
-        TrainingSpec, panel="Training (left out: the preset's value)", aliases={"total_steps": ["--steps"]}
-    )
-    judging = spec_parameters(EvaluationSpec, panel="Evaluation", prefix=EVAL_PREFIX, leave_out=["task"])
-    app.command("submit")(with_parameters(submit, {"spec": training, "evaluation": judging}))
+    """Add the command, with one flag per setting of the specifications."""
+    training = spec_parameters(training_settings(), panel="Training", aliases={"total_steps": ["--steps"]})
+    evaluation = spec_parameters(EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX)
+    app.command("submit")(with_parameters(submit, {"spec": training, "evaluation": evaluation}))

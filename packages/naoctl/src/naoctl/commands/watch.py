@@ -11,9 +11,10 @@ from rich.live import Live
 
 from naoctl.client import Client
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
+from naoctl.descriptions import Descriptions, value_text
 from naoctl.errors import CliError, ExitCode
 from naoctl.follow import follow, is_over, result_of
-from naoctl.render import Curve, clock, duration, figure, live_view, plain, print_json_line, progress_line
+from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line
 
 #: Seconds between two lines of progress where there is no terminal.
 LINE_EVERY_S = 5.0
@@ -57,21 +58,21 @@ def watch_job(context: Context, client: Client, job: dict[str, Any], *, as_json:
         ) from None
     code = result_of(last)
     if not as_json:
-        say_result(context, last)
+        say_result(context, last, Descriptions(client))
     if code:
         raise typer.Exit(code)
 
 
-def say_result(context: Context, job: dict[str, Any]) -> None:
-    """Say in one line how a job ended."""
-    metrics = job.get("latest_metrics") or {}
+def say_result(context: Context, job: dict[str, Any], descriptions: Descriptions) -> None:
+    """Print one line with a job's final state."""
+    row = job.get("latest_metrics") or {}
+    listed = [metric for metric in descriptions.listed(job) if metric.name in row]
     style = {"succeeded": "green", "failed": "red"}.get(job["state"], "yellow")
     text = f"Job {job['id']} {job['state']} at {job['progress_step']:,} steps"
     if job["state"] == "failed" and job.get("error"):
         text += f": {plain(job['error'])}"
-    elif "distance_m" in metrics:
-        text += f": distance {figure(metrics, 'distance_m', '{:.2f} m')}"
-        text += f", speed {figure(metrics, 'speed_mps', '{:.2f} m/s')}"
+    elif listed:
+        text += ": " + ", ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in listed)
     context.out.print(text, style=style, markup=False, soft_wrap=True)
     if job["state"] == "failed":
         context.note(f"`naoctl logs {job['id']}` shows why; `naoctl retry {job['id']}` queues it again.")
@@ -79,12 +80,13 @@ def say_result(context: Context, job: dict[str, Any]) -> None:
 
 def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
     curve = Curve()
+    metrics = Descriptions(client).shown(job)
     console = context.out
     ascii_only = not console.encoding.lower().startswith("utf")
     note = ""
 
     def picture() -> Any:
-        return live_view(job, curve, width=console.width, ascii_only=ascii_only, note=note)
+        return live_view(job, curve, metrics, width=console.width, ascii_only=ascii_only, note=note)
 
     with Live(picture(), console=console, refresh_per_second=4, transient=False) as live:
 
@@ -93,6 +95,7 @@ def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[s
                 live_view(
                     job,
                     curve,
+                    metrics,
                     width=console.width,
                     ascii_only=ascii_only,
                     note=f"Connection lost ({reason}); next attempt in {wait_s:g} s",
@@ -116,6 +119,7 @@ def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[s
 
 def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
     state, printed_at, pending = "", 0.0, None
+    metrics = Descriptions(client).shown(job)
 
     def lost(reason: str, wait_s: float) -> None:
         context.note(f"Connection lost ({reason}); next attempt in {duration(wait_s)}")
@@ -129,7 +133,7 @@ def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[
             state = job["state"]
             context.out.print(state, markup=False)
         elif update.kind == "metrics":
-            pending = progress_line(job, update.data)
+            pending = progress_line(job, update.data, metrics)
             if time.monotonic() - printed_at >= LINE_EVERY_S:
                 context.out.print(pending, markup=False, soft_wrap=True)
                 printed_at, pending = time.monotonic(), None

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from naosim.fleet import Act, Fleet, Rows
+from naosim.fleet import Act, Fleet
 from naosim.launchers import Address, Launcher
 from naosim.mujoco._mujoco import Exchange
 from naosim.mujoco.batch import PERCEPTORS
@@ -104,35 +104,23 @@ class MujocoFleet(Fleet):
         self.time: Floats = views["time"]
         self.rotation: Floats = views["rotation"]
         self._idle[:] = robot.nominal
-        self._spoken_to = np.zeros(self.n)  # when a message was last sent to each server, s
-        self._awaited = np.zeros(self.n, dtype=np.bool_)  # servers whose reply has not been read yet
         self._closing = threading.Event()
-        self._start()
         beat = threading.Thread(
             target=_beat, args=(weakref.ref(self), self._closing), name="keep servers alive", daemon=True
         )
         beat.start()
+        self._start()
 
     # steps
-
-    def _dispatch(self, commands: Floats, rows: Rows) -> None:
-        chosen = slice(None) if rows is None else rows.view(np.bool_)
-        self._idle[chosen] = commands[chosen]
-        self._spoken_to[chosen] = time.monotonic()
-        self._awaited[chosen] = True
-        super()._dispatch(commands, rows)
-
-    def _gather(self, rows: Rows) -> None:
-        super()._gather(rows)
-        self._awaited[slice(None) if rows is None else rows.view(np.bool_)] = False
 
     def step_idle(self) -> None:
         """Step the servers to which nothing has been sent for a while; their robots hold the last command."""
         with self._lock:
-            late = time.monotonic() - self._spoken_to > _SILENCE_S
-            mask = late & ~self._awaited & ~self.failed
-            if mask.any() and not self._closing.is_set():
-                self.step(self._idle.copy(), mask)
+            if self._closing.is_set():
+                return
+            there = (~self._entering).view(np.uint8)
+            if self._exchange.renew(there, _SILENCE_S, self._timeout_s) != np.count_nonzero(self.failed):
+                self._note_failures()
 
     @contextmanager
     def keep_alive(self, interval_s: float = _SILENCE_S) -> Iterator[None]:
@@ -167,29 +155,42 @@ class MujocoFleet(Fleet):
         super().close()
 
     def _enter(self, row: int, address: Address, deadline: float) -> None:
-        monitor = self._connect_port(row, address.host, address.monitor_port, deadline)
+        monitor = self._watching(row, address, deadline)
         try:
-            # the first frame comes after the first cycle, and a robot that enters before it kills the server
-            self._wait_for_frame(row, monitor, deadline)
             agent = self._connect_port(row, address.host, address.agent_port, deadline)
             self._exchange.attach(row, agent.detach(), -1)
             self._shake_hands(row, monitor, deadline)
         finally:
             monitor.close()
 
-    def _wait_for_frame(self, row: int, monitor: socket.socket, deadline: float) -> None:
+    def _watching(self, row: int, address: Address, deadline: float) -> socket.socket:
+        """Return a connection to the monitor port that has received a frame.
+
+        The first frame comes after the first cycle, and a robot that enters before that cycle kills the server.
+        """
+        pause = threading.Event()
+        while True:
+            monitor = self._connect_port(row, address.host, address.monitor_port, deadline)
+            if self._receives_frame(row, monitor, deadline):
+                return monitor
+            # a container's port is open before the server in it listens
+            monitor.close()
+            if self._launcher is None or time.monotonic() > deadline:
+                raise OSError(f"{address.host}:{address.monitor_port}: closed by the server")
+            pause.wait(0.05)
+
+    def _receives_frame(self, row: int, monitor: socket.socket, deadline: float) -> bool:
+        """Wait for a frame; return whether one came before the connection was closed."""
         while True:
             monitor.settimeout(max(0.1, min(1.0, deadline - time.monotonic())))
             try:
-                received = monitor.recv(65536)
+                return bool(monitor.recv(65536))
             except TimeoutError:
                 handle = self._handles[row]
                 if time.monotonic() > deadline or (handle is not None and not handle.alive()):
                     raise OSError("monitor port: the server does not run a cycle") from None
-                continue
-            if not received:
-                raise OSError("monitor port: closed by the server")
-            return
+            except ConnectionError:
+                return False
 
     def _shake_hands(self, row: int, monitor: socket.socket, deadline: float) -> None:
         exchange, only = self._exchange, np.zeros(self.n, dtype=np.uint8)
@@ -218,8 +219,6 @@ class MujocoFleet(Fleet):
             )
         if mode != _MODE:
             exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")
-        self._spoken_to[row] = time.monotonic()
-        self._awaited[row] = False
 
 
 def _beat(fleet: weakref.ref[MujocoFleet], closing: threading.Event) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import EmbeddedParameters
 from naosim.mujoco.shapes import body_poses
-from naosim.mujoco.world import World, library, world_of
+from naosim.mujoco.world import World, library, torque_shares, world_of
 from naosim.simulator import Simulator, Truth
 
 if TYPE_CHECKING:
@@ -149,11 +149,11 @@ class MujocoSimulator(Simulator):
 
     def _require_standing(self, batch: MujocoBatch) -> None:
         height, upright = batch.position[:, 2], batch.rotation[:, 2, 2]
-        fallen = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
-        if fallen.any():
+        down = ~((height > _LOWEST_STANDING * self.robot.standing_height_m) & (upright > _LEAST_UPRIGHT))
+        if down.any():
             raise ValueError(
                 f"starts: {self.robot.name} does not stand after {self.parameters.settle_steps} steps in "
-                f"{np.count_nonzero(fallen)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
+                f"{np.count_nonzero(down)} of {batch.n} start poses (torso height {np.nanmin(height):.2f} m); "
                 "use stiffer ankles (robot.kp.ankle_pitch: 150), less noise in the poses, or fewer "
                 "simulator.settle_steps"
             )
@@ -185,11 +185,11 @@ class MujocoSimulator(Simulator):
 
     def torque_shares(self, rows: slice | Ints) -> Floats:
         """Return the (k, J) share of its torque limit that each motor applied in the last 5 ms, from -1 to 1."""
-        first = self.world.model.nv - self.world.joints
         chosen = self.batch.data[rows] if isinstance(rows, slice) else [self.batch.data[row] for row in rows]
-        torques = np.array([data.qfrc_actuator[first:] for data in chosen])
-        shares: Floats = torques / np.array([joint.max_torque for joint in self.robot.joints])
-        return shares
+        joints = self.world.joints
+        sensed = np.array([data.sensordata[13 : 13 + 2 * joints] for data in chosen])
+        targets = np.array([data.ctrl[1::3] for data in chosen])
+        return torque_shares(self.robot, targets, sensed[:, :joints], sensed[:, joints:])
 
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""

@@ -8,15 +8,15 @@ import numpy as np
 
 from naosim.fleet_simulator import FleetSimulator
 from naosim.mujoco.client import MujocoFleet
-from naosim.mujoco.shapes import body_poses
-from naosim.mujoco.world import world_of
+from naosim.mujoco.shapes import body_poses, sole_heights
+from naosim.mujoco.world import torque_shares, world_of
 from naosim.simulator import Truth
 
 if TYPE_CHECKING:
     from naosim.fleet import Act
     from naosim.launchers import Launcher
     from naosim.robots import Robot
-    from naosim.simulator import Floats, Starts
+    from naosim.simulator import Flags, Floats, Ints, Starts
 
 _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 90.0
@@ -27,7 +27,8 @@ class RemoteMujocoSimulator(FleetSimulator):
 
     At a start the robot is beamed, upright with straight joints, and driven into the start's pose for ``settle_steps``,
     as in the embedded simulator. Position and orientation of the torso are those that the robot perceives: exact, but
-    5 ms old and truncated to three decimals. The server reports no contacts: :meth:`foot_forces` is always zero.
+    5 ms old and truncated to three decimals. The server reports no contacts: :meth:`foot_forces` is always zero, and a
+    robot counts as :meth:`airborne` when both soles are above the ground by the perceived pose.
 
     Args:
         launcher: starts the servers.
@@ -60,6 +61,7 @@ class RemoteMujocoSimulator(FleetSimulator):
             max_failures=max_failures,
         )
         self._settle_steps = settle_steps
+        self._acting = np.repeat(robot.nominal[None], n, axis=0)  # targets of the step that the last reply shows
         super().__init__(
             self._remote,
             robot,
@@ -75,6 +77,27 @@ class RemoteMujocoSimulator(FleetSimulator):
         if targets.shape != shape:
             raise ValueError(f"targets_rad: expected shape {shape}, got {targets.shape}")
         return targets
+
+    def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
+        """Send commands to the servers of these robots; they compute meanwhile.
+
+        Raises:
+            ValueError: if the targets have a wrong shape or are not finite.
+        """
+        before = self._commands[self._servers[rows]]
+        super().step_async(targets_rad, rows, active)
+        stepped = np.arange(rows.start, rows.stop)
+        # the reply to this command shows what the one before it did
+        self._acting[stepped if active is None else stepped[active]] = before if active is None else before[active]
+
+    def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
+        """Put robots into starts; standby servers prepare the ``following`` ones.
+
+        Raises:
+            naosim.simulator.ServerLostError: if more servers fail than are allowed, or a new one does not start.
+        """
+        super().start(rows, starts, following)
+        self._acting[rows] = self._commands[self._servers[rows]]
 
     def _require_possible(self, starts: Starts) -> None:
         if starts.orientations is not None:
@@ -98,6 +121,8 @@ class RemoteMujocoSimulator(FleetSimulator):
             server, starts.poses_rad[start], starts.position_m, starts.heading_rad, self._settle_steps
         )
 
+    # what a viewer and a task need
+
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes`` by forward kinematics from what the robots perceive.
 
@@ -105,6 +130,22 @@ class RemoteMujocoSimulator(FleetSimulator):
             naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing here or has another version.
         """
         self.require_open()
+        return body_poses(world_of(self.robot), self._coordinates())
+
+    def airborne(self) -> Flags:
+        """Return the (n,) robots whose soles are both above the ground, by the perceived pose."""
+        self.require_open()
+        above = sole_heights(world_of(self.robot), self._coordinates()) > 0.0
+        return np.asarray(above.all(axis=1))
+
+    def torque_shares(self, rows: slice | Ints) -> Floats:
+        """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1, as perceived."""
+        angles, speeds = (np.radians(self.perceptors[name][rows]) for name in ("joint_angles", "joint_speeds"))
+        return torque_shares(self.robot, self._acting[rows], angles, speeds)
+
+    def _coordinates(self) -> Floats:
+        """Return (n, 7 + J) torso positions and quaternions, and joint angles in radians, as perceived."""
+        quaternions = self.perceptors["torso_quat"]
+        quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
         angles = np.radians(self.perceptors["joint_angles"])
-        poses = (self.truth.torso_position, self.perceptors["torso_quat"], angles)
-        return body_poses(world_of(self.robot), np.concatenate(poses, axis=1))
+        return np.concatenate((self.truth.torso_position, quaternions, angles), axis=1)

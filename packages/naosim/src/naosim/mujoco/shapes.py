@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.mujoco.world import Floats, compiled, library
+from naosim.mujoco.world import FEET, PREFIX, Floats, compiled, library
 from naosim.robots.description import Shape, ShapeKind, Side
 
 if TYPE_CHECKING:
@@ -72,4 +72,24 @@ def body_poses(world: World, coordinates: Floats) -> Floats:
         row[:, :3] = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", rotations, centres)
         for pose, matrix in zip(row, data.geom_xmat[geoms], strict=True):
             mujoco.mju_mat2Quat(pose[3:], matrix)
+    return out
+
+
+def sole_heights(world: World, coordinates: Floats) -> Floats:
+    """Return (n, 2) heights of the lowest point of left and right foot above the ground, metres.
+
+    Args:
+        world: the robot's world.
+        coordinates: (n, 7 + J) torso position and quaternion, joint angles in radians.
+    """
+    mujoco = library()
+    model, data = world.model, world.new_data()
+    names = [model.body(body).name.removeprefix(PREFIX) for body in model.geom_bodyid]
+    feet = [names.index(foot) for foot in FEET]  # a box each
+    out = np.empty((len(coordinates), len(feet)))
+    for row, qpos in zip(out, coordinates, strict=True):
+        data.qpos[world.torso :] = qpos
+        mujoco.mj_kinematics(model, data)
+        down = data.geom_xmat[feet].reshape(-1, 3, 3)[:, 2]
+        row[:] = data.geom_xpos[feet, 2] - np.einsum("gi,gi->g", np.abs(down), model.geom_size[feet])
     return out

@@ -43,7 +43,7 @@ _FIELD_HALF_WIDTH_M, _FIELD_BORDER_M = 18.0, 3.0
 FEET = ("left_foot_link", "right_foot_link")
 """Bodies that touch the ground while the robot runs."""
 
-_PREFIX = "robot-"
+PREFIX = "robot-"
 
 
 class MujocoUnavailableError(FileNotFoundError):
@@ -125,7 +125,7 @@ class World:
     def geoms(self) -> NDArray[np.int64]:
         """Indices of the robot's colliding geoms."""
         names = (self.model.body(body).name for body in self.model.geom_bodyid)
-        return np.array([geom for geom, name in enumerate(names) if name.startswith(_PREFIX)], dtype=np.int64)
+        return np.array([geom for geom, name in enumerate(names) if name.startswith(PREFIX)], dtype=np.int64)
 
 
 def set_gains(model: Any, kp: Floats, kd: Floats) -> None:
@@ -139,6 +139,21 @@ def gains(robot: Robot) -> tuple[Floats, Floats]:
     parameters: BoosterParameters = robot.parameters  # type: ignore[assignment]
     kp, kd = zip(*(parameters.gains(name) for name in robot.joint_names), strict=True)
     return np.array(kp), np.array(kd)
+
+
+def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats) -> Floats:
+    """Return the (k, J) share of its torque limit that each motor applies, from -1 to 1.
+
+    Args:
+        robot: the robot, with its gains.
+        targets: (k, J) target angles in radians.
+        angles: (k, J) joint angles in radians.
+        speeds: (k, J) joint speeds in rad/s.
+    """
+    kp, kd = gains(robot)
+    limits = np.array([joint.max_torque for joint in robot.joints])
+    shares: Floats = np.clip((kp * (targets - angles) - kd * speeds) / limits, -1.0, 1.0)
+    return shares
 
 
 def world_of(robot: Robot, *, ball: bool = True) -> World:
@@ -173,7 +188,7 @@ def compiled(robot: str, ball: bool) -> World:
     torso.pos[0] = -(2 * UNIFORM_NUMBER + 1)
     torso.pos[1] = _FIELD_HALF_WIDTH_M + _FIELD_BORDER_M
     torso.quat[:] = (math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4))
-    world.worldbody.add_frame().attach_body(torso, _PREFIX, "")
+    world.worldbody.add_frame().attach_body(torso, PREFIX, "")
     for foot in FEET:
         # last in sensordata: the ground's force on the foot, in the world's axes
         world.add_sensor(
@@ -182,7 +197,7 @@ def compiled(robot: str, ball: bool) -> World:
             objtype=mujoco.mjtObj.mjOBJ_GEOM,
             objname="pitch",
             reftype=mujoco.mjtObj.mjOBJ_BODY,
-            refname=_PREFIX + foot,
+            refname=PREFIX + foot,
             intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3, 1],
         )
     model = world.compile()

@@ -134,7 +134,7 @@ class RemoteBatch(Fleet):
         """Move robots as the trainer's `move` does and wait until they are there.
 
         A cycle or two pass meanwhile, with joints held still but for the head, whose motion keeps the robot awake: a
-        sleeping robot that is moved stays in the air. So robots that are put in the air have fallen a little.
+        sleeping robot that is moved stays in the air. So robots that are put in the air have sunk a little.
 
         Args:
             position: (3,) or (n, 3), the torso's centre, m.
@@ -162,7 +162,7 @@ class RemoteBatch(Fleet):
         self._move(row, where, yaw_deg, show=True)
         for _ in range(_LANDING_CYCLES):
             yield self._nudge[row]
-            if self._arrived(row, where, yaw_deg):
+            if self._is_at(row, where, yaw_deg):
                 break
         else:
             self._exchange.fail(row, f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
@@ -214,7 +214,7 @@ class RemoteBatch(Fleet):
         full = "(reqfullstate)" if show and not self._exact else ""
         self._trainer(row, f"(agent (unum {self._number})(team Left)(move {place})){full}")
 
-    def _arrived(self, row: int, where: Floats, yaw_deg: float) -> bool:
+    def _is_at(self, row: int, where: Floats, yaw_deg: float) -> bool:
         offset = np.abs(self.truth.torso_position[row] - where)
         rotation = self.truth.torso_rotation[row]
         yaw = np.deg2rad(yaw_deg)

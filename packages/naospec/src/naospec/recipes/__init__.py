@@ -1,4 +1,8 @@
-"""Jobs that are known to work, as YAML files beside this module: what ``POST /jobs`` takes, and a summary."""
+"""Jobs that are known to work, as YAML files beside this module.
+
+A file has a ``summary`` and what ``POST /jobs`` takes. With ``after`` the stages of another recipe come first, with
+``task`` settings that differ in them.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +36,28 @@ def summary(name: str) -> str:
 
 
 def job(name: str) -> dict[str, Any]:
-    """Return the job of a recipe: name, tags, spec and evaluation, nothing of it validated yet.
+    """Return the job of a recipe, not validated yet: name, tags, spec and evaluation.
 
     Raises:
         ValueError: if there is no such recipe; the message lists those that exist.
     """
     content: dict[str, Any] = yaml.safe_load(_read(name))
+    after = content.pop("after", None)
+    if after is not None:
+        content["spec"] = _after(job(after["recipe"])["spec"], after.get("task", {}), content["spec"])
     return {"name": name, **{key: value for key, value in content.items() if key != "summary"}}
+
+
+def _after(first: dict[str, Any], task: dict[str, Any], then: dict[str, Any]) -> dict[str, Any]:
+    """Return a specification with the stages of ``first``, with these task settings, and then its own."""
+    shared = {key: value for key, value in first["algorithm"].items() if key not in ("name", "preset")}
+    stages = [
+        {
+            "robot": first["robot"],
+            **stage,
+            "algorithm": {**shared, **stage.get("algorithm", {})},
+            "task": {**task, **stage.get("task", {})},
+        }
+        for stage in first["stages"]
+    ]
+    return {**then, "stages": [*stages, *then["stages"]]}

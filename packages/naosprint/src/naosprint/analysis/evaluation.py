@@ -50,6 +50,7 @@ class Trajectories:
         x, y, height: (k, T) torso position in metres.
         left_foot_force, right_foot_force: (k, T) upward force in newtons; 0 without contact.
         joint_angles: (T', A) perceived joint angles of the first episode in radians, policy convention.
+        failed: (k,) whether the episode ended by a failure.
     """
 
     x: Float32Array
@@ -58,6 +59,7 @@ class Trajectories:
     left_foot_force: Float32Array
     right_foot_force: Float32Array
     joint_angles: Float32Array
+    failed: BoolArray
 
     def save(self, path: Path) -> None:
         """Write the arrays to an ``.npz`` file."""
@@ -69,6 +71,7 @@ class Trajectories:
             left_foot_force=self.left_foot_force,
             right_foot_force=self.right_foot_force,
             joint_angles=self.joint_angles,
+            failed=self.failed,
             cycle_s=np.array(STEP_S),
         )
 
@@ -138,7 +141,7 @@ def evaluate(
         ValueError: if the policy does not fit the task.
     """
     policy, manifest = load_policy(checkpoint)
-    setting = spec.applied_to(manifest.spec)
+    setting = spec.applied_to(manifest.stage_spec)
     n = min(spec.n_envs, spec.episodes)
     most = plugins.load(plugins.SIMULATORS, setting.simulator.name).max_robots()
     environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)
@@ -315,6 +318,7 @@ def _replay(recorder: _Recorder, episodes: Episodes, spec: TrainingSpec) -> Repl
 
 def _trajectories(recorder: _Recorder, episodes: Episodes, count: int) -> Trajectories:
     kept = range(min(count, len(episodes)))
+    failures = [end.name for end in recorder.environment.task.ends if end.failure]
     longest = max((len(episodes.x[i]) for i in kept), default=0)
 
     def padded(rows: list[FloatArray]) -> Float32Array:
@@ -330,4 +334,5 @@ def _trajectories(recorder: _Recorder, episodes: Episodes, count: int) -> Trajec
         left_foot_force=padded([feet[:, 0] for feet in episodes.feet]),
         right_foot_force=padded([feet[:, 1] for feet in episodes.feet]),
         joint_angles=np.array(recorder.angles, dtype=np.float32),
+        failed=np.array([any(episodes.ends[name][i] for name in failures) for i in kept], dtype=np.bool_),
     )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from naosprint.analysis.replay import Replay
     from naosprint.arrays import BoolArray, FloatArray
-    from naosprint.tasks.metrics import Chart, Metric, Reference
+    from naosprint.tasks.metrics import Chart, FieldLine, Metric, Reference
 
 MAX_CHARTS = 4
 """Most charts of learning curves in one figure."""
@@ -82,13 +82,12 @@ def learning_curves(
         evaluated: steps of the evaluated policy and its results by name, if there is one.
     """
     shown = [chart for chart in charts if has_curves(rows, [chart])][:MAX_CHARTS]
-    columns = 1 if len(shown) == 1 else 2
-    figure = Figure(figsize=(9.0, 2.8 * -(-len(shown) // columns)), layout="constrained")
-    grid = figure.subplots(-(-len(shown) // columns), columns, sharex=True, squeeze=False)
+    columns = 2 if len(shown) in (2, 4) else 1
+    rows_of_panels = -(-len(shown) // columns)
+    figure = Figure(figsize=(9.0, (2.8 if columns == 2 else 2.2) * rows_of_panels), layout="constrained")
+    grid = figure.subplots(rows_of_panels, columns, sharex=True, squeeze=False)
     borders = [rows[i]["step"] / 1e6 for i in range(1, len(rows)) if rows[i].get("stage") != rows[i - 1].get("stage")]
-    for axes in grid.flat[len(shown) :]:
-        axes.axis("off")
-    for axes, chart in zip(grid.flat, shown, strict=False):
+    for axes, chart in zip(grid.flat, shown, strict=True):
         known = [metrics[name] for name in chart.metrics if name in metrics]
         for metric, colour in zip(known, _PALETTE, strict=False):
             points = [(row["step"] / 1e6, factor(metric) * row[metric.name]) for row in rows if metric.name in row]
@@ -107,6 +106,7 @@ def learning_curves(
         if len(known) > 1:
             axes.legend(fontsize=8.5)
         _start_at_zero(axes)
+    for axes in grid[-1]:
         axes.set_xlabel("steps, millions")
     return figure
 
@@ -145,14 +145,14 @@ def result_table(table: Mapping[str, Any], references: Sequence[Reference] = (),
     return figure
 
 
-def trajectories(x: FloatArray, y: FloatArray) -> Figure:
-    """Plot the paths of (k, T) episodes, seen from above."""
-    figure, (axes,) = _panels(1, height=3.4)
-    for row_x, row_y in zip(x, y, strict=True):
+def trajectories(x: FloatArray, y: FloatArray, failed: BoolArray, lines: Sequence[FieldLine] = ()) -> Figure:
+    """Plot the paths of (k, T) episodes, seen from above, with a cross where one of them failed."""
+    figure, (axes,) = _panels(1, height=3.0)
+    for row_x, row_y, down in zip(x, y, failed, strict=True):
         axes.plot(row_x, row_y, color=_PALETTE[0], lw=0.7, alpha=0.45)
         kept = np.flatnonzero(~np.isnan(row_x))
-        axes.plot(row_x[kept[0]], row_y[kept[0]], "o", ms=3, color=_INK)
-        axes.plot(row_x[kept[-1]], row_y[kept[-1]], "x", ms=4, color=_REFERENCE)
+        if down:
+            axes.plot(row_x[kept[-1]], row_y[kept[-1]], "x", ms=4, color=_REFERENCE)
     # a straight run is a thin line: give it room to both sides, so that deviations can be seen
     centre_x, centre_y = (float(np.nanmin(v) + np.nanmax(v)) / 2.0 for v in (x, y))
     half_x = max(float(np.nanmax(x) - np.nanmin(x)) / 2.0 * 1.08, 1.0)
@@ -162,7 +162,18 @@ def trajectories(x: FloatArray, y: FloatArray) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
-    axes.set_title("dots: starts; crosses: where episodes ended", fontsize=8.5)
+    for line in lines:
+        axes.axvline(line.x_m, color=_INK, lw=1.0)
+        axes.annotate(
+            line.title,
+            (line.x_m, 1.0),
+            (0.0, 3.0),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            fontsize=8.5,
+            ha="center",
+        )
+    axes.set_title("a cross marks a failure", fontsize=8.5)
     return figure
 
 
@@ -278,10 +289,11 @@ def draw_references(axes: Axes, metric: Metric, references: Sequence[Reference])
         axes.annotate(
             reference.title,
             (0.0, level),
-            (4, 3),
+            (4, -3),
             xycoords=("axes fraction", "data"),
             textcoords="offset points",
             fontsize=8.5,
+            va="top",
             color=_REFERENCE,
         )
 

@@ -196,7 +196,7 @@ def _plots(
         figure = figures.result_table(table, references, confidence)
         found.append(_Plot(table["name"].replace("_", "-"), table["title"], table["description"], figure))
     if len(paths["x"]):
-        figure = figures.trajectories(paths["x"], paths["y"])
+        figure = figures.trajectories(paths["x"], paths["y"], paths["failed"] > 0.0, presentation.lines)
         caption = f"Paths of the first {len(paths['x'])} episodes, from above."
         found.append(_Plot("trajectories", "Trajectories", caption, figure))
     begin, end = _window(len(replay.positions))

@@ -31,7 +31,7 @@ def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
     ``joint_view`` (A, J) turns joint angles into those of the policy. :mod:`naosprint.export.nao` and
     :mod:`naosprint.export.booster` add what their servers need.
     """
-    robot = manifest.spec.robot_description
+    robot = manifest.stage_spec.robot_description
     actuation = Actuation(robot)
     view = np.zeros((actuation.n_actions, actuation.n_joints))
     view[np.arange(actuation.n_actions), actuation.index] = actuation.sign

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
     """Return the content of ``policy.json``: angles in degrees in the policy convention."""
-    robot = manifest.spec.robot_description
+    robot = manifest.stage_spec.robot_description
     actuation = Actuation(robot)
     low, zero, high = (
         np.degrees(actuation.targets(np.full((1, actuation.n_actions), action))[0, actuation.index] * actuation.sign)

@@ -74,6 +74,11 @@ class Manifest(BaseModel):
     versions: dict[str, str]
     files: dict[str, FileEntry]
 
+    @property
+    def stage_spec(self) -> TrainingSpec:
+        """Specification of the stage that the checkpoint belongs to; of the whole training if it has no stages."""
+        return self.spec.stage_specs[self.stage]
+
 
 @dataclass(frozen=True, slots=True)
 class TrainingState:

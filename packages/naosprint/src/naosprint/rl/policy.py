@@ -69,7 +69,7 @@ def load_policy(directory: Path) -> tuple[Policy, Manifest]:
 
 
 def _build(arrays: Mapping[str, AnyArray], manifest: Manifest) -> Policy:
-    spec = manifest.spec
+    spec = manifest.stage_spec
     sizes = (len(manifest.observations), *spec.algorithm.hidden_sizes, len(manifest.actions))
 
     def take(name: str, shape: tuple[int, ...], kind: type[np.floating]) -> AnyArray:

@@ -267,7 +267,7 @@ class _Session:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""
         manifest = read_manifest(directory)
         environment = self.environment.environment
-        theirs, ours = manifest.spec.algorithm.policy_shape(), self.spec.algorithm.policy_shape()
+        theirs, ours = manifest.stage_spec.algorithm.policy_shape(), self.spec.algorithm.policy_shape()
         for name, value in ours.items():
             if theirs.get(name) != value:
                 raise CheckpointError(

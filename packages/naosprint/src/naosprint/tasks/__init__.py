@@ -5,12 +5,13 @@ from __future__ import annotations
 from naospec import TaskSettings
 
 from naosprint.tasks.base import End, RewardTerm, Task, World
-from naosprint.tasks.metrics import Chart, Metric, Presentation, Reference, Result, ResultTable
+from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.observations import ObservationBlock, blocks
 
 __all__ = [
     "Chart",
     "End",
+    "FieldLine",
     "Metric",
     "ObservationBlock",
     "Presentation",

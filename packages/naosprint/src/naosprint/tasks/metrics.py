@@ -51,6 +51,19 @@ class Chart:
 
 
 @dataclass(frozen=True)
+class FieldLine:
+    """A line across the field, drawn in replays and plots of paths.
+
+    Attributes:
+        x_m: world x, metres.
+        title: name for users.
+    """
+
+    x_m: float
+    title: str
+
+
+@dataclass(frozen=True)
 class Presentation:
     """Where the metrics of a task are shown.
 
@@ -59,12 +72,14 @@ class Presentation:
         listed: live metrics in lists of jobs, the most important first.
         headline: results of an evaluation on cards and in summaries, the most important first.
         references: values to compare with.
+        lines: lines to draw across the field.
     """
 
     charts: tuple[Chart, ...] = ()
     listed: tuple[str, ...] = ()
     headline: tuple[str, ...] = ()
     references: tuple[Reference, ...] = ()
+    lines: tuple[FieldLine, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ falls, so the same results over all episodes stand beside it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from naosim.simulator import STEP_S
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
-from naosprint.tasks.metrics import Chart, Metric, Presentation, Reference, Result, ResultTable
+from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.penalties import PenaltySettings, penalties
 
 if TYPE_CHECKING:
@@ -345,6 +346,11 @@ class Sprint1(Sprint):
     name = "sprint1"
     summary = "Run 28 m to the finish line at x = 14 m."
     finish_x_m = FINISH_X_M
+    presentation = replace(
+        Sprint.presentation,
+        references=(*Sprint.presentation.references, Reference("distance_m", FINISH_X_M - START_X_M, "28 m, finish")),
+        lines=(FieldLine(FINISH_X_M, "finish"),),
+    )
     # a robot that neither falls nor arrives would run for ever; 60 s is twice what the slowest useful walk needs
     max_steps = 3000
 

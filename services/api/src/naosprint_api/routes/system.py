@@ -1,8 +1,8 @@
-"""The service itself: health, figures, workers, and what a job may consist of."""
+"""The service itself: health, its own metrics, workers."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
@@ -10,7 +10,6 @@ from naojobs import registry
 from naojobs.database import REVISION
 from naojobs.store import StoreError
 from naojobs.tokens import Scope
-from naospec import PRESET_SUMMARIES, PRESETS, TASKS, TrainingSpec
 from pydantic import BaseModel, Field
 from sqlalchemy import text
 from sqlalchemy.exc import SQLAlchemyError
@@ -18,7 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from naosprint_api import __version__
 from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
 from naosprint_api.problems import responses
-from naosprint_api.schemas import JobCreate, WorkerPublic
+from naosprint_api.schemas import WorkerPublic
 from naosprint_api.views import worker_view
 
 router = APIRouter(tags=["service"])
@@ -48,24 +47,6 @@ class Identity(BaseModel):
 
     owner: str
     scopes: list[Scope]
-
-
-class Preset(BaseModel):
-    """Describes a preset."""
-
-    name: str
-    summary: str
-    spec: TrainingSpec = Field(description="The specification that it stands for.")
-
-
-class TaskPublic(BaseModel):
-    """Describes a task."""
-
-    name: str
-    summary: str
-    max_steps: int
-    min_height_m: float
-    finish_x_m: float | None
 
 
 @router.get("/healthz")
@@ -141,33 +122,3 @@ def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
     found = registry.workers(service.reads, stale_s=service.settings.lease_s)
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
     return [worker_view(worker, mine) for worker in found]
-
-
-@router.get("/spec/schema")
-def spec_schema() -> dict[str, Any]:
-    """Get the JSON schema of what `POST /jobs` takes, for forms and editors."""
-    return JobCreate.model_json_schema()
-
-
-@router.get("/presets")
-def list_presets() -> list[Preset]:
-    """List the presets with all their settings."""
-    return [
-        Preset(name=name, summary=PRESET_SUMMARIES[name], spec=TrainingSpec.model_validate({"preset": name}))
-        for name in PRESETS
-    ]
-
-
-@router.get("/tasks")
-def list_tasks() -> list[TaskPublic]:
-    """List the tasks that can be trained."""
-    return [
-        TaskPublic(
-            name=task.name,
-            summary=task.summary,
-            max_steps=task.max_steps,
-            min_height_m=task.min_height_m,
-            finish_x_m=task.finish_x_m,
-        )
-        for task in TASKS.values()
-    ]

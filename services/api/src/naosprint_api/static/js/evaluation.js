@@ -1,29 +1,35 @@
-/** Read an evaluation: its headline figures and its recorded paths. */
+/** Read an evaluation: its results and its recorded paths. */
 
 import { request } from "./api.js";
 import { readNpz } from "./npz.js";
 
-/** Return the figures that a comparison shows, from the summary of an evaluation; null without one. */
-export function figuresOf(summary) {
-  if (!summary) return null;
-  return { speed: summary.speed_mps?.mean, top: summary.paper?.top_speed_mps, distance: summary.distance_m?.mean, falls: summary.falls?.rate };
+/** Whether this is a document that describes its results; those of version 0.1 do not. */
+export const hasResults = (summary) => Array.isArray(summary?.results);
+
+/** Results that the task shows first; all of them if it names none. */
+export function headline(summary) {
+  if (!hasResults(summary)) return [];
+  const byName = new Map(summary.results.map((r) => [r.name, r]));
+  const chosen = (summary.headline ?? []).map((name) => byName.get(name)).filter(Boolean);
+  return chosen.length ? chosen : summary.results;
 }
 
-/** Return mean speed and interval by start line, `key` being "paper" or "all"; lines without a figure are left out. */
-export function profile(summary, key) {
-  return summary.speed_by_line.filter((e) => e[key].mean !== null).map((e) => ({ line: e.line_m, mean: e[key].mean, low: e[key].ci?.[0] ?? e[key].mean, high: e[key].ci?.[1] ?? e[key].mean }));
+/** Mean and interval of one column of a table at each value of its axis; values without a mean are left out. */
+export function profile(table, title) {
+  const results = table.columns.find((c) => c.title === title)?.results ?? [];
+  return results.flatMap((r, i) => (r.value === null ? [] : [{ at: table.at[i], mean: r.value, low: r.interval?.[0] ?? r.value, high: r.interval?.[1] ?? r.value }]));
 }
 
-/** Mean of several profiles, its band one standard deviation between them, at lines that at least half of them have; one alone stays as it is. */
+/** Mean of several profiles, its band one standard deviation between them, at values of the axis that at least half of them have; one alone stays as it is. */
 export function meanProfile(profiles) {
   if (profiles.length === 1) return profiles[0];
-  const lines = [...new Set(profiles.flatMap((rows) => rows.map((r) => r.line)))].sort((a, b) => a - b);
-  return lines.flatMap((line) => {
-    const means = profiles.flatMap((rows) => rows.filter((r) => r.line === line).map((r) => r.mean));
+  const places = [...new Set(profiles.flatMap((rows) => rows.map((r) => r.at)))].sort((a, b) => a - b);
+  return places.flatMap((at) => {
+    const means = profiles.flatMap((rows) => rows.filter((r) => r.at === at).map((r) => r.mean));
     if (means.length * 2 < profiles.length) return [];
     const mean = means.reduce((a, b) => a + b, 0) / means.length;
     const sd = means.length > 1 ? Math.sqrt(means.reduce((a, b) => a + (b - mean) ** 2, 0) / (means.length - 1)) : 0;
-    return [{ line, mean, low: mean - sd, high: mean + sd }];
+    return [{ at, mean, low: mean - sd, high: mean + sd }];
   });
 }
 
@@ -32,7 +38,8 @@ export const CONTACT_N = 0.01;
 
 /** The recorded paths of an evaluation's first episodes. */
 export class Paths {
-  constructor(arrays, finish) {
+  /** @param {Map} arrays of trajectories.npz @param {{x_m: number, title: string}[]} lines across the field */
+  constructor(arrays, lines = []) {
     const need = (name) => {
       const array = arrays.get(name);
       if (!array) throw new Error(`trajectories.npz has no array “${name}”`);
@@ -42,14 +49,15 @@ export class Paths {
     [this.count, this.length] = x.shape;
     this.cycle = arrays.get("cycle_s")?.data[0] ?? 0.02;
     this.names = { x, y: need("y"), height: need("height"), left: need("left_foot_force"), right: need("right_foot_force") };
-    this.finish = finish;
+    this.failed = arrays.get("failed")?.data ?? null;
+    this.lines = lines;
     this.cache = new Map();
   }
 
-  /** Fetch and read them. `finish` is the finish line's x in metres or null. */
-  static async load(file, finish, signal) {
+  /** Fetch and read them. */
+  static async load(file, lines, signal) {
     const response = await request(file.url, { signal, headers: { Accept: "*/*" } });
-    return new Paths(await readNpz(await response.arrayBuffer()), finish);
+    return new Paths(await readNpz(await response.arrayBuffer()), lines);
   }
 
   /** One episode: samples without padding, and how it ended. */
@@ -62,13 +70,17 @@ export class Paths {
     for (const key of Object.keys(rows)) rows[key] = rows[key].subarray(0, n);
     // A foot that lands on its edge is pushed sideways or down for a moment; it has contact all the same.
     for (const key of ["left", "right"]) rows[key] = rows[key].map(Math.abs);
-    const dx = rows.x[n - 1] - rows.x[0], dy = rows.y[n - 1] - rows.y[0];
-    const episode = {
-      ...rows, samples: n, seconds: (n - 1) * this.cycle, distance: dx, speed: n > 1 ? dx / ((n - 1) * this.cycle) : 0,
-      deviation: (Math.atan2(Math.abs(dy), Math.abs(dx)) * 180) / Math.PI, arrived: this.finish !== null && rows.x[n - 1] >= this.finish,
-    };
+    const dx = rows.x[n - 1] - rows.x[0], dy = rows.y[n - 1] - rows.y[0], distance = Math.hypot(dx, dy);
+    const episode = { ...rows, samples: n, seconds: (n - 1) * this.cycle, dx, dy, distance, speed: n > 1 ? distance / ((n - 1) * this.cycle) : 0, failed: Boolean(this.failed?.[i]) };
     this.cache.set(i, episode);
     return episode;
+  }
+
+  /** Angle in degrees between an episode's displacement and the mean displacement of all. */
+  deviation(i) {
+    this.mean ??= this.all().reduce(([x, y], e) => [x + e.dx, y + e.dy], [0, 0]);
+    const { dx, dy } = this.episode(i), [mx, my] = this.mean;
+    return (Math.abs(Math.atan2(mx * dy - my * dx, mx * dx + my * dy)) * 180) / Math.PI;
   }
 
   all() { return Array.from({ length: this.count }, (_, i) => this.episode(i)); }
@@ -93,6 +105,6 @@ export function gait(episode, cycle, from = 0, to = episode.samples) {
     }
   }
   const n = Math.max(1, to - from), seconds = n * cycle, steps = touchdowns[0] + touchdowns[1];
-  const moved = episode.x[Math.max(from, to - 1)] - episode.x[from];
+  const last = Math.max(from, to - 1), moved = Math.hypot(episode.x[last] - episode.x[from], episode.y[last] - episode.y[from]);
   return { stepRate: steps ? steps / seconds : null, duty: [ground[0] / n, ground[1] / n], flight: flight / n, stride: steps ? (2 * moved) / steps : null, touchdowns };
 }

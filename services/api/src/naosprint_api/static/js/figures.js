@@ -1,10 +1,10 @@
-/** Figures of an evaluation as SVG, drawn for the width they have, so that text keeps its size. */
+/** Plots of an evaluation as SVG, drawn for the width they have, so that text keeps its size. */
 
 import { h, s } from "./dom.js";
 import { fixed } from "./format.js";
 import { CONTACT_N } from "./evaluation.js";
 
-/** A figure that is drawn again when its width changes; `draw(width)` returns an SVG element. */
+/** A plot that is drawn again when its width changes; `draw(width)` returns an SVG element. */
 export class Figure {
   constructor(draw) {
     this.draw = draw;
@@ -48,22 +48,23 @@ function axes({ width, height, x: [x0, x1], y: [y0, y1], xLabel, yLabel, xTicks,
 }
 
 /**
- * Mean speed by start line, each series with its confidence band.
+ * Results over a quantity, each series with its confidence band.
  *
- * @param {{token: string, label: string, rows: {line: number, mean: number, low: number, high: number}[], dash?: string}[]} series
- * @param {{y: number, label: string}[]} refs
+ * @param {{token: string, label: string, rows: {at: number, mean: number, low: number, high: number}[], dash?: string}[]} series
+ * @param {{xLabel: string, yLabel: string, xFormat: (v: number) => string, format: (v: number) => string, metric?: object, refs: {y: number, label: string}[]}} axis
  */
-export function speedByLine(width, series, refs) {
-  const height = 290, all = series.flatMap((x) => x.rows);
-  const top = Math.max(4.2, ...all.map((r) => r.high));
-  const lines = [...new Set(all.map((r) => r.line))];
-  const a = axes({ width, height, x: [Math.min(...lines) - 0.12, Math.max(...lines) + 0.12], y: [0, top], xTicks: lines, xLabel: "start line, metres from the start", yLabel: "mean speed, m/s", xFormat: (v) => fixed(v, 1) });
-  return svg(width, height, series.map((x) => `${x.label}: ${x.rows.map((r) => `${fixed(r.mean)} m/s from ${r.line} m`).join(", ")}`).join("; "), a.group,
-    refs.map((r) => [s("line", { class: "ref", x1: a.left, x2: width - a.right, y1: a.sy(r.y), y2: a.sy(r.y) }), s("text", { class: "ref-text", x: a.left + 4, y: a.sy(r.y) - 4 }, r.label)]),
+export function resultLines(width, series, { xLabel, yLabel, xFormat, format, metric, refs }) {
+  const height = 290, all = series.flatMap((x) => x.rows), scale = metric?.unit === "%" ? 100 : 1;
+  const top = Math.max(...all.map((r) => r.high), ...refs.map((r) => r.y)) * scale, least = Math.min(0, ...all.map((r) => r.low)) * scale;
+  const places = [...new Set(all.map((r) => r.at))].sort((a, b) => a - b), margin = (places.at(-1) - places[0]) * 0.05 || 0.5;
+  const a = axes({ width, height, x: [places[0] - margin, places.at(-1) + margin], y: [least, top > least ? top * 1.05 : least + 1], xTicks: places, xLabel, yLabel, xFormat });
+  const y = (v) => a.sy(v * scale);
+  return svg(width, height, series.map((x) => `${x.label}: ${x.rows.map((r) => `${format(r.mean)} at ${xFormat(r.at)}`).join(", ")}`).join("; "), a.group,
+    refs.map((r) => [s("line", { class: "ref", x1: a.left, x2: width - a.right, y1: y(r.y), y2: y(r.y) }), s("text", { class: "ref-text", x: a.left + 4, y: y(r.y) - 4 }, r.label)]),
     series.map((x) => [
-      s("path", { d: `${path(x.rows.map((r) => [a.sx(r.line), a.sy(r.high)]))}${path(x.rows.toReversed().map((r) => [a.sx(r.line), a.sy(r.low)])).replace("M", "L")}Z`, fill: `var(${x.token})`, opacity: 0.16 }),
-      s("path", { d: path(x.rows.map((r) => [a.sx(r.line), a.sy(r.mean)])), fill: "none", stroke: `var(${x.token})`, "stroke-width": 1.75, "stroke-dasharray": x.dash ?? null }),
-      x.rows.map((r) => s("circle", { cx: a.sx(r.line), cy: a.sy(r.mean), r: 3.2, fill: "var(--surface)", stroke: `var(${x.token})`, "stroke-width": 1.75 }, s("title", null, `${x.label}, from ${r.line} m: ${fixed(r.mean, 3)} m/s, interval ${fixed(r.low, 3)} to ${fixed(r.high, 3)}`))),
+      s("path", { d: `${path(x.rows.map((r) => [a.sx(r.at), y(r.high)]))}${path(x.rows.toReversed().map((r) => [a.sx(r.at), y(r.low)])).replace("M", "L")}Z`, fill: `var(${x.token})`, opacity: 0.16 }),
+      s("path", { d: path(x.rows.map((r) => [a.sx(r.at), y(r.mean)])), fill: "none", stroke: `var(${x.token})`, "stroke-width": 1.75, "stroke-dasharray": x.dash ?? null }),
+      x.rows.map((r) => s("circle", { cx: a.sx(r.at), cy: y(r.mean), r: 3.2, fill: "var(--surface)", stroke: `var(${x.token})`, "stroke-width": 1.75 }, s("title", null, `${x.label}, at ${xFormat(r.at)}: ${format(r.mean)}, interval ${format(r.low)} to ${format(r.high)}`))),
     ]));
 }
 
@@ -98,19 +99,19 @@ export function field(width, paths, { selected, half, onSelect }) {
     points.push([sx(e.x[e.samples - 1]), sy(e.y[e.samples - 1])]);
     return path(points);
   };
-  const tokenOf = (e) => (e.arrived ? "--s1" : "--s6");
+  const tokenOf = (e) => (e.failed ? "--s6" : "--s1");
   const mark = (e) => {
     const x = sx(e.x[e.samples - 1]), y = sy(e.y[e.samples - 1]);
-    return e.arrived ? s("circle", { cx: x, cy: y, r: 2, fill: `var(${tokenOf(e)})` }) : s("path", { d: `M${x - 3} ${y - 3}l6 6m0 -6l-6 6`, stroke: `var(${tokenOf(e)})`, "stroke-width": 1.5 });
+    return !e.failed ? s("circle", { cx: x, cy: y, r: 2, fill: `var(${tokenOf(e)})` }) : s("path", { d: `M${x - 3} ${y - 3}l6 6m0 -6l-6 6`, stroke: `var(${tokenOf(e)})`, "stroke-width": 1.5 });
   };
   const episodes = paths.all();
   const one = (e, i, strong) => s("g", { "data-episode": i }, s("path", { d: line(e), fill: "none", stroke: `var(${tokenOf(e)})`, "stroke-width": strong ? 2.25 : 1, opacity: strong ? 1 : 0.34 }), s("g", { opacity: strong ? 1 : 0.55 }, mark(e)));
   const hit = episodes.map((e, i) => s("path", { d: line(e), fill: "none", stroke: "transparent", "stroke-width": 7, "pointer-events": "stroke", style: { cursor: "pointer" }, onclick: () => onSelect(i) }, s("title", null, `Episode ${i + 1}: ${fixed(e.distance, 2)} m in ${fixed(e.seconds, 2)} s, ${fixed(e.speed)} m/s`)));
   const marks = [-15, -10, -5, 0, 5, 10, 15];
-  return svg(width, height, `Paths of ${paths.count} episodes on the field, seen from above; ${episodes.filter((e) => e.arrived).length} arrived`,
+  return svg(width, height, `Paths of ${paths.count} episodes on the field, seen from above; ${episodes.filter((e) => e.failed).length} failed`,
     s("defs", null, s("clipPath", { id: clip }, s("rect", { x: 0, y: 0, width, height: 2 * half * scale, rx: 4 }))),
     s("g", { "clip-path": `url(#${clip})` }, s("rect", { x: 0, y: 0, width, height: 2 * half * scale, fill: "var(--turf)" }), markings,
-      gate(start, "start", "start"), paths.finish !== null ? gate(paths.finish, "finish", "end") : null,
+      gate(start, "start", "start"), paths.lines.map((line) => gate(line.x_m, line.title, "end")),
       episodes.map((e, i) => (i === selected ? null : one(e, i, false))), one(episodes[selected], selected, true), hit),
     marks.map((x) => s("text", { x: sx(x), y: 2 * half * scale + 16, "text-anchor": "middle" }, `${x === 0 ? "0" : x} m`.replace("-", "−"))));
 }

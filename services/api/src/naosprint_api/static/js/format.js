@@ -31,14 +31,30 @@ export function significant(v, digits = 3) {
   return trim(v.toPrecision(digits).replace(/e\+?(\d+)/, (_, e) => `e${e}`)).replace(/^-/, "−");
 }
 
+/** A value of a metric without its unit: with its digits, fractions in percent. */
+export function metricText(metric, v) {
+  if (missing(v)) return NONE;
+  const value = metric.unit === "%" ? v * 100 : v;
+  if (metric.digits === null || metric.digits === undefined) return significant(value, 4);
+  // What its digits would round to nothing is still told from nothing.
+  if (value !== 0 && Math.abs(value) < 0.5 * 10 ** -metric.digits && metric.unit !== "%") return significant(value, 2);
+  return value.toLocaleString("en-US", { minimumFractionDigits: metric.digits, maximumFractionDigits: metric.digits }).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
+}
+
+/** A metric's unit as it stands behind a number; empty for none. */
+export const shownUnit = (metric) => metric.unit ?? "";
+
+/** A value of a metric with its unit: "4.03 m/s", "0.4 %", "0.5°". */
+export function withUnit(metric, v) {
+  const text = metricText(metric, v), unit = shownUnit(metric);
+  return text === NONE || !unit ? text : unit === "°" ? `${text}${unit}` : `${text} ${unit}`;
+}
+
+/** An interval of a metric: "0.50 to 0.75"; null without one. */
+export const intervalText = (metric, ends) => (ends ? `${metricText(metric, ends[0])} to ${metricText(metric, ends[1])}` : null);
+
 /** 0.0731 -> "7.3 %". */
 export const percent = (v, digits = 1) => (missing(v) ? NONE : `${(v * 100).toFixed(digits)} %`);
-
-/** [0.5, 0.75] -> "0.50 to 0.75"; null without an interval. */
-export const interval = (ci, digits = 2) => (ci ? `${fixed(ci[0], digits)} to ${fixed(ci[1], digits)}` : null);
-
-/** [0.07, 0.1] -> "7.0 % to 10.0 %"; null without an interval. */
-export const shares = (ci) => (ci ? `${percent(ci[0])} to ${percent(ci[1])}` : null);
 
 /** Seconds -> "42 s", "3 m 05 s", "1 h 04 m", "2 d 3 h". */
 export function duration(v) {

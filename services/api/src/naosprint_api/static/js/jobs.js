@@ -1,6 +1,7 @@
-/** What the dashboard asks of jobs: actions, derived figures, names. */
+/** What the dashboard asks of jobs: actions, derived values, names. */
 
 import { call } from "./api.js";
+import { nameOf } from "./descriptions.js";
 import { confirmDialog, toast } from "./dom.js";
 
 /** Newest metrics row of a job, or an empty one. */
@@ -19,12 +20,12 @@ export function elapsed(job) {
 /** Seconds until the training ends as the trainer sees it; null when not training. */
 export const remaining = (job) => (job.state === "running" ? latest(job).eta_s ?? null : null);
 
-/** "sprint1 · fast · type 0". */
-export const recipe = (job) => [job.spec.task, job.spec.preset, `type ${job.spec.robot_type}`, job.spec.simulator === "embedded" ? null : job.spec.simulator].filter(Boolean).join(" · ");
+/** Task, preset, robot and, unless it is the usual one, the simulator: "run · fast · nao-0". */
+export const summary = ({ spec }) => [nameOf(spec, "task"), spec.algorithm?.preset, nameOf(spec, "robot"), nameOf(spec, "simulator") === "embedded" ? null : nameOf(spec, "simulator")].filter((part) => part && part !== "?").join(" · ");
 
 const QUESTIONS = {
-  cancel: (job) => ({ title: `Cancel ${job.name}?`, body: "The trainer stops at once. Checkpoints and figures so far are kept, and the job can be retried from its last checkpoint.", action: "Cancel job", danger: true }),
-  delete: (job) => ({ title: `Delete ${job.name}?`, body: "Its figures, log, checkpoints and evaluations are deleted. This cannot be undone.", action: "Delete job", danger: true }),
+  cancel: (job) => ({ title: `Cancel ${job.name}?`, body: "The training stops at once. Checkpoints and metrics so far are kept, and the job can be retried from its last checkpoint.", action: "Cancel job", danger: true }),
+  delete: (job) => ({ title: `Delete ${job.name}?`, body: "Its metrics, log, checkpoints and evaluations are deleted. This cannot be undone.", action: "Delete job", danger: true }),
 };
 const DONE = { pause: "will pause at its next checkpoint", resume: "is queued again", retry: "is queued again", cancel: "is being cancelled", delete: "was deleted" };
 

@@ -1,4 +1,4 @@
-/** A recorded episode in three dimensions: the robot of its type from its own bodies, on the field, frame by frame. */
+/** A recorded episode in three dimensions: the robot from its own shapes, on the field, frame by frame. */
 
 import * as T from "../vendor/three-0.187.0/three.min.js";
 import { color, onTheme } from "./theme.js";
@@ -10,20 +10,28 @@ const CONTACT_N = 0.01;
 
 /** One recorded episode: what `replay.json` holds, unpacked. */
 export class Recording {
-  constructor(document) {
+  /** @param {object} document @param {number} front axis of a shape's frame that points to the robot's front: 0 for x, 1 for y */
+  constructor(document, front = 1) {
     const { frames, bodies } = document;
-    if (document.format !== 1) throw new Error(`this page cannot read replay format ${document.format}`);
+    if (document.format !== 2) throw new Error(`this page cannot read replay format ${document.format}`);
     if (!(frames > 0) || document.position_m.length !== frames || document.rotation_wxyz.length !== frames) throw new Error("the replay is damaged");
     this.frames = frames;
     this.dt = document.dt_s;
     this.bodies = bodies;
-    this.fallen = document.fallen;
-    this.arrived = document.arrived;
+    this.end = document.end;
+    this.failed = document.failed;
+    this.front = front;
     this.positions = Float32Array.from(document.position_m.flat());
     this.rotations = Float32Array.from(document.rotation_wxyz.flat());
     this.forces = document.foot_force_n;
-    this.head = bodies.findIndex((b) => b.name === "head");
-    this.feet = [bodies.findIndex((b) => /^l.*foot/i.test(b.name)), bodies.findIndex((b) => /^r.*foot/i.test(b.name))];
+    this.head = bodies.findIndex((b) => /head/i.test(b.name) && b.shape === "sphere");
+    this.feet = ["left", "right"].map((side) => this.#lowest(side));
+  }
+
+  /** The lowest shape of a side in the first frame, its foot; -1 without shapes. */
+  #lowest(side) {
+    const height = (i) => this.positions[3 * i + 2];
+    return this.bodies.reduce((low, b, i) => (b.side === side && (low < 0 || height(i) < height(low)) ? i : low), -1);
   }
 
   get seconds() { return (this.frames - 1) * this.dt; }
@@ -58,10 +66,17 @@ export class Recording {
     return out;
   }
 
-  /** Forward speed in m/s over a quarter of a second around a frame. */
+  /** Direction of the displacement in radians, as a multiple of a quarter turn: that of the marks on the ground. */
+  get heading() {
+    const [x0, y0] = this.torso(0), [x1, y1] = this.torso(this.frames - 1);
+    return Math.hypot(x1 - x0, y1 - y0) < 0.5 ? 0 : (Math.round(Math.atan2(y1 - y0, x1 - x0) / (Math.PI / 2)) * Math.PI) / 2;
+  }
+
+  /** Speed in m/s over a quarter of a second around a frame. */
   speed(frame) {
     const half = Math.round(0.125 / this.dt), a = Math.max(0, frame - half), b = Math.min(this.frames - 1, frame + half);
-    return b > a ? (this.torso(b)[0] - this.torso(a)[0]) / ((b - a) * this.dt) : 0;
+    const [xa, ya] = this.torso(a), [xb, yb] = this.torso(b);
+    return b > a ? Math.hypot(xb - xa, yb - ya) / ((b - a) * this.dt) : 0;
   }
 }
 
@@ -111,11 +126,11 @@ const lettering = (text) => sketch(256, 128, (c, w, h) => {
 });
 
 export class Stage {
-  /** @param {HTMLElement} host @param {Recording} recording @param {number|null} finish the finish line's x in metres */
-  constructor(host, recording, finish) {
+  /** @param {HTMLElement} host @param {Recording} recording @param {{x_m: number, title: string}[]} lines across the field */
+  constructor(host, recording, lines = []) {
     this.host = host;
     this.recording = recording;
-    this.finish = finish;
+    this.lines = lines;
     this.course = recording.course();
     this.renderer = new T.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
     this.renderer.shadowMap.enabled = true;
@@ -229,23 +244,29 @@ export class Stage {
     return goal;
   }
 
-  /** What belongs to this run: start, metres, finish, the path and the footprints. */
+  /** What belongs to this run: start, metres in its direction, lines, the path and the footprints. */
   #course() {
-    const r = this.recording, start = r.torso(0)[0], far = this.finish ?? Math.min(FIELD.length / 2, r.torso(r.frames - 1)[0] + 2);
+    const r = this.recording, [x0, y0] = r.torso(0), [x1, y1] = r.torso(r.frames - 1), { heading } = r, [cos, sin] = [Math.cos(heading), Math.sin(heading)];
+    const far = Math.max(0, ...this.lines.map((l) => (l.x_m - x0) * cos), (x1 - x0) * cos + (y1 - y0) * sin + 2);
+    const across = (along, aside, ...more) => {
+      const mesh = this.#strip(x0 + along * cos - aside * sin, y0 + along * sin + aside * cos, ...more);
+      mesh.rotation.z = heading;
+      return mesh;
+    };
     this.tick = this.#painted({ opacity: 0.28 });
     this.letters = [];
-    for (let m = 1; start + m < far - 0.3; m++) {
-      const x = start + m, five = m % 5 === 0;
-      this.#strip(x, 0, five ? 0.035 : 0.015, five ? 3 : 1.6, this.tick, 2);
+    for (let m = 1; m < far - 0.3; m++) {
+      const five = m % 5 === 0;
+      across(m, 0, five ? 0.035 : 0.015, five ? 3 : 1.6, this.tick, 2);
       if (!five) continue;
       const material = this.#painted({ map: lettering(`${m} m`), opacity: 0.75 });
       // On both sides of the lane, to be read from where the cameras stand.
-      for (const side of [-1, 1]) this.#strip(x, side * 1.9, 1, 0.5, material, 2);
+      for (const side of [-1, 1]) across(m, side * 1.9, 1, 0.5, material, 2);
       this.letters.push(material);
     }
     this.gate = this.#painted({ opacity: 0.9 });
-    this.#strip(start, 0, 0.06, 4, this.gate, 3);
-    if (this.finish !== null) this.#strip(this.finish, 0, 0.5, 4, this.#painted({ map: checks(), opacity: 0.9 }), 3);
+    across(0, 0, 0.06, 4, this.gate, 3);
+    for (const line of this.lines) this.#strip(line.x_m, y0, 0.5, 4, this.#painted({ map: checks(), opacity: 0.9 }), 3);
     const points = [], index = [];
     for (let t = 0; t < r.frames; t++) {
       const [x, y] = r.torso(t), before = r.torso(Math.max(0, t - 1)), after = r.torso(Math.min(r.frames - 1, t + 1));
@@ -264,41 +285,51 @@ export class Stage {
     for (const foot of [0, 1]) {
       const body = r.feet[foot];
       if (body < 0) continue;
-      const [across, along] = r.bodies[body].size_m;
+      const { shape, size_m: size } = r.bodies[body], [wide, long] = shape === "box" ? [size[1 - r.front], size[r.front]] : [0.08, 0.16];
       for (const frame of r.touchdowns(foot)) {
-        const { position, rotation } = r.pose(frame, body), ahead = new T.Vector3(0, 1, 0).applyQuaternion(new T.Quaternion(...rotation));
-        const print = this.#strip(position[0], position[1], across * 0.8, along, this.ink[foot], 2);
+        const { position, rotation } = r.pose(frame, body), ahead = new T.Vector3(1 - r.front, r.front, 0).applyQuaternion(new T.Quaternion(...rotation));
+        const print = this.#strip(position[0], position[1], wide * 0.8, long, this.ink[foot], 2);
         print.rotation.z = Math.atan2(ahead.y, ahead.x) - Math.PI / 2;
         this.prints.push({ frame, print });
       }
     }
   }
 
-  /** The robot from its table: frames are x right, y front, z up. What shows its face is added to the head and the torso. */
+  /** The robot from its shapes. What shows its face is added to the head and the torso. */
   #robot() {
-    const plastic = (options) => new T.MeshStandardMaterial({ roughness: 0.42, metalness: 0, ...options });
+    const plastic = (options) => new T.MeshStandardMaterial({ roughness: 0.42, metalness: 0, ...options }), { feet, head, front, bodies } = this.recording;
     this.shell = plastic();
     this.panel = plastic({ roughness: 0.55 });
     this.joint = plastic({ roughness: 0.7 });
     this.glow = new T.MeshBasicMaterial();
     this.sides = [plastic(), plastic()];
-    const ofSide = (body) => (/^l/i.test(body.name) ? 0 : 1);
-    this.parts = this.recording.bodies.map((body) => {
-      const [a, b, c] = body.size_m, limb = /^[lr]/i.test(body.name);
+    const materialOf = (body, i) => {
+      if (feet.includes(i)) return this.sides[body.side === "left" ? 0 : 1];
+      if (body.shape === "box" || i === head) return this.shell;
+      return body.shape === "sphere" || body.side === "centre" ? this.joint : this.panel;
+    };
+    this.parts = bodies.map((body, i) => {
+      const [a, b, c] = body.size_m;
       // The beads between two joints touch nothing; drawn larger they look like the joints that they are.
-      const geometry = body.shape === "box" ? new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3)
-        : body.shape === "capsule" ? new T.CapsuleGeometry(a, b, 8, 20).rotateX(Math.PI / 2) : new T.SphereGeometry(Math.max(a, 0.021), 32, 24);
-      const material = limb && /foot|toe/i.test(body.name) ? this.sides[ofSide(body)] : /upperarm|thigh/i.test(body.name) ? this.panel : body.shape === "box" || body.name === "head" ? this.shell : this.joint;
-      const mesh = new T.Mesh(geometry, material);
+      const geometry = { box: () => new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3), capsule: () => new T.CapsuleGeometry(a, b, 8, 20).rotateX(Math.PI / 2), cylinder: () => new T.CylinderGeometry(a, a, b, 28).rotateX(Math.PI / 2) }[body.shape]?.() ?? new T.SphereGeometry(Math.max(a, 0.021), 32, 24);
+      const mesh = new T.Mesh(geometry, materialOf(body, i));
       mesh.castShadow = mesh.receiveShadow = true;
       this.scene.add(mesh);
       return mesh;
     });
-    if (this.recording.head >= 0) this.#face(this.parts[this.recording.head], this.recording.bodies[this.recording.head].size_m[0]);
-    const [, depth, height] = this.recording.bodies[0].size_m;
-    const button = new T.Mesh(new T.CylinderGeometry(0.013, 0.013, 0.008, 24), this.glow);
-    button.position.set(0, depth / 2, height * 0.18);
-    this.parts[0].add(button);
+    // Faces are built looking along y.
+    const facing = (part) => {
+      const group = new T.Group();
+      group.rotation.z = front ? 0 : -Math.PI / 2;
+      part.add(group);
+      return group;
+    };
+    if (head >= 0) this.#face(facing(this.parts[head]), bodies[head].size_m[0]);
+    if (bodies[0]?.shape === "box") {
+      const button = new T.Mesh(new T.CylinderGeometry(0.013, 0.013, 0.008, 24), this.glow);
+      button.position.set(0, bodies[0].size_m[front] / 2, bodies[0].size_m[2] * 0.18);
+      facing(this.parts[0]).add(button);
+    }
     this.arrows = [0, 1].map((side) => {
       const arrow = new T.Group(), material = this.sides[side];
       const shaft = new T.Mesh(new T.CylinderGeometry(0.007, 0.007, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5), material);
@@ -382,9 +413,9 @@ export class Stage {
       this.controls.target.set(0, 0, 0);
       this.camera.position.set(...FIELD_VIEW).multiplyScalar(Math.max((0.6 * FIELD.length) / (half * this.camera.aspect), (0.36 * FIELD.width) / half));
     } else {
-      const [from, to] = CAMERAS[name];
-      this.controls.target.copy(this.last).add(new T.Vector3(...to));
-      this.camera.position.copy(this.last).add(new T.Vector3(...from));
+      const up = new T.Vector3(0, 0, 1), [from, to] = CAMERAS[name].map((offset) => new T.Vector3(...offset).applyAxisAngle(up, this.recording.heading));
+      this.controls.target.copy(this.last).add(to);
+      this.camera.position.copy(this.last).add(from);
     }
     this.controls.update();
     this.#clear();
@@ -410,7 +441,7 @@ export class Stage {
       arrow.visible = this.showForces && force > 0.5 && Boolean(foot);
       if (!arrow.visible) return;
       // Beside the foot: in its middle, the leg would hide it.
-      const aside = new T.Vector3(i ? 0.075 : -0.075, 0, 0).applyQuaternion(foot.quaternion), length = force * METRES_PER_NEWTON;
+      const out = i ? 0.075 : -0.075, aside = (r.front ? new T.Vector3(out, 0, 0) : new T.Vector3(0, -out, 0)).applyQuaternion(foot.quaternion), length = force * METRES_PER_NEWTON;
       arrow.position.set(foot.position.x + aside.x, foot.position.y + aside.y, 0.002);
       shaft.scale.z = Math.max(0.001, length - 0.05);
       tip.position.z = Math.max(0, length - 0.05);

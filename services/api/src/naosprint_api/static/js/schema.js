@@ -18,10 +18,24 @@ export function resolve(schema, root) {
   return node;
 }
 
+/** The schema of one plug-in's section: the alternative of that name, for that robot where several differ by robot; null for what is no such section. */
+export function variant(section, name, robot, root) {
+  const options = resolve(section, root)?.oneOf;
+  if (!options) {
+    const plainSection = resolve(section, root);
+    return plainSection?.properties ? plainSection : null;
+  }
+  const named = options.filter((o) => o.properties.name.const === name);
+  return named.find((o) => !o["x-robots"] || o["x-robots"].includes(robot)) ?? named[0] ?? { properties: {} };
+}
+
+/** Names of the plug-ins that a section may choose, those that the robot can use. */
+export const choices = (section, robot) => [...new Set(section.oneOf.filter((o) => !robot || !o["x-robots"] || o["x-robots"].includes(robot)).map((o) => o.properties.name.const))];
+
 /**
  * Describe one property as a field.
  *
- * @returns {{name: string, label: string, hint: string, unit: string|null, kind: "choice"|"flag"|"integer"|"number"|"list"|"text", nullable: boolean, choices?: any[], low?: number, high?: number, openLow?: boolean, openHigh?: boolean, fallback: any}}
+ * @returns {{name: string, label: string, hint: string, unit: string|null, kind: "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[], low?: number, high?: number, openLow?: boolean, openHigh?: boolean, fallback: any}}
  */
 export function field(name, schema, root) {
   const outer = resolve(schema, root);
@@ -41,6 +55,7 @@ export function field(name, schema, root) {
   if (inner.type === "boolean") return { ...base, kind: "flag" };
   if (inner.type === "integer" && low !== undefined && high !== undefined && high - low <= 9) return { ...base, kind: "choice", choices: Array.from({ length: high - low + 1 }, (_, i) => low + i) };
   if (inner.type === "integer" || inner.type === "number") return { ...base, kind: inner.type };
+  if (inner.type === "object" || (inner.type === "array" && inner.items?.type !== "integer")) return { ...base, kind: "json" };
   if (inner.type === "array") return { ...base, kind: "list" };
   return { ...base, kind: "text" };
 }
@@ -59,6 +74,7 @@ export function number(text) {
 /** Show a value in its field. */
 export function toText(f, value) {
   if (value === null || value === undefined) return "";
+  if (f.kind === "json") return (Array.isArray(value) ? value.length : Object.keys(value).length) ? JSON.stringify(value) : "";
   if (f.kind === "list") return value.join(", ");
   if (f.kind === "integer" && Math.abs(value) >= 10_000) return value.toLocaleString("en-US");
   return String(value);
@@ -71,6 +87,10 @@ export function fromText(f, text) {
     const values = t === "" ? [] : t.split(/[\s,;×x]+/).filter(Boolean).map(Number);
     if (values.some((v) => !Number.isInteger(v) || v < 1)) throw new Error("Whole numbers separated by commas, for example 64, 64");
     return values;
+  }
+  if (f.kind === "json") {
+    if (t === "") return f.nullable ? null : f.fallback;
+    try { return JSON.parse(t); } catch { throw new Error("Not JSON; for example " + (Array.isArray(f.fallback) ? "[{\"steps\": 1000000}]" : "{\"name\": 1}")); }
   }
   if (f.kind === "text") return t === "" && f.nullable ? null : t;
   if (t === "") {

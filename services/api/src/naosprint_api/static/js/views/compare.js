@@ -1,18 +1,21 @@
-/** Several jobs over each other: curves, groups with mean and band, final figures. */
+/** Several jobs over each other: curves, groups with mean and band, results of their evaluations. */
 
 import { call, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
-import { CURVES, refsOf, SPEED_REFS, X_AXES } from "../curves.js";
+import { chartOptions, X_AXES } from "../curves.js";
+import { common, descriptions, nameOf } from "../descriptions.js";
 import { fill, h, icon, scroller } from "../dom.js";
-import { compact, fixed, integer, percent } from "../format.js";
-import { latest, progress, recipe } from "../jobs.js";
+import { compact, integer, metricText, shownUnit, withUnit } from "../format.js";
+import { latest, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
-import { figuresOf, meanProfile, profile } from "../evaluation.js";
-import { Figure, speedByLine } from "../figures.js";
+import { headline, meanProfile, profile } from "../evaluation.js";
+import { Figure, resultLines } from "../figures.js";
 import { loading, notice } from "./messages.js";
+import { axisOf } from "./results.js";
+import { flattened } from "./spec-list.js";
 
 const MAX_JOBS = 32;
 const GRID = 400;
@@ -20,23 +23,25 @@ const GRID = 400;
 const MAX_JOINED = 6000, FINE_GRID = 1200;
 const DASHES = [undefined, [6, 4], [2, 3], [10, 4, 2, 4]];
 
-/** Which episodes a profile counts. */
-const PROFILES = { paper: "As the paper", all: "All episodes" };
+/** Most columns of metrics, and of results, in the table. */
+const MOST_METRICS = 3, MOST_RESULTS = 4;
 
 /** What "group by" can do: the label that jobs of one group share. */
 const GROUPINGS = {
   none: ["Each job", null],
-  recipe: ["All but the seed", (job) => recipe(job) + departures(job)],
-  preset: ["Preset", (job) => job.spec.preset],
-  task: ["Task", (job) => job.spec.task],
-  robot: ["Robot type", (job) => `type ${job.spec.robot_type}`],
-  simulator: ["Simulator", (job) => job.spec.simulator],
+  settings: ["All but the seed", (job) => summary(job) + differing(job)],
+  preset: ["Preset", (job) => job.spec.algorithm?.preset ?? "none"],
+  task: ["Task", (job) => nameOf(job.spec, "task")],
+  robot: ["Robot", (job) => nameOf(job.spec, "robot")],
+  simulator: ["Simulator", (job) => nameOf(job.spec, "simulator")],
   tag: ["First tag", (job) => job.tags[0] ?? "no tag"],
   group: ["Sweep", (job) => job.group_id ?? "single"],
 };
 
+/** Paths that every list of jobs shows anyway. */
+const SHOWN = new Set(["seed", "task.name", "robot.name", "simulator.name", "algorithm.preset"]);
 let varying = [];
-const departures = (job) => varying.map((k) => ` · ${k} ${JSON.stringify(job.spec[k])}`).join("");
+const differing = (job) => { const values = flattened(job.spec); return varying.map((k) => ` · ${k.split(".").at(-1)} ${JSON.stringify(values[k] ?? null)}`).join(""); };
 
 /** Read a curve at `x` by linear interpolation; null outside of it. */
 export function interpolate(xs, ys, x) {
@@ -77,10 +82,9 @@ class CompareView {
     this.go = go;
     this.group = params.get("group");
     this.ids = [...new Set((params.get("jobs") ?? "").split(",").filter(Boolean))];
-    this.by = GROUPINGS[params.get("by")] ? params.get("by") : this.group ? "recipe" : "none";
+    this.by = GROUPINGS[params.get("by")] ? params.get("by") : this.group ? "settings" : "none";
     this.x = "step";
     this.weight = 0.6;
-    this.profile = "paper";
     this.items = [];
     this.charts = [];
   }
@@ -90,6 +94,7 @@ class CompareView {
     fill(this.root, h("div", { class: "card" }, loading("Loading jobs")));
     if (this.group) this.ids = (await call(`jobs${query({ group: this.group, limit: 200 })}`, { signal: this.signal })).items.map((j) => j.id).toReversed();
     const missing = [];
+    this.known = await descriptions();
     await Promise.all(this.ids.slice(0, MAX_JOBS).map(async (id, i) => {
       try { this.items[i] = await this.item(id); } catch (error) { if (error.name === "AbortError") throw error; missing.push(`${id}: ${error.message}`); }
     }));
@@ -124,8 +129,8 @@ class CompareView {
   }
 
   build() {
-    const keys = new Set(this.items.flatMap(({ job }) => Object.keys(job.spec)));
-    varying = [...keys].filter((k) => k !== "seed" && new Set(this.items.map(({ job }) => JSON.stringify(job.spec[k]))).size > 1 && !["task", "preset", "robot_type", "simulator"].includes(k));
+    const specs = this.items.map(({ job }) => flattened(job.spec)), paths = new Set(specs.flatMap((values) => Object.keys(values)));
+    varying = [...paths].filter((k) => !SHOWN.has(k) && !k.endsWith(".version") && new Set(specs.map((values) => JSON.stringify(values[k]))).size > 1);
     this.picker = h("input", { type: "search", placeholder: "Add a job by name or id", "aria-label": "Add a job", list: "compare-found", autocomplete: "off", oninput: () => this.suggest(), onchange: () => this.add(this.picker.value) });
     this.found = h("datalist", { id: "compare-found" });
     const head = h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Compare"), h("div", { class: "filters", style: { margin: 0 } }, h("div", { class: "search" }, icon("search"), this.picker, this.found)));
@@ -139,16 +144,16 @@ class CompareView {
     const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
     this.legend = h("div", { class: "legend" });
     this.grid = h("div", { class: "charts" });
-    this.table = scroller("Jobs compared");
-    this.judged = h("div", { class: "stack" });
-    this.pick = h("div", { class: "segments", role: "group", "aria-label": "Episodes counted" }, Object.entries(PROFILES).map(([key, label]) => h("button", { "data-value": key, "aria-pressed": String(key === this.profile), onclick: () => { this.profile = key; for (const b of this.pick.children) b.setAttribute("aria-pressed", String(b.dataset.value === key)); this.paintEvaluations(); } }, label)));
-    this.figure = new Figure((width) => speedByLine(width, this.series, SPEED_REFS));
-    this.numbers = scroller("Speed by start line");
+    this.rows = scroller("Jobs compared");
+    this.evaluated = h("div", { class: "stack" });
+    this.pick = h("div", { class: "segments", role: "group", "aria-label": "Results" });
+    this.figure = new Figure((width) => resultLines(width, this.series, this.axis));
+    this.numbers = scroller("Results compared");
     fill(this.root, head, this.missing.map((m) => notice("warn", "", m)),
-      h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.table),
+      h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.rows),
       h("div", { class: "chart-tools" }, h("label", null, "Group by", grouping), h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range),
         h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => this.csv() }, icon("download"), "CSV")),
-      this.legend, h("div", { style: { height: "0.86rem" } }), this.judged, this.grid);
+      this.legend, h("div", { style: { height: "0.86rem" } }), this.evaluated, this.grid);
     this.rebuildCharts();
   }
 
@@ -167,9 +172,11 @@ class CompareView {
   rebuildCharts() {
     for (const { chart } of this.charts) chart.destroy();
     const groups = this.groups(), banded = this.by !== "none";
-    const tasks = new Set(this.items.map(({ job }) => job.spec.task));
-    this.charts = CURVES.filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "running").map((curve) => ({ curve, chart: new Chart({
-      ...curve, ...(curve.lines ? { lines: undefined, title: curve.single } : {}), refs: tasks.size === 1 ? refsOf(curve, [...tasks][0]) : curve.refs ?? [], sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
+    const charts = new Map();
+    for (const { job, metrics } of this.items) for (const c of this.known.charts(job.spec, metrics.columns.keys())) if (!charts.has(c.key)) charts.set(c.key, c);
+    const tasks = new Set(this.items.map(({ job }) => nameOf(job.spec, "task")));
+    this.charts = [...charts.values()].filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "task").map((curve) => ({ curve, chart: new Chart({
+      ...chartOptions({ ...curve, title: curve.metrics.length > 1 ? curve.metrics[0].title : curve.title, metrics: curve.metrics.slice(0, 1), refs: tasks.size === 1 ? curve.refs : [] }), sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
       series: groups.flatMap((g) => (banded ? [{ label: `${g.label} high`, token: g.token, hidden: true }, { label: `${g.label} low`, token: g.token, hidden: true }, { label: g.label, token: g.token, dash: g.dash, width: 2 }] : [{ label: g.label, token: g.token, dash: g.dash }])),
       bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
     }) }));
@@ -180,41 +187,61 @@ class CompareView {
   }
 
   paintTable() {
-    if (!this.table) return;
+    if (!this.rows) return;
     const groups = this.groups(), banded = this.by !== "none";
     const swatch = (g) => h("span", { class: "swatch", style: { background: color(g.token) } });
     fill(this.legend, groups.map((g) => h("span", null, swatch(g), banded ? `${g.label} (${g.items.length})` : g.label)), banded ? h("span", { class: "muted" }, "Line: mean. Band: one standard deviation.") : null);
+    const metrics = common(this.items.map(({ job }) => this.known.listed(job.spec))).slice(0, MOST_METRICS);
+    const results = common(this.items.map(({ evaluation }) => headline(evaluation?.summary))).slice(0, MOST_RESULTS);
     const cells = (item) => {
-      const m = latest(item.job), e = figuresOf(item.evaluation?.summary);
-      return [compact(item.job.progress_step), fixed(m.speed_mps), fixed(m.distance_m, 1), m.fall_rate === undefined ? "–" : percent(m.fall_rate), integer(m.steps_per_s), fixed(e?.speed), fixed(e?.top), fixed(e?.distance, 1), e?.falls === undefined ? "–" : percent(e.falls)];
+      const m = latest(item.job), own = this.known.metrics(item.job.spec), found = new Map((item.evaluation?.summary?.results ?? []).map((r) => [r.name, r]));
+      return [compact(item.job.progress_step), ...metrics.map(({ name }) => (own.has(name) ? metricText(own.get(name), m[name]) : "–")), integer(m.steps_per_s), ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–"))];
     };
-    const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, recipe(item.job), ` · seed ${item.job.spec.seed}`, departures(item.job))))),
+    const heading = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
+    const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job))))),
       h("td", null, stateBadge(item.job.state, stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`))), cells(item).map((c) => h("td", { class: "num" }, c)),
       h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Take ${item.job.name} out of the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
     const th = (t) => h("th", { scope: "col", class: "num" }, t);
-    fill(this.table, h("table", null,
-      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: 5, scope: "colgroup", class: "group" }, "Training, latest"), h("th", { colspan: 4, scope: "colgroup", class: "group" }, "Evaluation, deterministic"), h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
-        h("tr", null, ["Steps", "Speed m/s", "Distance m", "Falls", "Steps/s", "Speed m/s", "Top m/s", "Distance m", "Falls"].map(th))),
+    fill(this.rows, h("table", null,
+      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: metrics.length + 2, scope: "colgroup", class: "group" }, "Training, latest"), results.length ? h("th", { colspan: results.length, scope: "colgroup", class: "group" }, "Evaluation") : null, h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
+        h("tr", null, ["Steps", ...metrics.map(heading), "Steps/s", ...results.map(heading)].map(th))),
       h("tbody", null, groups.flatMap((g) => g.items.map((item) => row(g, item))))));
   }
 
-  /** Speed by start line of the groups that have evaluations, over each other. */
+  /** Tables of results of the evaluations, by name, each with the columns that some job has. */
+  tables() {
+    const tables = new Map();
+    for (const { evaluation } of this.items) {
+      for (const table of evaluation?.summary?.tables ?? []) {
+        if (!tables.has(table.name)) tables.set(table.name, { table, columns: new Set() });
+        for (const column of table.columns) tables.get(table.name).columns.add(column.title);
+      }
+    }
+    return tables;
+  }
+
+  /** One column of a table of results, of the groups that have evaluations, over each other. */
   paintEvaluations() {
-    const of = (g) => g.items.filter((i) => i.evaluation).map((i) => profile(i.evaluation.summary, this.profile)).filter((rows) => rows.length);
-    const groups = this.groups().map((g) => ({ ...g, profiles: of(g) })).filter((g) => g.profiles.length);
+    const options = [...this.tables().values()].flatMap(({ table, columns }) => [...columns].map((column) => ({ table, column, key: `${table.name} ${column}` })));
+    if (!options.length) { this.evaluated.replaceChildren(); return; }
+    const chosen = options.find((o) => o.key === this.chosen) ?? options[0], several = new Set(options.map((o) => o.table.name)).size > 1;
+    fill(this.pick, options.map((o) => h("button", { "data-value": o.key, "aria-pressed": String(o === chosen), onclick: () => { this.chosen = o.key; this.paintEvaluations(); } }, several ? `${o.table.title}: ${o.column}` : o.column)));
+    const of = (g) => g.items.map((i) => i.evaluation?.summary?.tables?.find((t) => t.name === chosen.table.name)).filter(Boolean).map((t) => profile(t, chosen.column)).filter((rows) => rows.length);
+    const groups = this.groups().map((g) => ({ ...g, profiles: of(g) })).filter((g) => g.profiles.length), { axis } = chosen.table;
+    this.axis = axisOf(chosen.table);
     this.series = groups.map((g) => ({ label: g.label, token: g.token, dash: g.dash?.join(" "), rows: meanProfile(g.profiles), count: g.profiles.length }));
-    const some = this.items.some((i) => i.evaluation);
-    if (!some) { this.judged.replaceChildren(); return; }
-    const lines = [...new Set(this.series.flatMap((x) => x.rows.map((r) => r.line)))].sort((a, b) => a - b);
+    const places = [...new Set(this.series.flatMap((x) => x.rows.map((r) => r.at)))].sort((a, b) => a - b);
     const banded = groups.some((g) => g.profiles.length > 1);
-    if (!this.judged.firstChild) fill(this.judged, h("section", { class: "card", "data-part": "evaluations" }, h("div", { class: "card-head wrap" }, h("h2", null, "Speed by start line, evaluated"), this.pick), this.profiles = h("div", { class: "profiles" })));
-    if (!lines.length) {
-      fill(this.profiles, h("p", { class: "pad muted" }, "No episode was long enough to be counted as the paper does: 200 samples beyond the start line. Look at all episodes."));
+    if (!this.evaluated.firstChild) fill(this.evaluated, h("section", { class: "card", "data-part": "evaluations" }, h("div", { class: "card-head wrap" }, this.heading = h("h2"), this.pick), this.profiles = h("div", { class: "profiles" })));
+    this.heading.textContent = `${chosen.table.title}, evaluated`;
+    if (!places.length) {
+      fill(this.profiles, h("p", { class: "pad muted" }, `No episode counts. ${chosen.table.description}`));
       return;
     }
-    const cell = (r) => h("td", { class: "num", title: r ? `${fixed(r.low, 3)} to ${fixed(r.high, 3)} m/s` : null }, r ? [fixed(r.mean, 3), h("div", { class: "muted" }, `± ${fixed((r.high - r.low) / 2, 3)}`)] : "–");
-    fill(this.numbers, h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { scope: "col" }, "m/s from"), lines.map((l) => h("th", { scope: "col", class: "num" }, `${fixed(l, 1)} m`)))),
-      h("tbody", null, this.series.map((x) => h("tr", null, h("th", { scope: "row", class: "compare-name" }, h("div", { class: "row" }, h("span", { class: "swatch", style: { background: `var(${x.token})` } }), h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null))), lines.map((l) => cell(x.rows.find((r) => r.line === l))))))));
+    const { format, metric } = this.axis;
+    const cell = (r) => h("td", { class: "num", title: r ? `${format(r.low)} to ${withUnit(metric, r.high)}` : null }, r ? [format(r.mean), h("div", { class: "muted" }, `± ${format((r.high - r.low) / 2)}`)] : "–");
+    fill(this.numbers, h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { scope: "col" }, [axis.title, shownUnit(metric)].filter(Boolean).join("; ")), places.map((at) => h("th", { scope: "col", class: "num" }, withUnit(axis, at))))),
+      h("tbody", null, this.series.map((x) => h("tr", null, h("th", { scope: "row", class: "compare-name" }, h("div", { class: "row" }, h("span", { class: "swatch", style: { background: `var(${x.token})` } }), h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null))), places.map((at) => cell(x.rows.find((r) => r.at === at))))))));
     fill(this.profiles, h("div", { class: "pad" }, this.figure.element), h("div", null, this.numbers, h("p", { class: "pad muted" }, banded ? "Band: one standard deviation between the jobs of a group; of a single job, the interval of its evaluation." : "Band: the interval of the evaluation.")));
     this.figure.redraw();
   }
@@ -268,7 +295,7 @@ class CompareView {
       if (!q || q.startsWith("job_")) return;
       try {
         const page = await call(`jobs${query({ q, limit: 20 })}`, { signal: this.signal });
-        fill(this.found, page.items.filter((j) => !this.ids.includes(j.id)).map((j) => h("option", { value: j.id }, `${j.name} · ${recipe(j)} · ${j.state}`)));
+        fill(this.found, page.items.filter((j) => !this.ids.includes(j.id)).map((j) => h("option", { value: j.id }, `${j.name} · ${summary(j)} · ${j.state}`)));
       } catch { /* suggestions are an extra */ }
     }, 200);
   }

@@ -1,16 +1,16 @@
-/** The evaluations of a job: headline figures, speed by start line, paths on the field, deviation, gait. */
+/** The evaluations of a job: headline, tables, all results, paths on the field, directions, gait. */
 
 import { call } from "../api.js";
 import { Chart } from "../charts.js";
-import { SPEED_REFS } from "../curves.js";
-import { fill, h, icon, toast } from "../dom.js";
+import { descriptions } from "../descriptions.js";
+import { fill, h, icon, scroller, toast } from "../dom.js";
 import { gait, Paths } from "../evaluation.js";
 import { Figure, field, gaitDiagram, histogram } from "../figures.js";
-import { ago, bytes, fixed, integer, interval, percent, shares, stamp } from "../format.js";
+import { ago, bytes, fixed, integer, percent, stamp } from "../format.js";
 import { isEnded } from "../states.js";
 import { fetchInto } from "./job-checkpoints.js";
 import { loading, notice } from "./messages.js";
-import { speedByStartLine } from "./speed-by-line.js";
+import { hasResults, headlineStats, levelOf, resultsTable, tableCards } from "./results.js";
 
 const TONES = { queued: "grey", starting: "violet", running: "violet", succeeded: "green", failed: "red", cancelled: "grey" };
 const WINDOW_S = 2;
@@ -22,8 +22,6 @@ export class EvaluationTab {
     this.go = go;
     this.wanted = sub ?? null;
     this.parts = [];
-    this.tasks = call("tasks", { signal: store.signal });
-    this.tasks.catch(() => {});
     for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
     store.on("job", () => { if (!store.evaluations?.length) this.draw(); });
     this.draw();
@@ -46,7 +44,7 @@ export class EvaluationTab {
       this.clear();
       const ask = h("button", { class: "primary", disabled: !checkpoints?.length, onclick: () => this.ask(ask) }, "Evaluate the newest checkpoint");
       fill(this.root, h("div", { class: "card empty" }, h("h2", null, "Not evaluated yet"),
-        h("p", null, !isEnded(job.state) && job.evaluation ? `The final policy will run ${integer(job.evaluation.episodes)} episodes when the training ends. A checkpoint can be judged before that.` : checkpoints?.length ? "Run the newest policy over many episodes to see how fast and how straight it runs, and how often it falls." : "There is no checkpoint to evaluate."), h("div", { class: "row" }, ask)));
+        h("p", null, !isEnded(job.state) && job.evaluation ? `The final policy will run ${integer(job.evaluation.episodes)} episodes when the training ends. A checkpoint can be evaluated before that.` : checkpoints?.length ? "Run the newest policy over many episodes to measure how well it does its task." : "There is no checkpoint to evaluate."), h("div", { class: "row" }, ask)));
       return;
     }
     const chosen = evaluations.find((e) => e.id === this.wanted) ?? evaluations.find((e) => e.state === "succeeded") ?? evaluations[0];
@@ -73,7 +71,7 @@ export class EvaluationTab {
     fill(this.root, this.list, this.body);
     if (chosen.state === "failed") fill(this.body, notice("error", "This evaluation failed.", chosen.error ?? ""));
     else if (chosen.state === "cancelled") fill(this.body, notice("warn", "This evaluation was cancelled."));
-    else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? chosen.waiting_reason ?? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes of ${chosen.spec.task}. The figures appear here when they are done.`)));
+    else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? chosen.waiting_reason ?? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes. The results appear here when they are done.`)));
     else this.show(chosen);
   }
 
@@ -92,22 +90,15 @@ export class EvaluationTab {
   }
 
   async show(evaluation) {
-    const f = evaluation.summary;
-    const level = `${Math.round(evaluation.spec.confidence * 100)} %`;
-    const stat = (label, value, unit, note, title) => h("div", { title: title ?? null }, h("div", { class: "k" }, label), h("div", { class: "v" }, value, value !== "–" && unit ? h("span", { class: "unit" }, unit) : null), h("div", { class: "d" }, note ?? "\u00a0"));
+    const { summary } = evaluation, level = levelOf(evaluation.spec);
     const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
     const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
     fill(this.body,
-      h("div", { class: "stats" },
-        stat("Speed, all episodes", fixed(f.speed_mps.mean), "m/s", interval(f.speed_mps.ci), `Mean of distance over time from the start, with its ${level} interval`),
-        stat("Top speed (paper)", fixed(f.paper.top_speed_mps), "m/s", f.paper.top_speed_sd_mps !== null ? `sd ${fixed(f.paper.top_speed_sd_mps)}` : "too few long episodes", "Best start line, over episodes with 200 samples beyond it"),
-        stat("Distance", fixed(f.distance_m.mean, 1), "m", interval(f.distance_m.ci, 1)),
-        stat("Falls", percent(f.falls.rate), null, shares(f.falls.ci), `${f.falls.count} of ${f.episodes} episodes, with the ${level} Wilson interval`),
-        stat("Arrivals", percent(f.arrivals.rate), null, shares(f.arrivals.ci)),
-        stat("Deviation", fixed(f.paper.deviation_deg.mean), "°", `sd ${fixed(f.paper.deviation_deg.sd)}°`),
-        stat("Both feet off ground", f.both_feet_off_ground.mean === null ? "–" : percent(f.both_feet_off_ground.mean), null, "share of time"),
-        stat("Run challenge", fixed(f.run_challenge.score.mean), null, interval(f.run_challenge.score.ci))),
-      speedByStartLine(f, level, (draw) => this.figure(draw)),
+      hasResults(summary) ? [
+        h("div", { class: "stats" }, headlineStats(summary)),
+        tableCards(summary, level, (draw) => this.figure(draw)),
+        h("details", { class: "card" }, h("summary", null, "All results"), scroller("All results", resultsTable(summary, level))),
+      ] : notice("info", "An earlier version made this evaluation.", "Evaluate the checkpoint again to see its results here."),
       this.pathBox,
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Files")), h("ul", { class: "list" }, evaluation.files.map((x) => {
         const get = h("button", { class: "small", onclick: () => fetchInto(get, x.url, x.name) }, icon("download"), "Download");
@@ -115,9 +106,8 @@ export class EvaluationTab {
       }))));
     if (!recorded) return;
     try {
-      const tasks = await this.tasks;
-      const finish = tasks.find((t) => t.name === evaluation.spec.task)?.finish_x_m ?? null;
-      const paths = await Paths.load(recorded, finish, this.store.signal);
+      const lines = (await descriptions()).task(summary.task?.name)?.lines ?? [];
+      const paths = await Paths.load(recorded, lines, this.store.signal);
       if (!this.gone && this.pathBox === box) this.showPaths(paths);
     } catch (error) {
       if (error.name !== "AbortError") fill(box, notice("error", "The paths could not be read.", error.message));
@@ -132,24 +122,24 @@ export class EvaluationTab {
     const widest = Math.max(...episodes.map((e) => Math.max(...[0, 0.25, 0.5, 0.75, 1].map((q) => Math.abs(e.y[Math.floor((e.samples - 1) * q)])))));
     this.half = Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5)));
     const whole = h("input", { type: "checkbox", onchange: () => { this.half = whole.checked ? 10.5 : Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5))); this.field.redraw(); } });
-    this.choice = h("select", { "aria-label": "Episode", style: { width: "auto" }, onchange: () => this.select(Number(this.choice.value)) }, episodes.map((e, i) => h("option", { value: i }, `Episode ${i + 1}: ${fixed(e.distance, 1)} m, ${fixed(e.speed)} m/s${e.arrived ? "" : paths.finish !== null ? ", not arrived" : ""}`)));
+    this.choice = h("select", { "aria-label": "Episode", style: { width: "auto" }, onchange: () => this.select(Number(this.choice.value)) }, episodes.map((e, i) => h("option", { value: i }, `Episode ${i + 1}: ${fixed(e.distance, 1)} m, ${fixed(e.speed)} m/s${e.failed ? ", failed" : ""}`)));
     this.field = this.keep(new Figure((w) => field(w, paths, { selected: this.selected, half: this.half, onSelect: (i) => this.select(i) })));
     this.from = 0;
     this.range = h("input", { type: "range", min: 0, step: 0.1, "aria-label": "Start of the gait diagram in seconds", oninput: () => { this.from = Number(this.range.value); this.gait.redraw(); } });
     this.gait = this.keep(new Figure((w) => gaitDiagram(w, paths.episode(this.selected), paths.cycle, this.from, Math.min(WINDOW_S, Math.max(0.2, paths.episode(this.selected).seconds)))));
     this.gaitFigures = h("dl", { class: "pairs" });
     const chart = (title, unit, token, extra) => this.keep(new Chart({ title, unit, sync: "episode", xFormat: (v) => `${fixed(v, 1)} s`, series: [{ label: title, token }], ...extra }));
-    this.speed = chart("Forward speed", "m/s", "--s1", { min: 0, max: 4.2, refs: SPEED_REFS });
+    this.speed = chart("Speed", "m/s", "--s1", { min: 0 });
     this.height = chart("Torso height", "m", "--s3", { min: 0.2, format: (v) => fixed(v, 3), axisFormat: (v) => fixed(v, 2) });
-    const arrived = episodes.filter((e) => e.arrived).length;
+    const failed = episodes.filter((e) => e.failed).length;
     fill(this.pathBox,
-      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, `Paths of ${integer(paths.count)} episodes`), h("div", { class: "legend hide-tiny" }, paths.finish !== null ? [h("span", null, h("i", { style: { background: "var(--s1)" } }), `arrived (${arrived})`), h("span", null, h("i", { style: { background: "var(--s6)" } }), `not arrived × (${paths.count - arrived})`)] : null), h("label", { class: "row nowrap" }, whole, "Whole field")), h("div", { class: "pad" }, this.field.element)),
+      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, `Paths of ${integer(paths.count)} episodes`), h("div", { class: "legend hide-tiny" }, paths.failed ? [h("span", null, h("i", { style: { background: "var(--s1)" } }), `not failed (${paths.count - failed})`), h("span", null, h("i", { style: { background: "var(--s6)" } }), `failed × (${failed})`)] : null), h("label", { class: "row nowrap" }, whole, "Whole field")), h("div", { class: "pad" }, this.field.element)),
       h("div", { class: "row wrap" }, h("h2", null, "One episode"), this.choice),
       h("div", { class: "charts four" },
         h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Gait"), h("div", { class: "legend" }, h("span", { class: "muted" }, "shaded: both feet off the ground"))), h("div", { class: "pad" }, this.gait.element, h("div", { class: "row", style: { margin: "0.3rem 0 0.9rem" } }, h("span", { class: "muted nowrap" }, "Scroll"), this.range), this.gaitFigures)),
         h("div", { class: "stack" }, this.speed.element, this.height.element)),
       h("div", { class: "charts four" },
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Deviation from the straight line")), h("div", { class: "pad" }, this.figure((w) => histogram(w, episodes.map((e) => e.deviation), { label: "degrees", format: (v) => fixed(v, 1) })))),
+        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Angle to the mean direction")), h("div", { class: "pad" }, this.figure((w) => histogram(w, episodes.map((_, i) => paths.deviation(i)), { label: "degrees", format: (v) => fixed(v, 1) })))),
         h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Speed of the episodes")), h("div", { class: "pad" }, this.figure((w) => histogram(w, episodes.map((e) => Math.max(0, e.speed)), { label: "m/s, from the start", format: (v) => fixed(v, 2), token: "--s3" }))))));
     this.select(this.selected);
   }
@@ -169,7 +159,7 @@ export class EvaluationTab {
     const t = Array.from({ length: e.samples }, (_, k) => k * cycle);
     // Speed over a quarter of a second: one step of 20 ms shows the sway of the torso more than the run.
     const k = Math.round(0.125 / cycle);
-    const speed = t.map((_, n) => { const a = Math.max(0, n - k), b = Math.min(e.samples - 1, n + k); return b > a ? (e.x[b] - e.x[a]) / ((b - a) * cycle) : null; });
+    const speed = t.map((_, n) => { const a = Math.max(0, n - k), b = Math.min(e.samples - 1, n + k); return b > a ? Math.hypot(e.x[b] - e.x[a], e.y[b] - e.y[a]) / ((b - a) * cycle) : null; });
     this.speed.setData([t, speed]);
     this.height.setData([t, Array.from(e.height)]);
   }

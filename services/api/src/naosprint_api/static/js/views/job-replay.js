@@ -46,7 +46,7 @@ export class ReplayTab {
       this.stop();
       this.shown = chosen.id;
       this.box = h("section", { class: "card" });
-      this.player = new Player(this.box, { path: file(chosen).url, task: chosen.spec.task, signal: this.store.signal });
+      this.player = new Player(this.box, { path: file(chosen).url, task: chosen.summary?.task?.name, signal: this.store.signal });
     }
     fill(this.root, h("div", { class: "row wrap", style: { "margin-bottom": "1rem" } }, choice, h("span", { style: { flex: 1 } }), record), this.box);
   }
@@ -55,8 +55,7 @@ export class ReplayTab {
   async record(button) {
     button.disabled = true;
     try {
-      const { spec } = this.store.job;
-      const made = await call(`${this.store.path}/evaluations`, { method: "POST", body: { spec: { task: spec.task, episodes: 5, trajectories: 5, bootstrap_resamples: 100 } } });
+      const made = await call(`${this.store.path}/evaluations`, { method: "POST", body: { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 } } });
       toast("A worker will run the newest checkpoint.");
       this.wanted = made.id;
       await this.store.loadEvaluations();

@@ -1,8 +1,8 @@
-/** The full specification of a job, named as the form names it, with what departs from its preset marked. */
+/** The full specification of a job, named as the form names it, with what overrides its preset marked. */
 
 import { save } from "../api.js";
 import { fill, h, icon, toast } from "../dom.js";
-import { departures, knowledge, specList } from "./spec-list.js";
+import { knowledge, overrides, specList } from "./spec-list.js";
 
 export class SpecTab {
   constructor(root, store) {
@@ -10,11 +10,11 @@ export class SpecTab {
     const { job } = store;
     this.text = JSON.stringify({ name: job.name, tags: job.tags, spec: job.spec, evaluation: job.evaluation, priority: job.priority }, null, 2);
     this.training = h("div", { class: "pad spec-columns" });
-    this.judging = h("div", { class: "pad spec-columns" });
+    this.evaluated = h("div", { class: "pad spec-columns" });
     fill(root, h("div", { class: "stack" },
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Training"), h("button", { class: "ghost small", onclick: () => this.copy() }, icon("copy"), "Copy JSON"),
         h("button", { class: "ghost small", onclick: () => save(new Blob([this.text], { type: "application/json" }), `${job.name}.json`) }, icon("download"), "Save")), this.training),
-      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Evaluation")), this.judging),
+      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Evaluation")), this.evaluated),
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Job")), h("div", { class: "pad spec-columns" },
         specList({ id: job.id, owner: job.owner, priority: job.priority, queue: job.queue, attempt: job.attempt, failures: job.failures, max_attempts: job.max_attempts, group: job.group_id, parent: job.parent_job_id })))));
     this.draw(null);
@@ -23,8 +23,8 @@ export class SpecTab {
 
   draw(known) {
     const { job } = this.store;
-    fill(this.training, specList(job.spec, known?.training, known ? departures(job.spec, known.presets) : undefined));
-    fill(this.judging, job.evaluation ? specList(job.evaluation, known?.judging) : h("p", { class: "muted" }, "The final policy is not evaluated by itself; ask for it under Evaluation."));
+    fill(this.training, specList(job.spec, known?.training(job.spec), known ? overrides(job.spec, known.presets, known.families.get(job.spec.robot?.name)) : undefined));
+    fill(this.evaluated, job.evaluation ? specList(job.evaluation, known?.evaluation) : h("p", { class: "muted" }, "The final policy is not evaluated by itself; ask for it under Evaluation."));
   }
 
   copy() {

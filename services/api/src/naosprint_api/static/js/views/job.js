@@ -1,10 +1,11 @@
-/** One job: figures, curves, log, checkpoints, timeline, evaluations and specification, all live. */
+/** One job: metrics, curves, log, checkpoints, timeline, evaluations and specification, all live. */
 
 import { call, query } from "../api.js";
 import { Columns } from "../columns.js";
+import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
-import { compact, duration, fixed, integer, percent, stamp } from "../format.js";
-import { act, elapsed, latest, progress, recipe, remaining } from "../jobs.js";
+import { compact, duration, fixed, integer, metricText, percent, shownUnit, stamp, withUnit } from "../format.js";
+import { act, elapsed, latest, progress, remaining, summary } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { loading, notice } from "./messages.js";
@@ -19,6 +20,8 @@ import { SpecTab } from "./job-spec.js";
 const MAX_POINTS = 4000;
 const TAIL = 1000;
 const POLL_MS = 4000;
+/** Metrics that stand above the tabs. */
+const MOST_STATS = 3;
 
 /** What is known of one job; views listen to topics: job, metrics, events, logs, checkpoints, evaluations. */
 class JobStore extends EventTarget {
@@ -43,8 +46,9 @@ class JobStore extends EventTarget {
   get(path, params = {}) { return call(`${path}${query(params)}`, { signal: this.signal }); }
 
   async load() {
-    const [job, metrics, events, logs] = await Promise.all([
-      this.get(this.path), this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }), this.pages(`${this.path}/events`, 500), this.tail()]);
+    const [known, job, metrics, events, logs] = await Promise.all([
+      descriptions(), this.get(this.path), this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }), this.pages(`${this.path}/events`, 500), this.tail()]);
+    this.known = known;
     this.metrics.load(metrics.columns);
     this.lastSeq = metrics.last_seq;
     this.events = events;
@@ -170,6 +174,7 @@ class JobView {
       this.stats[key] = cell;
       return h("div", { class: cls }, h("div", { class: "k" }, label), cell.v, cell.d);
     };
+    this.listed = this.store.known.listed(job.spec).slice(0, MOST_STATS);
     const done = stat("steps", "Steps", "wide");
     this.barFill = h("span");
     this.bar = h("div", { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100, "aria-label": "Steps done" }, this.barFill);
@@ -180,7 +185,7 @@ class JobView {
       h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / ", h("span", { class: "mono" }, job.id)),
       h("div", { class: "page-head" }, h("div", { class: "grow row wrap" }, this.title, this.badge), this.actions),
       this.sub, this.trouble,
-      h("div", { class: "stats", style: { "margin-top": "1rem" } }, done, stat("speed", "Speed"), stat("distance", "Distance"), stat("falls", "Falls"), stat("rate", "Steps per second"), stat("elapsed", "Time")),
+      h("div", { class: "stats", style: { "margin-top": "1rem" } }, done, this.listed.map((m) => stat(`metric:${m.name}`, m.title)), stat("rate", "Steps per second"), stat("elapsed", "Time")),
       this.tabBar, this.panel);
   }
 
@@ -208,7 +213,7 @@ class JobView {
 
   paintAbout(job) {
     const worker = job.worker ? [" · on ", h("span", { class: "mono" }, job.worker)] : null;
-    fill(this.sub, h("span", null, recipe(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
+    fill(this.sub, h("span", null, summary(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
       job.parent_job_id ? h("a", { class: "row", href: `#/jobs/${job.parent_job_id}` }, icon("branch"), "from another job") : null);
   }
 
@@ -228,22 +233,22 @@ class JobView {
     this.bar.setAttribute("aria-valuenow", Math.round(share * 100));
     this.barFill.style.width = `${share * 100}%`;
     this.barFill.hidden = share === 0;
-    const best = this.best("speed_mps");
-    show(s.speed, fixed(m.speed_mps), "m/s", best !== null ? `best ${fixed(best)} m/s` : null);
-    const far = this.best("distance_m");
-    show(s.distance, fixed(m.distance_m, 1), "m", far !== null ? `best ${fixed(far, 1)} m` : null);
-    show(s.falls, m.fall_rate === undefined ? "–" : (m.fall_rate * 100).toFixed(1), "%", m.episodes !== undefined ? `of ${integer(m.episodes)} episodes` : null);
+    for (const metric of this.listed) {
+      const best = metric.better ? this.best(metric) : null;
+      show(s[`metric:${metric.name}`], metricText(metric, m[metric.name]), shownUnit(metric), best !== null ? `best ${withUnit(metric, best)}` : null);
+    }
     show(s.rate, integer(m.steps_per_s), null, m.collect_s !== undefined && m.learn_s !== undefined ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s` : null);
     const left = remaining(job);
     show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? job.waiting_reason ?? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
   }
 
-  best(name) {
+  /** The best value of a metric so far; null without one. */
+  best({ name, better }) {
     if (this.bestLength !== this.store.metrics.length) { this.bestLength = this.store.metrics.length; this.bests = {}; }
     if (!(name in this.bests)) {
-      let max = null;
-      for (const v of this.store.metrics.get(name)) if (v !== null && (max === null || v > max)) max = v;
-      this.bests[name] = max;
+      let best = null;
+      for (const v of this.store.metrics.get(name)) if (v !== null && (best === null || (better === "lower" ? v < best : v > best))) best = v;
+      this.bests[name] = best;
     }
     return this.bests[name];
   }

@@ -1,14 +1,17 @@
 /** All jobs, live: filter, search, act, choose some to compare. */
 
 import { call, query } from "../api.js";
+import { common, descriptions, Descriptions } from "../descriptions.js";
 import { fill, h, icon, isTyping, setText } from "../dom.js";
-import { ago, compact, duration, fixed, integer, percent, stamp } from "../format.js";
-import { act, elapsed, latest, progress, recipe, remaining } from "../jobs.js";
+import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
+import { act, elapsed, latest, progress, remaining, summary } from "../jobs.js";
 import { ACTIVE, actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { loading, problem } from "./messages.js";
 
 const PAGE = 50;
+/** Columns of metrics. */
+const MOST_METRICS = 3;
 const FILTERS = [["", "All"], ["active", "Active"], ["succeeded", "Succeeded"], ["failed", "Failed"], ["cancelled", "Cancelled"]];
 const statesOf = (key) => (key === "active" ? ACTIVE : key ? [key] : []);
 
@@ -25,8 +28,8 @@ class Row {
     this.fillBar = h("span");
     this.bar = h("div", { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100 }, this.fillBar);
     const cell = (label, extra) => h("td", { class: ["num figs", extra], "data-label": label });
-    this.speed = cell("Speed");
-    this.falls = cell("Falls");
+    this.metrics = [];
+    this.cells = [];
     this.rate = cell("Steps/s", "rate");
     this.eta = cell("Time left");
     this.age = h("td", { class: "num age muted" });
@@ -35,8 +38,25 @@ class Row {
     this.element = h("tr", { "data-job": job.id },
       h("td", { class: "check" }, this.check), h("td", { class: "name" }, this.link, this.sub), this.state,
       h("td", { class: "progress" }, h("div", { class: "row" }, this.percent, this.steps), this.bar),
-      this.speed, this.falls, this.rate, this.eta, this.owner, this.age, h("td", { class: "actions" }, this.actions));
+      this.rate, this.eta, this.owner, this.age, h("td", { class: "actions" }, this.actions));
     this.update(job);
+  }
+
+  /** Show these metrics, each in a cell. */
+  setMetrics(metrics) {
+    for (const cell of this.cells) cell.remove();
+    this.metrics = metrics;
+    this.cells = metrics.map((m) => h("td", { class: "num figs", "data-label": m.title }));
+    this.rate.before(...this.cells);
+    this.paintMetrics();
+  }
+
+  paintMetrics() {
+    const row = latest(this.job), own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
+    this.metrics.forEach(({ name }, i) => {
+      const metric = own.get(name);
+      figure(this.cells[i], metric ? metricText(metric, row[name]) : "–", metric ? shownUnit(metric) : "");
+    });
   }
 
   update(job) {
@@ -45,7 +65,7 @@ class Row {
     const m = latest(job);
     this.check.setAttribute("aria-label", `Select ${job.name}`);
     setText(this.link, job.name);
-    if (!before || before.tags.join() !== job.tags.join()) fill(this.sub, h("span", null, recipe(job)), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)));
+    if (!before || before.tags.join() !== job.tags.join()) fill(this.sub, h("span", null, summary(job)), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)));
     const key = job.state + (stateNote(job) ?? "");
     if (this.key !== key) {
       fill(this.state, stateBadge(job.state, stateNote(job)));
@@ -60,8 +80,7 @@ class Row {
     this.bar.setAttribute("aria-label", `${job.name}: steps done`);
     this.fillBar.style.width = `${share * 100}%`;
     this.fillBar.hidden = share === 0;
-    figure(this.speed, fixed(m.speed_mps), "m/s");
-    figure(this.falls, m.fall_rate === undefined ? "–" : (m.fall_rate * 100).toFixed(1), "%");
+    this.paintMetrics();
     figure(this.rate, job.state === "running" ? integer(m.steps_per_s) : "–");
     setText(this.owner, job.owner);
     this.tick();
@@ -89,6 +108,8 @@ class JobsView {
     this.selected = new Set();
     /** The newest state of each job that the stream has told of; an answer that is older does not undo it. */
     this.news = new Map();
+    this.known = new Descriptions();
+    this.metrics = [];
     this.cursor = null;
     this.filter = { state: params.get("state") ?? "", tag: params.get("tag") ?? "", q: params.get("q") ?? "" };
   }
@@ -148,7 +169,8 @@ class JobsView {
     const turn = (this.turn = (this.turn ?? 0) + 1);
     const { state, tag, q } = this.filter;
     try {
-      const page = await call(`jobs${query({ state: statesOf(state), tag, q, limit: PAGE, cursor: more ? this.cursor : null })}`, { signal: this.signal });
+      const [known, page] = await Promise.all([descriptions(), call(`jobs${query({ state: statesOf(state), tag, q, limit: PAGE, cursor: more ? this.cursor : null })}`, { signal: this.signal })]);
+      this.known = known;
       if (turn !== this.turn) return;
       this.loaded = true;
       if (!more) {
@@ -170,11 +192,21 @@ class JobsView {
       const filtered = this.filter.state || this.filter.tag || this.filter.q;
       fill(this.box, filtered
         ? h("div", { class: "empty" }, h("h2", null, "No job fits"), h("p", null, "Nothing matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
-        : h("div", { class: "empty" }, h("h2", null, "No jobs yet"), h("p", null, "Submit one and watch a robot learn to run. The preset “fast” covers the field after some minutes on two cores."),
-          h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")), h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --task sprint1 --preset fast"))));
-    } else if (!this.body.isConnected) {
+        : h("div", { class: "empty" }, h("h2", null, "No jobs yet"), h("p", null, "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores."),
+          h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")), h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast"))));
+      this.head = null;
+      this.paintBar();
+      return;
+    }
+    const metrics = common([...this.rows.values()].map((row) => this.known.listed(row.job.spec))).slice(0, MOST_METRICS), names = metrics.map((m) => m.name).join();
+    if (names !== this.metrics.map((m) => m.name).join()) {
+      this.metrics = metrics;
+      this.head = null;
+      for (const row of this.rows.values()) row.setMetrics(metrics);
+    }
+    if (!this.head || !this.body.isConnected) {
       const head = (text, cls) => h("th", { scope: "col", class: cls }, text);
-      fill(this.box, h("table", { class: "jobs-table" }, h("thead", null, h("tr", null, h("th", { scope: "col" }, h("span", { class: "sr" }, "Select")), head("Name"), head("State"), head("Progress"), head("Speed", "num"), head("Falls", "num"), head("Steps/s", "num"), head("Time left", "num"), head("Owner"), head("Submitted", "num"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))), this.body));
+      fill(this.box, h("table", { class: "jobs-table" }, this.head = h("thead", null, h("tr", null, h("th", { scope: "col" }, h("span", { class: "sr" }, "Select")), head("Name"), head("State"), head("Progress"), metrics.map((m) => head(m.title, "num")), head("Steps/s", "num"), head("Time left", "num"), head("Owner"), head("Submitted", "num"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))), this.body));
     }
     this.paintBar();
   }
@@ -185,6 +217,7 @@ class JobsView {
     const row = this.rows.get(job.id);
     if (row) { row.update(job); return; }
     const fresh = new Row(job, this);
+    fresh.setMetrics(this.metrics);
     fresh.check.checked = this.selected.has(job.id);
     this.rows.set(job.id, fresh);
     if (where === "append") this.body.append(fresh.element);

@@ -1,6 +1,7 @@
 /** Play a recorded episode: the field in 3D, play, scrub, slow motion, cameras, foot forces. */
 
 import { call, request } from "../api.js";
+import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText } from "../dom.js";
 import { fixed } from "../format.js";
 import { loading, notice } from "./messages.js";
@@ -13,7 +14,7 @@ export class Player {
    * Fetch a recording and play it in `box`; what goes wrong is said there.
    *
    * @param {HTMLElement} box
-   * @param {{path: string, task: string, signal?: AbortSignal}} source the replay's path in the API, and the task that names the finish line
+   * @param {{path: string, task: string, signal?: AbortSignal}} source the replay's path in the API, and the task whose lines are drawn
    */
   constructor(box, { path, task, signal }) {
     this.box = box;
@@ -24,13 +25,13 @@ export class Player {
   async #load(path, task, signal) {
     const { box } = this;
     try {
-      const [{ Recording, Stage }, response, tasks] = await Promise.all([import("../replay3d.js"), request(path, { signal }), call("tasks", { signal })]);
-      const recording = new Recording(await response.json());
+      const [{ Recording, Stage }, response, known, robots] = await Promise.all([import("../replay3d.js"), request(path, { signal }), descriptions(), call("robots", { signal })]);
+      const text = await response.json(), recording = new Recording(text, robots.find((r) => r.name === text.robot)?.front_axis);
       if (this.gone) return;
       this.recording = recording;
       this.#controls();
       try {
-        this.stage = new Stage(this.view, recording, tasks.find((t) => t.name === task)?.finish_x_m ?? null);
+        this.stage = new Stage(this.view, recording, known.task(task)?.lines ?? []);
       } catch (error) {
         fill(box, h("div", { class: "pad" }, notice("error", "This browser draws no WebGL.", `Switch hardware acceleration on, or use another browser. (${error.message})`)));
         return;
@@ -60,8 +61,8 @@ export class Player {
     fill(box, this.view,
       h("div", { class: "replay-bar" }, this.button, this.range, this.time),
       h("div", { class: "replay-bar wrap" }, group("Speed of the replay", PACES, 1, (v) => { this.pace = v; }), group("Camera", VIEWS, "follow", (v) => this.stage.aim(v)), h("label", { class: "row nowrap" }, forces, "Foot forces"),
-        h("span", { class: "muted" }, r.arrived ? "Arrived at the finish." : r.fallen ? "Ended with a fall." : "Ended by the time limit.")),
-      h("div", { class: "stats flat" }, stat("speed", "Forward speed"), stat("distance", "Distance"), stat("height", "Torso height"), stat("left", "Left foot"), stat("right", "Right foot")));
+        h("span", { class: "muted" }, `${r.failed ? "Failed" : "Ended"}: ${r.end || "time limit"}.`)),
+      h("div", { class: "stats flat" }, stat("speed", "Speed"), stat("distance", "Distance"), stat("height", "Torso height"), stat("left", "Left foot"), stat("right", "Right foot")));
   }
 
   play(on) {
@@ -85,13 +86,13 @@ export class Player {
   }
 
   show() {
-    const r = this.recording, at = Math.min(r.frames - 1, Math.round(this.frame)), [x, , z] = r.torso(at);
+    const r = this.recording, at = Math.min(r.frames - 1, Math.round(this.frame)), [x, y, z] = r.torso(at), [x0, y0] = r.torso(0);
     this.stage.show(this.frame);
     this.range.value = String(at);
     this.range.setAttribute("aria-valuetext", `${fixed(at * r.dt)} seconds`);
     setText(this.time, `${fixed(this.frame * r.dt)} / ${fixed(r.seconds)} s`);
     setText(this.cells.speed, `${fixed(r.speed(at))} m/s`);
-    setText(this.cells.distance, `${fixed(x - r.torso(0)[0])} m`);
+    setText(this.cells.distance, `${fixed(Math.hypot(x - x0, y - y0))} m`);
     setText(this.cells.height, `${fixed(z, 3)} m`);
     setText(this.cells.left, `${fixed(r.forces[at][0], 0)} N`);
     setText(this.cells.right, `${fixed(r.forces[at][1], 0)} N`);

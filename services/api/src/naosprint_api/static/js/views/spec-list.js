@@ -1,33 +1,54 @@
-/** A specification, field by field, named as the form names it, with what departs from its preset marked. */
+/** A specification, section by section, named as the form names it, with what overrides its preset marked. */
 
 import { call } from "../api.js";
 import { h } from "../dom.js";
 import { words } from "../format.js";
-import { field, resolve } from "../schema.js";
+import { field, resolve, variant } from "../schema.js";
 
-const NOT_PRESET = new Set(["task", "robot_type", "simulator", "seed", "preset", "min_height", "total_steps"]);
+/** Sections that a preset sets. */
+const PRESET_SECTIONS = ["algorithm", "task"];
 
-/** A field's value as text. */
-export const show = (v) => (v === null ? "none" : Array.isArray(v) ? v.join(" × ") : typeof v === "boolean" ? (v ? "yes" : "no") : typeof v === "number" && Math.abs(v) >= 1e4 ? v.toLocaleString("en-US") : String(v));
+/** A setting's value as text. */
+export const show = (v) => (v === null ? "none" : Array.isArray(v) ? (v.every((x) => typeof x !== "object") ? v.join(" × ") : JSON.stringify(v)) : typeof v === "object" ? JSON.stringify(v) : typeof v === "boolean" ? (v ? "yes" : "no") : typeof v === "number" && Math.abs(v) >= 1e4 ? v.toLocaleString("en-US") : String(v));
 
-/** Names, units and hints by field name, of trainings and of evaluations, and the presets, as the service tells them. */
+/** A specification by path with dots: {"algorithm.learning_rate": 0.0005}; lists stay whole. */
+export function flattened(value, path = "") {
+  if (value === null || typeof value !== "object" || Array.isArray(value)) return { [path]: value };
+  return Object.assign({}, ...Object.entries(value).map(([key, inner]) => flattened(inner, path ? `${path}.${key}` : key)));
+}
+
+/** Names, units and hints of settings by path, and the presets, from the service's schema. */
 export async function knowledge(signal) {
-  const [schema, presets] = await Promise.all([call("spec/schema", { signal }), call("presets", { signal })]);
+  const [schema, presets, robots] = await Promise.all([call("spec/schema", { signal }), call("presets", { signal }), call("robots", { signal })]);
   const { spec, evaluation } = resolve(schema, schema).properties;
-  const fieldsOf = (part) => new Map(Object.entries(resolve(part, schema).properties).map(([name, property]) => [name, field(name, property, schema)]));
-  return { training: fieldsOf(spec), judging: fieldsOf(evaluation.anyOf?.find((o) => o.type !== "null") ?? evaluation), presets };
+  const sections = resolve(spec, schema).properties;
+  const fieldsOf = (properties, prefix = "") => Object.entries(properties).map(([name, property]) => [`${prefix}${name}`, field(name, property, schema)]);
+  /** Settings of one specification: those of its plug-ins. */
+  const training = (values) => new Map(Object.entries(sections).flatMap(([name, section]) => {
+    const chosen = variant(section, values[name]?.name, values.robot?.name, schema);
+    return chosen ? fieldsOf(chosen.properties, `${name}.`).map(([path, f]) => (path === `${name}.name` ? [path, { ...f, label: resolve(section, schema).title ?? words(name) }] : [path, f])) : [[name, field(name, section, schema)]];
+  }));
+  const evaluated = resolve(evaluation.anyOf?.find((o) => o.type !== "null") ?? evaluation, schema);
+  return { training, evaluation: new Map(fieldsOf(evaluated.properties)), presets, families: new Map(robots.map((r) => [r.name, r.family])) };
 }
 
-/** Names of the fields that depart from the specification's preset. */
-export function departures(spec, presets) {
-  const base = presets.find((p) => p.name === spec.preset)?.spec ?? {};
-  return new Set(Object.keys(base).filter((k) => !NOT_PRESET.has(k) && JSON.stringify(base[k]) !== JSON.stringify(spec[k])));
+/** What a preset sets for the robot of a specification, by path. */
+export function presetValues(preset, family) {
+  if (!preset) return {};
+  const sections = Object.fromEntries(PRESET_SECTIONS.map((section) => [section, { ...preset[section], ...preset.robots?.[family]?.[section] }]));
+  return flattened(sections);
 }
 
-/** Fields as a list of names and values; `fields` gives names, units and hints, `changed` those to mark as departing from the preset. */
+/** Paths of the settings that differ from what the specification's preset sets. */
+export function overrides(spec, presets, family) {
+  const preset = presets.find((p) => p.name === spec.algorithm?.preset), mine = flattened(spec);
+  return new Set(Object.entries(presetValues(preset, family)).filter(([path, value]) => path in mine && JSON.stringify(mine[path]) !== JSON.stringify(value)).map(([path]) => path));
+}
+
+/** Settings as a list of names and values; `fields` gives names, units and hints by path, `changed` those that override the preset. */
 export function specList(values, fields = new Map(), changed = new Set()) {
-  return h("dl", null, Object.entries(values).map(([key, value]) => {
-    const known = fields.get(key);
-    return h("div", { class: "pair", title: known?.hint }, h("dt", null, known?.label ?? words(key)), h("dd", { class: changed.has(key) ? "changed" : null }, show(value), known?.unit && value !== null ? h("span", { class: "unit" }, known.unit) : null, changed.has(key) ? h("span", { class: "sr" }, " (departs from the preset)") : null));
+  return h("dl", null, Object.entries(flattened(values)).map(([path, value]) => {
+    const known = fields.get(path);
+    return h("div", { class: "pair", title: known?.hint }, h("dt", null, known?.label ?? words(path.replace(/\.name$/, "").split(".").at(-1))), h("dd", { class: changed.has(path) ? "changed" : null }, show(value), known?.unit && value !== null ? h("span", { class: "unit" }, known.unit) : null, changed.has(path) ? h("span", { class: "sr" }, " (overrides the preset)") : null));
   }));
 }

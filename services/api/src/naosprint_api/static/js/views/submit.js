@@ -1,16 +1,19 @@
-/** Submit a job: a form made from the service's JSON schema and presets. */
+/** Submit a job: a form made from the service's JSON schema, presets and recipes. It knows no plug-in's settings. */
 
 import { call } from "../api.js";
+import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
-import { field, fromText, resolve, seeds, toText } from "../schema.js";
+import { choices, field, fromText, resolve, seeds, toText, variant } from "../schema.js";
 import { loading, notice } from "./messages.js";
+import { presetValues } from "./spec-list.js";
 
-/** Which fields stand together; those not named here come under "More settings", so that a new field is never lost. */
-const SECTIONS = [
-  ["Robot and task", ["task", "robot_type", "simulator", "total_steps", "seed", "min_height"], true],
-  ["Rollouts and updates", ["n_envs", "n_steps", "batch_size", "n_epochs", "learning_rate", "learning_rate_schedule", "clip_range", "target_kl", "gamma", "gae_lambda"], false],
-];
+/** Sections that a plug-in defines, in the form's order; whether each is open at first. */
+const SECTIONS = [["task", true], ["robot", true], ["simulator", false], ["algorithm", false]];
+/** Fields of a section that are no fields of the form: the name has a control of its own, the preset has the cards, the version is the installed one. */
+const LEFT_OUT = new Set(["name", "preset", "version"]);
+/** Fields that a request always contains. */
+const ALWAYS = new Set(["spec.task.name", "spec.robot.name", "spec.simulator.name", "spec.total_steps", "spec.seed"]);
 
 const sameValue = (a, b) => JSON.stringify(a ?? null) === JSON.stringify(b ?? null);
 
@@ -104,100 +107,149 @@ class SubmitView {
   async start() {
     document.title = "New job · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading the form")));
-    const from = this.params.get("from") ?? this.params.get("parent");
-    const [schema, presets, tasks, model] = await Promise.all([
-      call("spec/schema", { signal: this.signal }), call("presets", { signal: this.signal }), call("tasks", { signal: this.signal }), from ? call(`jobs/${encodeURIComponent(from)}`, { signal: this.signal }) : null]);
+    const from = this.params.get("from") ?? this.params.get("parent"), get = (path) => call(path, { signal: this.signal });
+    const [schema, presets, recipes, robots, known, model] = await Promise.all([get("spec/schema"), get("presets"), get("recipes"), get("robots"), descriptions(), from ? get(`jobs/${encodeURIComponent(from)}`) : null]);
     this.schema = schema;
     this.presets = new Map(presets.map((p) => [p.name, p]));
-    this.tasks = new Map(tasks.map((t) => [t.name, t]));
+    this.recipes = new Map(recipes.map((r) => [r.name, r]));
+    this.families = new Map(robots.map((r) => [r.name, r.family]));
+    this.known = known;
     this.model = model;
     this.build();
   }
 
+  /** Make a field of the form; `change` is called besides when the user changes it. */
+  make(path, spec, change = () => {}) {
+    const f = new Field(spec, path, () => { change(); this.changed(); });
+    this.fields.set(path, f);
+    return f;
+  }
+
+  peek(path) { return this.fields.get(path)?.peek(); }
+
   build() {
     const { schema } = this;
     const job = resolve(schema, schema).properties;
-    const training = resolve(job.spec, schema).properties;
-    const judging = field("evaluation", job.evaluation, schema) && resolve((job.evaluation.anyOf ?? [job.evaluation]).find((o) => o.type !== "null"), schema).properties;
-    const make = (name, property, path) => {
-      const spec = field(name, property, schema);
-      const f = new Field(spec, path, () => this.changed());
-      this.fields.set(path, f);
-      return f;
-    };
-    for (const [name, property] of Object.entries(training)) if (name !== "preset") make(name, property, `spec.${name}`);
-    for (const [name, property] of Object.entries(judging)) if (name !== "task") make(name, property, `evaluation.${name}`);
-    for (const name of ["name", "tags", "priority", "max_attempts"]) if (job[name]) make(name, job[name], name);
-    const seed = this.fields.get("spec.seed");
-    if (seed) {
-      seed.spec = { ...seed.spec, hint: `${seed.spec.hint} Several, as 0, 1, 2 or 0-4, make a group of jobs.`, read: (text) => { const all = seeds(text); return all.length === 1 ? all[0] : all; } };
-      seed.element.querySelector(".hint").textContent = seed.spec.hint;
-    }
-    const tags = this.fields.get("tags");
-    if (tags) tags.spec = { ...tags.spec, read: (text) => text.split(/[\s,]+/).filter(Boolean) };
-    const name = this.fields.get("name");
-    if (name) name.control.placeholder = "named after task, preset and seed";
-    const height = this.fields.get("spec.min_height");
-    if (height) height.control.placeholder = "the task's own";
+    this.training = resolve(job.spec, schema).properties;
+    const evaluation = resolve((job.evaluation.anyOf ?? [job.evaluation]).find((o) => o.type !== "null"), schema).properties;
+    const make = (properties, prefix, names) => names.filter((n) => properties[n]).map((n) => this.make(`${prefix}${n}`, field(n, properties[n], schema)));
+    const grid = (fields) => h("div", { class: "fields" }, fields.map((f) => f.element));
+    const card = (title, content, open = true) => (open
+      ? h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, title)), h("div", { class: "pad" }, content))
+      : h("details", { class: "card" }, h("summary", null, title), h("div", { class: "pad" }, content)));
 
-    const element = (path) => this.fields.get(path)?.element;
-    const group = (paths) => h("div", { class: "fields" }, paths.map(element));
-    const placed = new Set(SECTIONS.flatMap(([, names]) => names));
-    const rest = Object.keys(training).filter((n) => n !== "preset" && !placed.has(n));
-    const section = (title, names, open) => (open
-      ? h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, title)), h("div", { class: "pad" }, group(names.map((n) => `spec.${n}`))))
-      : h("details", { class: "card" }, h("summary", null, title), h("div", { class: "pad" }, group(names.map((n) => `spec.${n}`)))));
-    this.judge = h("input", { type: "checkbox", checked: true, id: "judge", onchange: () => { this.judgeFields.disabled = !this.judge.checked; this.changed(); } });
-    this.judgeFields = h("fieldset", null, h("legend", { class: "sr" }, "Evaluation"), group(Object.keys(judging).filter((n) => n !== "task").map((n) => `evaluation.${n}`)));
-    const current = this.model?.spec.preset ?? training.preset?.default ?? [...this.presets.keys()][0];
+    const steps = grid(make(this.training, "spec.", Object.keys(this.training).filter((n) => n !== "runtime" && !SECTIONS.some(([section]) => section === n))));
+    const runtime = resolve(this.training.runtime, schema).properties;
+    const speed = grid(make(runtime, "spec.runtime.", Object.keys(runtime)));
+    const order = grid(make(job, "", ["name", "tags", "priority", "max_attempts"]));
+    this.evaluate = h("input", { type: "checkbox", checked: true, id: "evaluate", onchange: () => { this.evaluationFields.disabled = !this.evaluate.checked; this.changed(); } });
+    this.evaluationFields = h("fieldset", null, h("legend", { class: "sr" }, "Evaluation"), grid(make(evaluation, "evaluation.", Object.keys(evaluation).filter((n) => n !== "task"))));
+    const seed = this.fields.get("spec.seed");
+    seed.spec = { ...seed.spec, hint: `${seed.spec.hint} Several, as 0, 1, 2 or 0-4, make a group of jobs.`, read: (text) => { const all = seeds(text); return all.length === 1 ? all[0] : all; } };
+    seed.element.querySelector(".hint").textContent = seed.spec.hint;
+    const tags = this.fields.get("tags");
+    tags.spec = { ...tags.spec, read: (text) => text.split(/[\s,]+/).filter(Boolean) };
+    this.fields.get("name").control.placeholder = "named after task, preset and seed";
+    this.sections = new Map(SECTIONS.map(([name]) => [name, h("div", { class: "fields" })]));
+
+    const current = this.model?.spec.algorithm?.preset ?? [...this.presets.keys()][0];
     const radios = [...this.presets].map(([key, preset]) => h("label", { class: "preset" }, h("input", { type: "radio", name: "preset", value: key, checked: key === current, onchange: () => this.setPreset(key) }), h("span", null, h("strong", null, words(key)), h("span", { class: "d" }, preset.summary))));
+    const recipe = h("select", { id: "recipe", onchange: () => this.fillFrom(this.recipes.get(recipe.value)?.job ?? { spec: {} }) }, h("option", { value: "" }, "None"), [...this.recipes.values()].map((r) => h("option", { value: r.name }, `${r.name}: ${r.summary}`)));
+    const titleOf = (name) => resolve(this.training[name], schema).title ?? words(name);
 
     this.trouble = h("div");
     this.preview = h("pre", { class: "code", tabindex: 0, "aria-label": "Request body" });
-    this.figures = h("dl", { class: "pairs" });
+    this.overview = h("dl", { class: "pairs" });
     this.button = h("button", { class: "primary", type: "submit" }, "Submit job");
-    const parent = this.params.get("parent");
+    const parent = this.params.get("parent"), sectionCard = (name) => card(titleOf(name), this.sections.get(name), SECTIONS.find(([n]) => n === name)[1]);
     fill(this.root, h("form", { onsubmit: (e) => this.submit(e), novalidate: true },
       h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / New"),
       h("div", { class: "page-head" }, h("h1", { class: "grow" }, "New job")),
       h("div", { class: "form" },
         h("div", { class: "stack" }, this.trouble,
           parent ? notice("info", "Starts from a trained policy:", [h("a", { href: `#/jobs/${parent}` }, this.model.name), this.params.get("checkpoint") ? [", checkpoint ", h("code", null, this.params.get("checkpoint"))] : ", newest checkpoint"]) : null,
+          this.recipes.size ? h("div", { class: "field" }, h("label", { for: "recipe" }, h("span", { class: "t" }, "Recipe")), recipe, h("p", { class: "hint" }, "Fills the form with a job that is known to work.")) : null,
           h("fieldset", null, h("legend", { class: "sr" }, "Preset"), h("div", { class: "presets" }, radios)),
-          SECTIONS.map(([title, names, open]) => section(title, names.filter((n) => this.fields.has(`spec.${n}`)), open)),
-          rest.length ? section("More settings", rest, false) : null,
-          h("details", { class: "card" }, h("summary", null, "Evaluation of the final policy"), h("div", { class: "pad stack" }, h("label", { class: "row", for: "judge" }, this.judge, "Evaluate when the training ends"), this.judgeFields)),
-          h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Name and order")), h("div", { class: "pad" }, group(["name", "tags", "priority", "max_attempts"])))),
+          sectionCard("task"), sectionCard("robot"), card("Length", steps), sectionCard("simulator"), sectionCard("algorithm"),
+          card(this.training.runtime.title ?? "Runtime", speed, false),
+          h("details", { class: "card" }, h("summary", null, "Evaluation of the final policy"), h("div", { class: "pad stack" }, h("label", { class: "row", for: "evaluate" }, this.evaluate, "Evaluate when the training ends"), this.evaluationFields)),
+          card("Name and order", order)),
         h("aside", { class: "stack" },
-          h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Summary")), h("div", { class: "pad stack" }, this.figures, this.button)),
+          h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Summary")), h("div", { class: "pad stack" }, this.overview, this.button)),
           h("details", { class: "card" }, h("summary", null, "Request"), h("div", { class: "pad" }, h("p", { class: "muted", style: { "margin-bottom": "0.6rem" } }, "What the button sends to ", h("code", null, "POST /jobs"), ":"), this.preview))))));
+    this.preset = current;
+    for (const [name] of SECTIONS) this.buildSection(name, {});
     this.setPreset(current);
-    if (this.model) {
-      for (const [key, value] of Object.entries(this.model.spec)) if (!(key === "min_height" && value === null)) this.fields.get(`spec.${key}`)?.choose(value);
-      if (this.model.evaluation === null) this.judge.checked = false;
-      else for (const [key, value] of Object.entries(this.model.evaluation)) this.fields.get(`evaluation.${key}`)?.choose(value);
-      if (!parent) {
-        this.fields.get("name")?.choose(this.model.name);
-        this.fields.get("tags")?.choose(this.model.tags);
-      }
-      this.changed();
+    if (this.model) this.fillFrom(parent ? { spec: this.model.spec, evaluation: this.model.evaluation } : this.model);
+  }
+
+  /** Make the fields of a section for the plug-in `values.name` or the default, with `values` in place of the defaults. */
+  buildSection(name, values) {
+    const section = resolve(this.training[name], this.schema), robot = name === "robot" ? null : this.peek("spec.robot.name"), names = choices(section, robot);
+    const wanted = values.name ?? this.peek(`spec.${name}.name`) ?? section.default?.name, chosen = names.includes(wanted) ? wanted : names[0];
+    for (const path of [...this.fields.keys()]) if (path.startsWith(`spec.${name}.`)) this.fields.delete(path);
+    const control = this.make(`spec.${name}.name`, { name: "name", label: section.title ?? words(name), hint: section.description ?? "", unit: null, nullable: false, kind: "choice", choices: names, fallback: section.default?.name }, () => this.choosePlugin(name));
+    if (names.length === 1) control.control.disabled = true;
+    const { properties } = variant(section, chosen, robot, this.schema);
+    control.choose(chosen);
+    const fields = Object.entries(properties).filter(([n]) => !LEFT_OUT.has(n)).map(([n, property]) => this.make(`spec.${name}.${n}`, field(n, property, this.schema)));
+    fill(this.sections.get(name), control.element, fields.map((f) => f.element));
+    this.setBases(name);
+    for (const f of fields) if (f.spec.name in values) f.choose(values[f.spec.name]);
+  }
+
+  /** Settings of a section that the user has changed. */
+  touched(name) {
+    return Object.fromEntries([...this.fields].filter(([path, f]) => path.startsWith(`spec.${name}.`) && f.touched && f.spec.name !== "name" && f.peek() !== undefined).map(([, f]) => [f.spec.name, f.peek()]));
+  }
+
+  /** Another plug-in has other settings; another robot, other simulators as well. */
+  choosePlugin(name) {
+    this.buildSection(name, { ...this.touched(name), name: this.peek(`spec.${name}.name`) });
+    if (name === "robot") {
+      this.buildSection("simulator", this.touched("simulator"));
+      for (const [section] of SECTIONS) this.setBases(section);
     }
+    this.fields.get(`spec.${name}.name`).control.focus();
+  }
+
+  /** Set what applies to a section's fields unless the user says otherwise: the preset's values, else the defaults. */
+  setBases(name) {
+    const values = presetValues(this.presets.get(this.preset), this.families.get(this.peek("spec.robot.name")));
+    for (const [path, f] of this.fields) if (path.startsWith(`spec.${name}.`) && f.spec.name !== "name") f.setBase(values[path.slice("spec.".length)] ?? f.spec.fallback);
   }
 
   setPreset(key) {
     this.preset = key;
-    const values = this.presets.get(key)?.spec ?? {};
-    // Task and robot are the user's choice, not the preset's.
-    for (const [path, f] of this.fields) if (path.startsWith("spec.") && f.spec.name in values && !["task", "robot_type", "min_height"].includes(f.spec.name)) f.setBase(values[f.spec.name]);
+    for (const [name] of SECTIONS) this.setBases(name);
+    this.changed();
+  }
+
+  /** Fill the form from a job or a recipe. */
+  fillFrom({ spec, evaluation, name, tags }) {
+    this.preset = spec.algorithm?.preset ?? [...this.presets.keys()][0];
+    for (const radio of this.root.querySelectorAll("input[name=preset]")) radio.checked = radio.value === this.preset;
+    for (const section of ["robot", "task", "simulator", "algorithm"]) this.buildSection(section, typeof spec[section] === "string" ? { name: spec[section] } : spec[section] ?? {});
+    for (const [path, f] of this.fields) {
+      const [root, first, second] = path.split(".");
+      if (root !== "spec" || SECTIONS.some(([section]) => section === first)) continue;
+      const value = second ? spec[first]?.[second] : spec[first];
+      f.choose(value ?? f.spec.fallback);
+    }
+    this.evaluate.checked = evaluation !== null;
+    this.evaluationFields.disabled = evaluation === null;
+    for (const [key, value] of Object.entries(evaluation ?? {})) this.fields.get(`evaluation.${key}`)?.choose(value);
+    if (name) this.fields.get("name").choose(name);
+    if (tags) this.fields.get("tags").choose(tags);
     this.changed();
   }
 
   /** The request as it stands; throws the first field's error, after marking all of them when `mark`. */
   body(mark) {
-    const spec = { preset: this.preset }, evaluation = {}, out = {};
+    const spec = { algorithm: { preset: this.preset } }, evaluation = {}, out = {};
     let several = null, failed = null;
     for (const [path, f] of this.fields) {
-      if (path.startsWith("evaluation.") && !this.judge.checked) continue;
+      if (path.startsWith("evaluation.") && !this.evaluate.checked) continue;
       let value;
       try {
         value = f.value();
@@ -207,30 +259,33 @@ class SubmitView {
         failed ??= f;
         continue;
       }
-      const name = path.split(".").at(-1);
+      const [root, first, second] = path.split(".");
       if (path === "spec.seed" && Array.isArray(value)) several = value;
-      else if (path.startsWith("spec.")) { if (f.touched || ["task", "robot_type", "total_steps", "seed", "simulator"].includes(name)) spec[name] = value; }
-      else if (path.startsWith("evaluation.")) { if (f.touched) evaluation[name] = value; }
-      else if (f.touched && value !== "" && value !== null) out[name] = value;
+      else if (root === "spec") {
+        if (!f.touched && !ALWAYS.has(path)) continue;
+        if (second) (spec[first] ??= {})[second] = value;
+        else spec[first] = value;
+      } else if (root === "evaluation") { if (f.touched) evaluation[first] = value; }
+      else if (f.touched && value !== "" && value !== null) out[root] = value;
     }
     if (failed) throw Object.assign(new Error("Some fields need another look."), { field: failed });
+    if (spec.stages?.length) delete spec.total_steps; // their sum
     const parent = this.params.get("parent"), checkpoint = this.params.get("checkpoint");
-    const job = { ...out, spec, ...(this.judge.checked ? (Object.keys(evaluation).length ? { evaluation } : {}) : { evaluation: null }), ...(parent ? { parent_job_id: parent } : {}), ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}) };
+    const job = { ...out, spec, ...(this.evaluate.checked ? (Object.keys(evaluation).length ? { evaluation } : {}) : { evaluation: null }), ...(parent ? { parent_job_id: parent } : {}), ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}) };
     return several ? { group: { job, seeds: several } } : { job };
   }
 
   changed() {
     if (!this.preview) return;
-    const value = (name) => this.fields.get(`spec.${name}`)?.peek();
-    const task = this.tasks.get(value("task"));
-    if (task) setText(this.fields.get("spec.task").element.querySelector(".hint"), `${task.summary} A torso below ${task.min_height_m} m counts as a fall.`);
-    const rollout = value("n_envs") * value("n_steps"), total = value("total_steps"), seed = value("seed");
-    const updates = Math.ceil(total / rollout);
-    const jobs = Array.isArray(seed) ? seed.length : 1;
-    const departs = [...this.fields].filter(([p, f]) => p.startsWith("spec.") && f.touched && !["task", "robot_type", "seed", "total_steps", "simulator"].includes(f.spec.name)).map(([, f]) => f.spec.label);
-    const pairs = [["Task", `${value("task")}, type ${value("robot_type")}`], ["Preset", words(this.preset)], ["Steps", Number.isFinite(total) ? compact(total) : "–"], ["Updates", Number.isFinite(updates) ? `${integer(updates)} of ${integer(rollout)} steps` : "–"],
-      ["Checkpoints", Number.isFinite(total) && value("checkpoint_interval_steps") ? `about ${integer(Math.max(1, Math.ceil(total / Math.max(value("checkpoint_interval_steps"), rollout))))}` : "–"], ["Jobs", integer(jobs)]];
-    fill(this.figures, pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]), departs.length ? [h("dt", null, "Changed"), h("dd", null, departs.join(", "))] : null);
+    const value = (name) => this.peek(`spec.${name}`), task = this.known.task(value("task.name"));
+    if (task) setText(this.fields.get("spec.task.name").element.querySelector(".hint"), task.summary);
+    const stages = value("stages"), staged = Array.isArray(stages) && stages.length, total = staged ? stages.reduce((sum, stage) => sum + (stage.steps ?? NaN), 0) : value("total_steps");
+    const rollout = value("algorithm.n_envs") * value("algorithm.n_steps"), interval = value("runtime.checkpoint_interval_steps"), seed = value("seed");
+    const updates = Math.ceil(total / rollout), jobs = Array.isArray(seed) ? seed.length : 1;
+    const changed = [...this.fields].filter(([path, f]) => path.startsWith("spec.") && f.touched && !ALWAYS.has(path) && path !== "spec.algorithm.name").map(([, f]) => f.spec.label);
+    const pairs = [["Task", `${value("task.name")}, ${value("robot.name")}`], ["Preset", words(this.preset)], ["Steps", Number.isFinite(total) ? `${compact(total)}${staged ? ` in ${stages.length} stages` : ""}` : "–"], ["Updates", Number.isFinite(updates) ? `${integer(updates)} of ${integer(rollout)} steps` : "–"],
+      ["Checkpoints", Number.isFinite(total) && interval ? `about ${integer(Math.max(1, Math.ceil(total / Math.max(interval, rollout || 1))))}` : "–"], ["Jobs", integer(jobs)]];
+    fill(this.overview, pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]), changed.length ? [h("dt", null, "Changed"), h("dd", null, changed.join(", "))] : null);
     this.button.textContent = jobs > 1 ? `Submit ${jobs} jobs` : "Submit job";
     try {
       const request = this.body(false);
@@ -273,16 +328,24 @@ class SubmitView {
     let first = null;
     for (const [path, message] of error.fields ?? []) {
       const clean = path.replace(/^(body|job)\./, "").replace(/^job\./, "");
-      const named = /(?:^|, )(?:Value error, )?([a-z_]+): (.+)$/s.exec(message);
-      const f = this.fields.get(clean) ?? this.fields.get(`spec.${clean}`) ?? (named ? this.fields.get(`spec.${named[1]}`) ?? this.fields.get(`evaluation.${named[1]}`) ?? this.fields.get(named[1]) : undefined);
+      const f = this.fieldOf(clean);
       if (f) {
-        f.fail(message.replace(/^Value error, /, ""));
+        f.fail(message);
         first ??= f;
       } else left.push(`${clean}: ${message}`);
     }
     fill(this.trouble, notice("error", "The service refused this job.", left.length ? left.join(" ") : first ? "See the marked fields." : error.message));
     if (first) this.reveal(first);
     else this.trouble.scrollIntoView({ block: "center" });
+  }
+
+  /** The field at a path, or the one that it is a part of: an item's list, a section's name. */
+  fieldOf(path) {
+    for (let parts = path.split("."); parts.length; parts.pop()) {
+      const f = this.fields.get(parts.join(".")) ?? this.fields.get(`${parts.join(".")}.name`);
+      if (f) return f;
+    }
+    return null;
   }
 
   reveal(f) {

@@ -1,0 +1,253 @@
+"""Bundle the policy of a finished job: weights, card, replay, and its page in the docs.
+
+    naoctl submit --recipe sprint                            # train it, hours of a core
+    python benchmarks/learning/bundle.py sprint --job JOB    # evaluate it, and write what is bundled
+    python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
+
+The service is the one that naoctl talks to. The policy is one of the latest checkpoints: of those whose first headline
+result is within SLACK of the best, the one with the lowest first rate of the headline, such as that of falls. The
+results on the card come from an evaluation of their own, with another seed than the one that chose.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+# the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
+os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
+
+import matplotlib as mpl
+import naopolicies
+from naospec import EvaluationSpec, TrainingSpec, recipes
+from naosprint import evaluate
+from naosprint.analysis import figures
+from naosprint.analysis.report import read_metrics, write_report
+from naosprint.analysis.results import by_name, headline, interval_text, value_text
+from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest
+from naosprint.rl.columns import columns
+
+ROOT = Path(__file__).parents[2]
+BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
+PAGES = ROOT / "docs" / "policies"
+
+EPISODES = 1000
+CHOOSING_EPISODES, CHOOSING_SEED, EVALUATION_SEED = 5000, 1, 2026
+SLACK = 0.01
+CURVE_POINTS = 200
+
+
+def main() -> int:
+    """Bundle or refresh policies."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="+", metavar="NAME", help="name of the policy, as users will call it")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--job", help="finished job whose policy it is; its parents are its lineage")
+    source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
+    parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
+    parser.add_argument("--latest", type=int, default=5, help="choose among so many latest checkpoints (default: 5)")
+    options = parser.parse_args()
+    if options.refresh:
+        for name in options.names:
+            refresh(name)
+        return 0
+    (name,) = options.names
+
+    def naoctl(*words: str) -> Any:
+        done = subprocess.run([options.naoctl, *words, "--json"], check=True, capture_output=True, text=True)
+        return json.loads(done.stdout)
+
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(scratch)
+        jobs = lineage(naoctl, options.job)
+        checkpoint = choose(naoctl, jobs[-1], work, options.latest)
+        for job in jobs:
+            naoctl("download", job["id"], "--what", "metrics", "--output", str(work / job["id"]))
+        parts = [part for job in jobs for part in stages(job, work)]
+        # the last job may have continued beyond the checkpoint that was chosen
+        manifest = read_manifest(checkpoint)
+        before = sum(part["steps"] for part in parts if part["job"].startswith(jobs[-1]["name"])) - parts[-1]["steps"]
+        parts[-1] |= {"steps": manifest.steps - before}
+        target = BUNDLED / name
+        shutil.rmtree(target, ignore_errors=True)
+        target.mkdir(parents=True)
+        # as it was written: the specification's digest counts every field that there was then
+        slim = json.loads((checkpoint / MANIFEST).read_text())
+        slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
+        (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
+        shutil.copy(checkpoint / POLICY, target / POLICY)
+    write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
+    return 0
+
+
+def refresh(name: str) -> None:
+    """Evaluate a bundled policy as its card says, and write card, replay and page again; say what changed."""
+    card = naopolicies.card(name)
+    write(name, EvaluationSpec.model_validate(card["evaluation"]), card["lineage"])
+    old, new = by_name(card), by_name(naopolicies.card(name))
+    changed = [key for key in old.keys() | new.keys() if old.get(key) != new.get(key)]
+    print(f"  {'no result has changed' if not changed else 'changed: ' + ', '.join(sorted(changed))}")
+
+
+def lineage(naoctl: Any, job_id: str | None) -> list[dict[str, Any]]:
+    """Return a job and those whose policies it started from, oldest first."""
+    jobs: list[dict[str, Any]] = []
+    while job_id is not None:
+        job = naoctl("status", job_id)
+        jobs.insert(0, job)
+        job_id = job["parent_job_id"]
+    return jobs
+
+
+def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
+    """Return the folder of the best checkpoint."""
+    found: list[tuple[float, float, Path]] = []
+    points = sorted(naoctl("checkpoints", job["id"]), key=lambda point: point["step"])[-latest:]
+    for point in points:
+        folder = work / "candidates"
+        naoctl("download", job["id"], "--what", "checkpoint", "-c", point["id"], "--output", str(folder))
+        path = folder / f"checkpoint-{point['step']:012d}"
+        summary = evaluate(path, EvaluationSpec(episodes=CHOOSING_EPISODES, seed=CHOOSING_SEED), threads=2).summary
+        first, *others = headline(summary)
+        rate = next((result["value"] for result in others if result["kind"] == "rate"), 0.0)
+        print(f"{point['step']:,}: {', '.join(value_text(result) for result in (first, *others))}", flush=True)
+        sign = -1.0 if first["better"] == "lower" else 1.0
+        found.append((sign * (first["value"] or 0.0), rate, path))
+    if not found:
+        raise SystemExit(f"job {job['id']} has no checkpoint")
+    best = max(value for value, _, _ in found)
+    close = [one for one in found if one[0] >= best - SLACK * abs(best)]
+    return min(close, key=lambda one: (one[1], -one[0]))[2]
+
+
+def stages(job: dict[str, Any], work: Path) -> list[dict[str, Any]]:
+    """Describe each stage of a job of the lineage, or the whole job if it has none."""
+    spec = TrainingSpec.model_validate(job["spec"])
+    rows = read_metrics(work / job["id"] / "metrics.jsonl")
+    found, steps, time_s = [], 0.0, 0.0
+    for number, stage in enumerate(spec.stage_specs, start=1):
+        mine = [row for row in rows if row.get("stage", 1.0) == number]
+        if not mine:
+            break
+        shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
+        names = ("step", *spec.task_class.presentation.listed)
+        complete = [row for row in shown if all(name in row for name in names)]
+        curve = {name: [round(row[name] - (steps if name == "step" else 0.0), 4) for row in complete] for name in names}
+        found.append(
+            {
+                "job": job["name"] + (f", stage {number}" if spec.stages else ""),
+                "task": spec.task.name,
+                "robot": stage.robot.name,
+                "preset": spec.algorithm.preset,
+                "seed": stage.seed,
+                "steps": int(mine[-1]["step"] - steps),
+                "training_s": round(mine[-1]["time_s"] - time_s),
+                "overrides": stage.overrides(),
+                "curve": curve,
+            }
+        )
+        steps, time_s = mine[-1]["step"], mine[-1]["time_s"]
+    return found
+
+
+def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
+    """Evaluate a policy whose weights are in place; write its card, its replay and its page."""
+    target = BUNDLED / name
+    trained = read_manifest(target).stage_spec
+    with tempfile.TemporaryDirectory() as scratch:
+        work = Path(scratch)
+        evaluation = evaluate(target, spec, threads=2)
+        evaluation.save(work)
+        summary = evaluation.summary
+        shutil.copy(work / "replay.json", target / "replay.json")
+        card = {
+            "name": name,
+            "summary": summary_text(summary),
+            "robot": trained.robot.name,
+            "task": trained.task.name,
+            "steps": sum(int(one["steps"]) for one in parts),
+            "training_s": sum(int(one["training_s"]) for one in parts),
+            **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
+            "lineage": parts,
+        }
+        (target / "card.json").write_text(json.dumps(card, indent=1, allow_nan=False) + "\n")
+        report = write_report(work / "report", evaluation=work, title=name).parent
+        pictures = PAGES / name
+        shutil.rmtree(pictures, ignore_errors=True)
+        pictures.mkdir(parents=True)
+        names = [*(table["name"].replace("_", "-") for table in summary["tables"]), "trajectories", "frames", "gait"]
+        for picture in names:
+            shutil.copy(report / f"{picture}.png", pictures)
+        for film in ("run.mp4", "run.gif"):
+            shutil.copy(report / film, pictures)
+        with mpl.rc_context(figures.style()):
+            learning_curves(trained, card).savefig(pictures / "learning-curve.png", dpi=150)
+    (PAGES / f"{name}.md").write_text(page(card, names))
+    print(f"{name}: {card['summary']}")
+
+
+def summary_text(summary: dict[str, Any]) -> str:
+    """Return the headline results in one line."""
+    results = ", ".join(f"{one['title'].lower()} {value_text(one)}" for one in headline(summary))
+    return f"{results} over {summary['episodes']:,} episodes"
+
+
+def learning_curves(spec: TrainingSpec, card: dict[str, Any]) -> Any:
+    """Plot the metrics of the whole lineage, with the policy's results at its end."""
+    rows: list[dict[str, float]] = []
+    steps = 0
+    for number, part in enumerate(card["lineage"], start=1):
+        for values in zip(*part["curve"].values(), strict=True):
+            row = dict(zip(part["curve"], values, strict=True))
+            rows.append({**row, "step": steps + row["step"], "stage": float(number)})
+        steps += part["steps"]
+    presentation = spec.task_class.presentation
+    results = {name: one["value"] for name, one in by_name(card).items() if one["value"] is not None}
+    metrics = {metric.name: metric for metric in columns(spec)}
+    return figures.learning_curves(rows, presentation.charts, metrics, presentation.references, (steps, results))
+
+
+def page(card: dict[str, Any], pictures: list[str]) -> str:
+    """Return a policy's page for the docs."""
+    name, confidence = card["name"], card["evaluation"]["confidence"]
+    lines = [f"# {name}", "", f"![{name} runs]({name}/run.gif)", ""]
+    lines += [f"Robot {card['robot']}, task {card['task']}: {card['summary']}.", ""]
+    lines += [f"| {card['episodes']:,} episodes, deterministic | | |", "|---|---|---|"]
+    lines += [f"| {one['title']} | {value_text(one)} | {interval_text(one, confidence)} |" for one in card["results"]]
+    lines += [f"| Training | {card['steps'] / 1e6:.0f} million steps | {card['training_s'] / 60:.0f} minutes |", ""]
+    lines += [
+        "## Training",
+        "",
+        "| Job | Training | Steps | Minutes | Overrides of the preset |",
+        "|---|---|---|---|---|",
+    ]
+    for one in card["lineage"]:
+        changes = ", ".join(f"`{key}` {json.dumps(value)}" for key, value in one["overrides"].items()) or "none"
+        training = f"{one['task']}, {one['robot']}, preset {one['preset']}, seed {one['seed']}"
+        lines.append(
+            f"| {one['job']} | {training} | {one['steps'] / 1e6:.0f} M | {one['training_s'] / 60:.0f} | {changes} |"
+        )
+    lines += ["", f"![learning curves]({name}/learning-curve.png)", "", "## Gait", ""]
+    lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures]
+    lines += [
+        "## Try it",
+        "",
+        f"    python -m naosprint evaluate {name}",
+        f"    python -m naosprint replay {name} {name}-run",
+        f"    python -m naosprint export {name} {name}-export",
+    ]
+    if name in recipes.names():
+        lines += ["", "Train it again, all of the jobs above as the stages of one:", ""]
+        lines.append(f"    naoctl submit --recipe {name}")
+    return "\n".join([*lines, ""])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

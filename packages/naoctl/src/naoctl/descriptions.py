@@ -1,0 +1,83 @@
+"""What tasks and algorithms say of their metrics: from the installed plug-ins, or else from the service."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from naospec import plugins
+from naosprint.tasks.base import EPISODE_METRICS
+from naosprint.tasks.metrics import Metric, format_value
+
+if TYPE_CHECKING:
+    from naoctl.client import Client
+
+#: Metric of how fast a training is, whatever its task and algorithm.
+PACE = Metric("steps_per_s", "Pace", "steps/s", "Environment steps a second in this update, learning included.", 0)
+
+#: Name of a section that a stored specification lacks.
+UNNAMED = "?"
+
+
+def metric_of(description: Mapping[str, Any]) -> Metric:
+    """Return the metric that a JSON object describes: of a task's description, or a result of an evaluation."""
+    return Metric(**{field.name: description[field.name] for field in fields(Metric) if field.name in description})
+
+
+def section_name(spec: Mapping[str, Any], section: str) -> str:
+    """Return the name of a section's plug-in in a stored specification, or :data:`UNNAMED` if it has none."""
+    value = spec.get(section)
+    name = value.get("name") if isinstance(value, Mapping) else value
+    return str(name) if name else UNNAMED
+
+
+class Descriptions:
+    """Descriptions of tasks by name.
+
+    Args:
+        client: asked for tasks that are not installed here; None: those have no metrics of their own.
+    """
+
+    def __init__(self, client: Client | None = None) -> None:
+        self._client = client
+        self._remote: dict[str, dict[str, Any]] | None = None
+
+    def task(self, name: str) -> dict[str, Any]:
+        """Return a task's description; empty if nobody has one."""
+        if name in plugins.names(plugins.TASKS):
+            described: dict[str, Any] = plugins.load(plugins.TASKS, name).describe()
+            return described
+        if self._remote is None:
+            self._remote = {} if self._client is None else {item["name"]: item for item in self._client.get("/tasks")}
+        return self._remote.get(name, {})
+
+    def listed(self, job: Mapping[str, Any]) -> list[Metric]:
+        """Return the live metrics of a job's task that lists show, the most important first."""
+        task = self.task(section_name(job["spec"], "task"))
+        known = {item["name"]: metric_of(item) for item in task.get("metrics", ())}
+        return [known[name] for name in task.get("listed", ()) if name in known]
+
+    def shown(self, job: Mapping[str, Any]) -> list[Metric]:
+        """Return the metrics that a job's own displays show: the reward, those listed, and the pace."""
+        listed = self.listed(job)
+        reward = [metric for metric in EPISODE_METRICS[:1] if metric.name not in {item.name for item in listed}]
+        return [*reward, *listed, PACE]
+
+
+def value_text(metric: Metric, row: Mapping[str, Any]) -> str:
+    """Return what a row of metrics has of a metric, with its unit; a dash where it has nothing."""
+    value = row.get(metric.name)
+    return format_value(metric, value if isinstance(value, int | float) and math.isfinite(value) else None)
+
+
+def common(groups: Sequence[Sequence[Metric]]) -> list[Metric]:
+    """Return the metrics of several jobs, each once: the first of each job, then the second of each, and so on."""
+    found: dict[str, Metric] = {}
+    for rank in itertools.zip_longest(*groups):
+        for metric in rank:
+            if metric is not None:
+                found.setdefault(metric.name, metric)
+    return list(found.values())

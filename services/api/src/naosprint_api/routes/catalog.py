@@ -1,0 +1,219 @@
+"""What a job may consist of: the installed plug-ins with their settings, presets, recipes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+from fastapi import APIRouter
+from naospec import plugins, presets, recipes
+from naospec.sections import variants
+from pydantic import BaseModel, Field
+
+from naosprint_api.schemas import JobCreate
+
+router = APIRouter(tags=["catalog"])
+
+_log = logging.getLogger(__name__)
+
+
+class MetricPublic(BaseModel):
+    """Metric of an episode or of an update, as user interfaces show it."""
+
+    name: str = Field(description="Its column in rows of metrics, its name in results.")
+    title: str
+    unit: str = Field(description="Empty for none; % means that the value is a fraction.")
+    description: str
+    digits: int = Field(description="Decimals to show.")
+    better: str | None = Field(description="Which direction is better: higher, lower, or null.")
+    kind: str = Field(description="mean: a number per episode; rate: a yes or no per episode.")
+    live: bool = Field(description="Whether trainings report it; otherwise only evaluations do.")
+
+
+class ChartPublic(BaseModel):
+    """Metrics that belong in one plot over the steps of a training."""
+
+    title: str
+    metrics: list[str]
+
+
+class EndPublic(BaseModel):
+    """Reason for which an episode ends."""
+
+    name: str
+    title: str
+    failure: bool
+
+
+class ReferencePublic(BaseModel):
+    """Value to compare a metric with."""
+
+    metric: str
+    value: float
+    title: str
+
+
+class FieldLinePublic(BaseModel):
+    """Line across the field."""
+
+    x_m: float
+    title: str
+
+
+class TaskPublic(BaseModel):
+    """Installed task."""
+
+    name: str
+    version: int
+    summary: str
+    metrics: list[MetricPublic]
+    ends: list[EndPublic]
+    charts: list[ChartPublic] = Field(description="Learning curves, the most important first.")
+    listed: list[str] = Field(description="Live metrics in lists of jobs, the most important first.")
+    headline: list[str] = Field(description="Results of an evaluation in summaries, the most important first.")
+    references: list[ReferencePublic]
+    lines: list[FieldLinePublic] = Field(description="Lines to draw across the field.")
+    parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
+
+
+class AlgorithmPublic(BaseModel):
+    """Installed learning algorithm."""
+
+    name: str
+    summary: str
+    metrics: list[MetricPublic]
+    charts: list[ChartPublic]
+    parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
+
+
+class RobotPublic(BaseModel):
+    """Installed robot."""
+
+    name: str
+    family: str = Field(description="Robots that share simulators, observations and values of presets.")
+    title: str
+    joints: list[str] = Field(description="Names of its joints, in the order of commands.")
+    standing_height_m: float
+    front_axis: int = Field(description="Axis of the torso's frame that points to its front: 0 for x, 1 for y.")
+    parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
+
+
+class SimulatorVariant(BaseModel):
+    """Settings of a simulator for some robots."""
+
+    robots: list[str]
+    parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
+
+
+class SimulatorPublic(BaseModel):
+    """Installed simulator."""
+
+    name: str
+    summary: str
+    variants: list[SimulatorVariant] = Field(description="The robots that it can run, with its settings for them.")
+
+
+class PresetPublic(BaseModel):
+    """Named values for settings that a specification leaves out."""
+
+    name: str
+    summary: str
+    algorithm: dict[str, Any]
+    task: dict[str, Any]
+    robots: dict[str, dict[str, dict[str, Any]]] = Field(description="Values in place of these, by robot family.")
+
+
+class RecipePublic(BaseModel):
+    """Job that is known to work."""
+
+    name: str
+    summary: str
+    job: dict[str, Any] = Field(description="Body for `POST /jobs`.")
+
+
+@router.get("/spec/schema")
+def spec_schema() -> dict[str, Any]:
+    """Get the JSON schema of what `POST /jobs` takes, for forms and editors.
+
+    A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, told apart by the constant
+    `name`; `x-robots` lists the robots to which a simulator's schema applies.
+    """
+    return JobCreate.model_json_schema()
+
+
+@router.get("/tasks")
+def list_tasks() -> list[TaskPublic]:
+    """List the installed tasks with their metrics and settings."""
+    return [
+        TaskPublic.model_validate({**task.describe(), "parameters": task.Parameters.model_json_schema()})
+        for task in _installed(plugins.TASKS)
+    ]
+
+
+@router.get("/algorithms")
+def list_algorithms() -> list[AlgorithmPublic]:
+    """List the installed learning algorithms with their metrics and settings."""
+    return [
+        AlgorithmPublic.model_validate({**kind.describe(), "parameters": kind.Parameters.model_json_schema()})
+        for kind in _installed(plugins.LEARNERS)
+    ]
+
+
+@router.get("/robots")
+def list_robots() -> list[RobotPublic]:
+    """List the installed robots with their settings."""
+    return [
+        RobotPublic(
+            name=robot.name,
+            family=robot.family,
+            title=robot.title,
+            joints=list(robot.joint_names),
+            standing_height_m=robot.standing_height_m,
+            front_axis=robot.front_axis,
+            parameters=type(robot.parameters).model_json_schema(),
+        )
+        for robot in _installed(plugins.ROBOTS)
+    ]
+
+
+@router.get("/simulators")
+def list_simulators() -> list[SimulatorPublic]:
+    """List the installed simulators with the robots that they can run."""
+    found = list(variants(plugins.SIMULATORS))
+    return [
+        SimulatorPublic(
+            name=kind.name,
+            summary=kind.summary,
+            variants=[
+                SimulatorVariant(robots=list(robots), parameters=model.model_json_schema())
+                for name, model, robots in found
+                if name == kind.name
+            ],
+        )
+        for kind in _installed(plugins.SIMULATORS)
+    ]
+
+
+@router.get("/presets")
+def list_presets() -> list[PresetPublic]:
+    """List the presets with their values."""
+    return [
+        PresetPublic.model_validate({"algorithm": {}, "task": {}, "robots": {}, **presets.read(name), "name": name})
+        for name in presets.names()
+    ]
+
+
+@router.get("/recipes")
+def list_recipes() -> list[RecipePublic]:
+    """List the recipes: jobs that are known to work."""
+    return [RecipePublic(name=name, summary=recipes.summary(name), job=recipes.job(name)) for name in recipes.names()]
+
+
+def _installed(group: str) -> Iterator[Any]:
+    """Yield the plug-ins of a group; one that cannot be loaded is left out."""
+    for name in plugins.names(group):
+        try:
+            yield plugins.load(group, name)
+        except plugins.BrokenPluginError as error:
+            _log.warning("left out of the catalog: %s", error)

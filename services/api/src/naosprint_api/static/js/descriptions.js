@@ -1,0 +1,78 @@
+/** What tasks and algorithms report of themselves: their metrics, charts and headlines. Nothing else in the dashboard names a metric of a task. */
+
+import { call } from "./api.js";
+import { words } from "./format.js";
+
+/** Metrics of how fast a training is, whatever it trains. */
+const PACE = [
+  { name: "steps_per_s", title: "Steps per second", unit: "", digits: 0, better: "higher" },
+  { name: "collect_s", title: "Collection time", unit: "s", digits: 2, better: "lower" },
+  { name: "learn_s", title: "Update time", unit: "s", digits: 2, better: "lower" },
+];
+/** Columns of metrics that are no curves. */
+const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "eta_s", "server_failures"]);
+
+/** Name of the plug-in of a specification's section; a specification of an older version may have none. */
+export const nameOf = (spec, section) => spec?.[section]?.name ?? (typeof spec?.[section] === "string" ? spec[section] : null) ?? "?";
+
+export class Descriptions {
+  /** @param {object[]} tasks answer of `GET /tasks` @param {object[]} algorithms answer of `GET /algorithms` */
+  constructor(tasks = [], algorithms = []) {
+    this.tasks = new Map(tasks.map((t) => [t.name, t]));
+    this.algorithms = new Map(algorithms.map((a) => [a.name, a]));
+  }
+
+  /** A task's description; null if the service does not have the task. */
+  task(name) { return this.tasks.get(name) ?? null; }
+
+  /** All metrics of a specification by name. */
+  metrics(spec) {
+    const known = [...(this.task(nameOf(spec, "task"))?.metrics ?? []), ...(this.algorithms.get(nameOf(spec, "algorithm"))?.metrics ?? []), ...PACE];
+    return new Map(known.map((m) => [m.name, m]));
+  }
+
+  /** Metrics that lists show of a job, the most important first. */
+  listed(spec) {
+    const metrics = this.metrics(spec);
+    return (this.task(nameOf(spec, "task"))?.listed ?? []).map((name) => metrics.get(name)).filter(Boolean);
+  }
+
+  /**
+   * Charts of a specification, the task's first.
+   *
+   * @param {object} spec
+   * @param {Iterable<string>} columns names of the columns that there are; those that nothing describes get a chart each
+   * @returns {{key: string, group: "task"|"learning"|"pace", title: string, metrics: object[], refs: {y: number, label: string}[]}[]}
+   */
+  charts(spec, columns = []) {
+    const metrics = this.metrics(spec), task = this.task(nameOf(spec, "task")), algorithm = this.algorithms.get(nameOf(spec, "algorithm"));
+    const refs = (names) => (task?.references ?? []).filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
+    const make = (group) => (chart) => ({ key: chart.metrics[0], group, title: chart.title, metrics: chart.metrics.map((name) => metrics.get(name) ?? plain(name)), refs: group === "task" ? refs(chart.metrics) : [] });
+    const described = [...(task?.charts ?? []).map(make("task")), ...(algorithm?.charts ?? []).map(make("learning")),
+      ...[{ title: "Steps per second", metrics: ["steps_per_s"] }, { title: "Time per update", metrics: ["collect_s", "learn_s"] }].map(make("pace"))];
+    const covered = new Set([...metrics.keys(), ...described.flatMap((c) => c.metrics.map((m) => m.name))]);
+    const others = [...columns].filter((name) => !covered.has(name) && !PROGRESS.has(name)).map((name) => ({ title: words(name), metrics: [name] }));
+    return [...described.filter((c) => c.group === "task"), ...others.map(make("task")), ...described.filter((c) => c.group !== "task")];
+  }
+}
+
+/** A metric of which only the name is known. */
+export const plain = (name) => ({ name, title: words(name), unit: "", digits: null, better: null });
+
+/** Metrics of several groups, each once: the first of each group, then the second of each, and so on. */
+export function common(groups) {
+  const found = new Map();
+  for (let rank = 0; groups.some((g) => rank < g.length); rank++) for (const group of groups) if (group[rank] && !found.has(group[rank].name)) found.set(group[rank].name, group[rank]);
+  return [...found.values()];
+}
+
+let loading = null;
+
+/** The service's descriptions, asked for once; without an answer there are none, and names stand in for titles. */
+export function descriptions() {
+  loading ??= Promise.all([call("tasks"), call("algorithms")]).then(([tasks, algorithms]) => new Descriptions(tasks, algorithms)).catch(() => {
+    loading = null;
+    return new Descriptions();
+  });
+  return loading;
+}

@@ -1,0 +1,201 @@
+"""A task that someone else's package adds: installed beside ours, it is everywhere, with no edit of ours."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "packages" / "naosprint-backwards"
+TASK = "run-backwards"
+STEPS = 1_000_000
+FLAGS = ("--n-steps", "32", "--batch-size", "1024", "--gamma", "0.99", "--checkpoint-interval-steps", "500_000")
+LEAST_M = 5.0
+MOST_LINES = 120
+
+pytestmark = pytest.mark.timeout(1500)
+
+
+@dataclass(frozen=True)
+class Installation:
+    """A running service and a command line that have the package."""
+
+    url: str
+    client: httpx.Client
+    environment: dict[str, str]
+
+    def naoctl(self, *words: str) -> str:
+        """Run naoctl and return what it printed."""
+        command = [sys.executable, "-m", "naoctl", *words]
+        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(
+    service_environment: dict[str, str], make_token: Callable[..., str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Installation]:
+    """API, worker and naoctl as processes that find the package, which is installed into a folder of its own."""
+    folder = tmp_path_factory.mktemp("backwards")
+    # a copy: building writes beside the sources
+    source = folder / "source"
+    source.mkdir()
+    for file in PACKAGE.iterdir():
+        if file.is_file():
+            (source / file.name).write_bytes(file.read_bytes())
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--target", folder / "site", source], check=True)
+    with httpx.Client(timeout=30) as client:
+        port = _free_port()
+        url = f"http://127.0.0.1:{port}"
+        token = make_token("alice", "submit")
+        environment = {
+            **{name: value for name, value in os.environ.items() if not name.startswith(("NAOSPRINT_", "NAOCTL_"))},
+            **service_environment,
+            "PYTHONPATH": str(folder / "site"),
+            "NAOSPRINT_API_PORT": str(port),
+            "NAOSPRINT_WORKER_DIR": str(folder / "worker"),
+            "NAOSPRINT_WORKER_REPORT": "pictures",
+            "NAOCTL_URL": url,
+            "NAOCTL_TOKEN": token,
+            "NAOCTL_CONFIG": str(folder / "config.toml"),
+            "COLUMNS": "200",
+            "TERM": "dumb",
+        }
+        processes = []
+        try:
+            for module in ("naosprint_api", "naosprint_worker"):
+                with (folder / f"{module}.log").open("wb") as log:
+                    command = [sys.executable, "-m", module]
+                    processes.append(subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT))
+            _until(lambda: _ready(client, f"{url}/readyz"), 120)
+            client.base_url, client.headers = httpx.URL(url), httpx.Headers({"Authorization": f"Bearer {token}"})
+            yield Installation(url, client, environment)
+        finally:
+            for process in processes:
+                process.terminate()
+            for process in processes:
+                process.wait(60)
+
+
+@pytest.fixture(scope="module")
+def trained(installed: Installation) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A job that naoctl has submitted, trained and evaluated by the service, and its evaluation."""
+    words = ("--task", TASK, "--gait-period-s", "0.5", "--steps", str(STEPS), *FLAGS, "--eval-episodes", "100")
+    submitted = json.loads(installed.naoctl("submit", *words, "--name", "backwards", "--json"))
+    path = f"/jobs/{submitted['id']}"
+    installed.naoctl("watch", submitted["id"], "--json")  # returns when the job has succeeded
+    job = installed.client.get(path).json()
+    (evaluation,) = installed.client.get(f"{path}/evaluations").json()
+    return job, evaluation
+
+
+def test_the_package_is_small() -> None:
+    files = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".toml")]
+    assert len(files) == 2
+    assert sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files) <= MOST_LINES
+
+
+def test_the_command_line_has_its_flags(installed: Installation) -> None:
+    text = " ".join(installed.naoctl("submit", "--help").split())
+    assert TASK in text
+    assert "--gait-period-s" in text
+    assert f"(task {TASK})" in text
+
+
+def test_the_schema_and_the_catalog_have_what_the_dashboard_is_made_from(installed: Installation) -> None:
+    schema = installed.client.get("/spec/schema").json()
+    options = schema["$defs"]["TrainingSpec"]["properties"]["task"]["oneOf"]
+    (own,) = (option for option in options if option["properties"]["name"]["const"] == TASK)
+    assert own["properties"]["gait_period_s"] | {"description": ""} == {
+        "type": "number",
+        "default": 0.4,
+        "exclusiveMinimum": 0.0,
+        "maximum": 2.0,
+        "title": "Gait period",
+        "description": "",
+        "unit": "s",
+    }
+    (task,) = (task for task in installed.client.get("/tasks").json() if task["name"] == TASK)
+    metrics = {metric["name"]: metric for metric in task["metrics"]}
+    assert (metrics["backward_m"]["title"], metrics["backward_m"]["unit"]) == ("Distance backwards", "m")
+    assert ["backward_m"] in [chart["metrics"] for chart in task["charts"]]
+    assert task["listed"][0] == task["headline"][0] == "backward_m"
+    wrong = installed.client.post("/jobs", json={"spec": {"task": {"name": TASK, "gait_period_s": 3}}})
+    assert wrong.json()["errors"][0]["field"] == "spec.task.gait_period_s"
+
+
+def test_it_learns_to_run_backwards(trained: tuple[dict[str, Any], dict[str, Any]], installed: Installation) -> None:
+    job, evaluation = trained
+    assert job["spec"]["task"]["gait_period_s"] == 0.5
+    assert job["progress_step"] >= STEPS
+    columns = installed.client.get(f"/jobs/{job['id']}/metrics").json()["columns"]
+    assert {"backward_m", "backward_fall_rate"} <= set(columns)
+    results = {result["name"]: result for result in evaluation["summary"]["results"]}
+    assert results["backward_m"]["value"] >= LEAST_M
+    low, high = results["backward_m"]["interval"]
+    assert low < results["backward_m"]["value"] < high
+    assert evaluation["summary"]["headline"] == ["backward_m", "backward_mps", "backward_fall_rate"]
+
+
+def test_tables_of_the_command_line_show_its_metrics(
+    trained: tuple[dict[str, Any], dict[str, Any]], installed: Installation, tmp_path: Path
+) -> None:
+    job, evaluation = trained
+    (distance,) = (result for result in evaluation["summary"]["results"] if result["name"] == "backward_m")
+    for words in (("list",), ("status", "backwards")):
+        text = installed.naoctl(*words)
+        assert "Distance backwards" in text
+        assert f"{job['latest_metrics']['backward_m']:.2f} m" in text
+    again = installed.naoctl("compare", "backwards", _twin(installed, job))
+    assert f"{distance['value']:.2f} m [" in again
+    installed.naoctl("download", "backwards", "--output", str(tmp_path))
+    assert json.loads((tmp_path / "evaluation" / "evaluation.json").read_text()) == evaluation["summary"]
+
+
+def test_the_report_shows_its_results(trained: tuple[dict[str, Any], dict[str, Any]], installed: Installation) -> None:
+    _, evaluation = trained
+    files = {file["name"]: file["url"] for file in evaluation["files"]}
+    assert "report.html" in files, sorted(files)
+    page = installed.client.get(files["report.html"]).text
+    (distance,) = (result for result in evaluation["summary"]["results"] if result["name"] == "backward_m")
+    assert "Distance backwards" in page
+    assert f"{distance['value']:.2f}" in page
+
+
+def _twin(installed: Installation, job: dict[str, Any]) -> str:
+    """Submit the same training again and cancel it; return its id."""
+    made = installed.client.post("/jobs", json={"spec": job["spec"], "name": "twin"}).json()
+    installed.client.post(f"/jobs/{made['id']}/cancel")
+    return str(made["id"])
+
+
+def _free_port() -> int:
+
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
+def _ready(client: httpx.Client, url: str) -> bool:
+    try:
+        return client.get(url).status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+def _until(condition: Callable[[], bool], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, f"not so after {timeout_s:g} s"
+        time.sleep(0.2)

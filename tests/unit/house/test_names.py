@@ -1,0 +1,35 @@
+"""Nothing but the tasks themselves names a metric of the sprint."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+
+METRICS = re.compile(r"distance_m|fallen|arrived|sprint1")
+
+AT_HOME = (
+    "packages/naosprint/src/naosprint/tasks/",
+    "packages/naopolicies/",
+)
+"""Folders that may name them."""
+
+DEFAULT_TASK = {
+    "packages/naospec/src/naospec/specification.py": 1,
+    "packages/naoctl/src/naoctl/demo.py": 2,
+}
+"""Files that name the default task, and on how many lines."""
+
+
+def test_only_tasks_name_metrics_of_the_sprint() -> None:
+    found: dict[str, list[str]] = {}
+    for folder in ("packages", "services"):
+        for path in (ROOT / folder).rglob("*"):
+            name = path.relative_to(ROOT).as_posix()
+            if path.suffix not in (".py", ".js") or "/build/" in name or "/vendor/" in name or name.startswith(AT_HOME):
+                continue
+            lines = [line.strip() for line in path.read_text().splitlines() if METRICS.search(line)]
+            if len(lines) > DEFAULT_TASK.get(name, 0):
+                found[name] = lines
+    assert not found

@@ -1,0 +1,81 @@
+"""The data files: every preset and every recipe is a possible specification."""
+
+from __future__ import annotations
+
+import naopolicies
+import pytest
+from naosim import robots
+from naospec import EvaluationSpec, TrainingSpec, plugins, presets, recipes
+
+
+@pytest.mark.parametrize("preset", presets.names())
+def test_presets_set_settings_that_exist(preset: str) -> None:
+    """No preset forgets a setting that another one sets, and every name is one of some plug-in."""
+    content = presets.read(preset)
+    assert presets.summary(preset)
+    assert set(content) <= {"summary", "robots", *presets.SECTIONS}
+    algorithms = {name for each in plugins.names(plugins.LEARNERS) for name in _fields(plugins.LEARNERS, each)}
+    tasks = {name for each in plugins.names(plugins.TASKS) for name in _fields(plugins.TASKS, each)}
+    for section, known in (("algorithm", algorithms), ("task", tasks)):
+        assert set(presets.values(preset, section, None)) == set(presets.values("fast", section, None))
+        for family in (None, *content.get("robots", {})):
+            assert set(presets.values(preset, section, family)) <= known
+
+
+def _fields(group: str, name: str) -> set[str]:
+    return set(plugins.load(group, name).Parameters.model_fields)
+
+
+@pytest.mark.parametrize("preset", presets.names())
+@pytest.mark.parametrize("robot", robots.names())
+def test_presets_are_possible_with_every_robot(preset: str, robot: str) -> None:
+    """And every task that the robot can do."""
+    for task in plugins.names(plugins.TASKS):
+        if plugins.load(plugins.TASKS, task).supports(robots.get(robot)):
+            spec = TrainingSpec.model_validate({"task": task, "robot": robot, "algorithm": {"preset": preset}})
+            assert spec.overrides() == {}
+
+
+def test_unknown_preset_lists_the_known() -> None:
+    with pytest.raises(ValueError, match="unknown preset 'slow': choose one of fast, "):
+        presets.read("slow")
+
+
+@pytest.mark.parametrize("name", recipes.names())
+def test_recipes_are_possible_jobs(name: str) -> None:
+    """Specification and evaluation are valid."""
+    job = recipes.job(name)
+    spec = TrainingSpec.model_validate(job["spec"])
+    EvaluationSpec.model_validate(job["evaluation"])
+    assert job["name"] == name
+    assert recipes.summary(name).endswith(".")
+    assert set(job) <= {"name", "tags", "spec", "evaluation"}
+    assert len(spec.stage_specs) == len(spec.stages or (spec,))
+
+
+@pytest.mark.parametrize("name", [name for name in recipes.names() if name in naopolicies.names()])
+def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
+    """Stage by stage: task, robot, preset, seed and overrides, apart from what was cut short."""
+    job = recipes.job(name)
+    spec = TrainingSpec.model_validate(job["spec"])
+    lineage = naopolicies.card(name)["lineage"][-len(spec.stage_specs) :]
+    assert len(lineage) == len(spec.stage_specs)
+    for stage, past in zip(spec.stage_specs, lineage, strict=True):
+        height = stage.robot_description.erect_height_m
+        assert (stage.task.min_height_m == height) == past["task"].endswith("-erect")
+        assert (stage.robot.name, stage.algorithm.preset, stage.seed) == (past["robot"], past["preset"], past["seed"])
+        # the last jobs of two lineages were not trained to their end
+        assert stage.planned_steps == past["steps"] or name == "sprint-type4"
+        ours = {path: list(value) if isinstance(value, tuple) else value for path, value in stage.overrides().items()}
+        # without effect where the spread does not change
+        unchanged = {"algorithm.log_std_steps"}
+        if stage.algorithm.target_kl_final == 0.0132:
+            unchanged.add("algorithm.target_kl_final")
+        assert {path: value for path, value in ours.items() if path not in unchanged} == {
+            path: value for path, value in past["overrides"].items() if path not in unchanged
+        }
+
+
+def test_unknown_recipe_lists_the_known() -> None:
+    with pytest.raises(ValueError, match="unknown recipe 'jump': choose one of sprint, "):
+        recipes.job("jump")

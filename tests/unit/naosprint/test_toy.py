@@ -1,0 +1,165 @@
+"""A robot, a simulator and a task from elsewhere: everything works with them, and nothing here knows them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from naospec import EvaluationSpec, TaskSettings, TrainingSpec, plugins
+from naosprint import evaluate, train
+from naosprint.__main__ import main
+from naosprint.analysis.report import write_report
+from naosprint.analysis.results import by_name
+from naosprint.registration import register_envs
+from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
+from pydantic import Field
+
+from ..naosim import toy_simulator  # noqa: TID252 - a module of the tests
+
+PROGRESS = Metric("progress", "Progress", "m", "Distance crawled.", 2, "higher")
+
+
+class CrawlSettings(TaskSettings):
+    """Settings of the task."""
+
+    goal: float = Field(default=0.5, gt=0.0, title="Goal", description="Distance that ends an episode, metres.")
+
+
+class Crawl(Task):
+    """Crawl forward to a goal."""
+
+    name = "crawl"
+    version = 2
+    summary = "Crawl forward to a goal."
+    Parameters = CrawlSettings
+    metrics = (PROGRESS,)
+    ends = (End("goal", "Goal"),)
+    presentation = Presentation(
+        charts=(Chart("Progress", ("progress",)),), listed=("progress",), headline=("progress",)
+    )
+    max_steps = 100
+
+    def __init__(self, parameters: Any, world: Any, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        self._before = np.zeros(self.n)
+        self._step = np.zeros(self.n)
+        self.arrays = {"before": self._before}
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        return (RewardTerm("forward", 1.0, lambda rows: self._step[rows]),)
+
+    def begin(self, rows: np.ndarray) -> None:
+        self._before[rows] = self.world.position(rows)[:, 0]
+
+    def advance(self, rows: slice) -> None:
+        x = self.world.position(rows)[:, 0]
+        self._step[rows] = x - self._before[rows]
+        self._before[rows] = x
+
+    def ended(self, rows: slice) -> Sequence[np.ndarray]:
+        return (self._before[rows] >= self.parameters.goal,)
+
+    def measure(self, rows: np.ndarray) -> np.ndarray:
+        return self._before[rows][:, None].copy()
+
+    def summarize(self, episodes: Any, statistics: Any) -> Any:
+        return (statistics.mean(PROGRESS, [x[-1] - x[0] for x in episodes.x]),), ()
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Offer robot, simulator and task as an installed package would."""
+    extra = [
+        EntryPoint("crawler", f"{toy_simulator.__name__}:CRAWLER", plugins.ROBOTS),
+        EntryPoint("crawling", f"{toy_simulator.__name__}:CRAWLING", plugins.SIMULATORS),
+        EntryPoint("crawl", f"{__name__}:Crawl", plugins.TASKS),
+    ]
+    real = plugins.entry_points
+    monkeypatch.setattr(
+        plugins, "entry_points", lambda group: [*real(group=group), *(e for e in extra if e.group == group)]
+    )
+    plugins._entries.cache_clear()
+    plugins.load.cache_clear()
+    yield
+    plugins._entries.cache_clear()
+    plugins.load.cache_clear()
+
+
+def crawl_spec(total_steps: int = 32_768) -> TrainingSpec:
+    """Return a training of crawlers."""
+    settings = {"n_envs": 16, "n_steps": 64, "batch_size": 256, "hidden_sizes": [16, 16], "gamma": 0.95}
+    return TrainingSpec.model_validate(
+        {
+            "task": "crawl",
+            "robot": "crawler",
+            "simulator": "crawling",
+            "algorithm": settings,
+            "total_steps": total_steps,
+            "runtime": {"learner_threads": 1},
+        }
+    )
+
+
+def test_crawlers_learn_to_crawl(tmp_path: Path, recorder: Any) -> None:
+    """From nothing to the goal, evaluated and reported with the task's own metrics."""
+    spec = crawl_spec()
+    assert (spec.task.version, spec.task.goal) == (2, 0.5)
+    result = train(spec, workdir=tmp_path / "run", reporter=recorder)
+    first, last = recorder.rows[1]["progress"], recorder.rows[-1]["progress"]
+    assert last > first + 0.2
+    assert "progress 0." in recorder.lines[-2][1]
+
+    evaluation = evaluate(result.checkpoint, EvaluationSpec(episodes=8))
+    progress = by_name(evaluation.summary)["progress"]
+    assert (progress["title"], progress["episodes"]) == ("Progress", 8)
+    assert progress["value"] > 0.3
+    evaluation.save(tmp_path / "evaluation")
+    metrics = tmp_path / "metrics.jsonl"
+    metrics.write_text("".join(json.dumps(row) + "\n" for row in recorder.rows))
+    page = write_report(tmp_path / "page", evaluation=tmp_path / "evaluation", metrics=metrics, film=False).read_text()
+    assert "<title>crawl</title>" in page
+    assert "Distance crawled" in page or f"{progress['value']:.2f} m" in page
+    # no feet, so no gait
+    plots = {path.stem for path in (tmp_path / "page").glob("*.svg")}
+    assert plots == {"learning-curve", "trajectories", "frames", "joints"}
+
+
+def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
+    """A simulator with snapshots needs no more than that."""
+    from .checkpoints import assert_same
+
+    spec = crawl_spec(total_steps=4096)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    recorder.rows.clear()
+    half = train(spec, workdir=tmp_path / "half", reporter=recorder, stop=lambda: len(recorder.rows) > 1)
+    rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
+    assert half.status == "stopped"
+    assert_same(rest.checkpoint, whole.checkpoint)
+
+
+def test_the_command_line_offers_it(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert "--goal VALUE Distance that ends an episode, metres. Only crawl. (default: 0.5)" in text
+    assert "crawler" in text
+
+
+def test_gymnasium_offers_it() -> None:
+    register_envs()
+    try:
+        env = gymnasium.make("naosprint/Crawl-v2", robot="crawler", simulator="crawling", goal=0.02)
+        env.reset(seed=0)
+        env.action_space.seed(0)
+        info: dict[str, Any] = {}
+        while not info:
+            *_, info = env.step(env.action_space.sample())
+        assert info["progress"] >= 0.02 or info["end"] == "time_limit"
+    finally:
+        gymnasium.registry.pop("naosprint/Crawl-v2", None)
