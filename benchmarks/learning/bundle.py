@@ -144,7 +144,7 @@ def stages(job: dict[str, Any], work: Path) -> list[dict[str, Any]]:
             {
                 "job": job["name"] + (f", stage {number}" if spec.stages else ""),
                 "task": spec.task.name,
-                "robot": spec.robot.name,
+                "robot": stage.robot.name,
                 "preset": spec.algorithm.preset,
                 "seed": stage.seed,
                 "steps": int(mine[-1]["step"] - steps),
@@ -160,7 +160,7 @@ def stages(job: dict[str, Any], work: Path) -> list[dict[str, Any]]:
 def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
     """Evaluate a policy whose weights are in place; write its card, its replay and its page."""
     target = BUNDLED / name
-    trained = read_manifest(target).spec
+    trained = read_manifest(target).stage_spec
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)
         evaluation = evaluate(target, spec, threads=2)
@@ -244,9 +244,8 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
         f"    python -m naosprint export {name} {name}-export",
     ]
     if name in recipes.names():
-        lines += ["", "Train it again:", "", f"    naoctl submit --recipe {name}"]
-        if parent := recipes.job(name).get("from_policy"):
-            lines += ["", f"The job starts from the policy [{parent}]({parent}.md)."]
+        lines += ["", "Train it again, all of the jobs above as the stages of one:", ""]
+        lines.append(f"    naoctl submit --recipe {name}")
     return "\n".join([*lines, ""])
 
 

@@ -1,4 +1,4 @@
-"""Measure what is learnt and how fast; write results.json and the plots beside this file.
+"""Measure what is learned and how fast; write results.json and the plots beside this file.
 
     python benchmarks/learning/run.py WORKDIR                    # everything, hours of two quiet cores
     python benchmarks/learning/run.py WORKDIR --only throughput  # or some of it
@@ -27,13 +27,17 @@ from naosprint.threads import quiet_openmp, set_learner_threads
 quiet_openmp()
 
 import numpy as np  # noqa: E402
-from naospec import EvaluationSpec, TrainingSpec  # noqa: E402
-from naosprint import evaluate, figures, train  # noqa: E402
-from naosprint.checkpoint import read_manifest  # noqa: E402
-from naosprint.environment import TRAINING_STARTS, open_training_batch  # noqa: E402
-from naosprint.learner import SprintPPO  # noqa: E402
-from naosprint.report import read_metrics  # noqa: E402
-from naosprint.vec_env import SprintVecEnv  # noqa: E402
+from naospec import EvaluationSpec, TrainingSpec, plugins  # noqa: E402
+from naospec.flat import nest  # noqa: E402
+from naosprint import evaluate, train  # noqa: E402
+from naosprint.analysis import figures  # noqa: E402
+from naosprint.analysis.report import read_metrics  # noqa: E402
+from naosprint.analysis.results import by_name  # noqa: E402
+from naosprint.console import listed_text  # noqa: E402
+from naosprint.rl.checkpoint import read_manifest  # noqa: E402
+from naosprint.rl.columns import columns  # noqa: E402
+from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
+from naosprint.tasks.environment import open_training_environment  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -60,11 +64,11 @@ CHAIN: tuple[dict[str, Any], ...] = (
         "gamma": 0.99,
         "n_steps": 256,
         "batch_size": 4096,
-        "start_practice": 0.125,
+        "start_episode_fraction": 0.125,
         "initial_log_std": -2.0,
         "final_log_std": -2.0,
         "log_std_steps": None,
-        "policy_averaging": 0.95,
+        "ema_decay": 0.95,
     },
     # a quiet end
     {
@@ -77,16 +81,29 @@ CHAIN: tuple[dict[str, Any], ...] = (
         "initial_log_std": -2.0,
         "final_log_std": -2.3,
         "log_std_steps": None,
-        "policy_averaging": 0.95,
+        "ema_decay": 0.95,
     },
 )
 """The recipe that seeds follow: what each stage sets other than preset ``fast``; it starts from the one before."""
 
-ONE_CORE: dict[str, Any] = {"simulator_threads": 1, "torch_threads": 1}
+ONE_CORE: dict[str, Any] = {"simulator_threads": 1, "learner_threads": 1}
+
+OTHERS = ("flight_share", "run_challenge_score")
+"""Results that are recorded besides the headline."""
+
+
+def spec_of(**settings: Any) -> TrainingSpec:
+    """Return a specification with settings by their short names."""
+    return TrainingSpec.model_validate(nest(settings))
+
+
+DEFAULT = spec_of()
+TASK = DEFAULT.task_class
+METRICS = {metric.name: metric for metric in columns(DEFAULT)}
 
 
 class Log:
-    """Append metrics to a file, as the command line does, and show that something happens."""
+    """Reporter that appends metrics to a file, as the command line does, and prints some of them."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -99,11 +116,15 @@ class Log:
             stream.write(json.dumps(row, allow_nan=False) + "\n")
         if time.monotonic() - self._shown > 30.0:
             self._shown = time.monotonic()
-            figures_now = f"{row.get('distance_m', 0.0):.2f} m, {row.get('speed_mps', 0.0):.2f} m/s"
-            print(f"  {row['step'] / 1e6:.2f}M steps, {figures_now}, {row['steps_per_s']:,.0f} steps/s")
+            parts = [
+                f"{row['step'] / 1e6:.2f}M steps",
+                *listed_text(DEFAULT, row),
+                f"{row['steps_per_s']:,.0f} steps/s",
+            ]
+            print(f"  {', '.join(parts)}")
 
     def checkpoint(self, path: Path, step: int) -> None:
-        """Say nothing: the folder shows it."""
+        """Ignore it: the directory shows it."""
 
     def log(self, level: str, message: str) -> None:
         """Show a line."""
@@ -111,7 +132,7 @@ class Log:
 
 
 class _Rows(Log):
-    """Keep metrics in memory."""
+    """Reporter that keeps metrics in memory."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
@@ -134,8 +155,8 @@ def trained(workdir: Path, name: str, spec: TrainingSpec, initial_policy: Path |
     return folder
 
 
-def judged(checkpoint: Path, episodes: int) -> dict[str, Any]:
-    """Evaluate a checkpoint once and keep what came of it beside it."""
+def evaluated(checkpoint: Path, episodes: int) -> dict[str, Any]:
+    """Return the evaluation of a checkpoint, which is run once and kept beside it."""
     folder = checkpoint.parent / f"evaluation-{checkpoint.name}-{episodes}"
     if not (folder / "evaluation.json").exists():
         began = time.perf_counter()
@@ -147,25 +168,25 @@ def judged(checkpoint: Path, episodes: int) -> dict[str, Any]:
 
 
 def digest(folder: Path, spec: TrainingSpec, *, steps: int) -> dict[str, Any]:
-    """Return a training's record: settings, time, final figures, and deterministic figures along the way."""
+    """Return a training's record: settings, time, final results, and results along the way."""
     rows = [row for row in read_metrics(folder / "metrics.jsonl") if row["step"] <= steps + spec.rollout_steps]
     curve = []
     for checkpoint in sorted(folder.glob("step-*")):
         at = read_manifest(checkpoint).steps
         if 0 < at < steps:
-            curve.append({"step": at, **_short(judged(checkpoint, CURVE_EPISODES))})
+            curve.append({"step": at, **_short(evaluated(checkpoint, CURVE_EPISODES))})
     final_checkpoint = max(
         (path for path in folder.glob("step-*") if read_manifest(path).steps <= steps + spec.rollout_steps),
         key=lambda path: read_manifest(path).steps,
     )
     began = time.perf_counter()
-    summary = judged(final_checkpoint, EPISODES)
+    summary = evaluated(final_checkpoint, EPISODES)
     evaluation_s = time.perf_counter() - began
     final = {"step": read_manifest(final_checkpoint).steps, **_short(summary)}
     return {
-        "preset": spec.preset,
+        "preset": spec.algorithm.preset,
         "seed": spec.seed,
-        "departures": spec.departures(),
+        "overrides": spec.overrides(),
         "training_s": rows[-1]["time_s"],
         "steps_per_s": rows[-1]["step"] / rows[-1]["time_s"],
         "evaluation_s": round(evaluation_s, 1) if evaluation_s > 1.0 else None,
@@ -176,24 +197,20 @@ def digest(folder: Path, spec: TrainingSpec, *, steps: int) -> dict[str, Any]:
 
 
 def _short(summary: dict[str, Any]) -> dict[str, Any]:
-    paper = summary["paper"]
+    """Return the most important results of an evaluation by name, with the intervals of rates."""
+    results = by_name(summary)
+    chosen = [results[name] for name in (*summary["headline"], *OTHERS) if name in results]
     return {
         "episodes": summary["episodes"],
-        "distance_m": summary["distance_m"]["mean"],
-        "speed_mps": summary["speed_mps"]["mean"],
-        "fall_rate": summary["falls"]["rate"],
-        "fall_rate_ci": summary["falls"]["ci"],
-        "top_speed_mps": paper["top_speed_mps"],
-        "deviation_deg": paper["deviation_deg"]["mean"],
-        "both_feet_off_ground": summary["both_feet_off_ground"]["mean"],
-        "run_challenge_score": summary["run_challenge"]["score"]["mean"],
+        **{result["name"]: result["value"] for result in chosen},
+        **{f"{result['name']}_ci": result["interval"] for result in chosen if result["kind"] == "rate"},
     }
 
 
 def _thinned(rows: Sequence[dict[str, float]], points: int = 200) -> dict[str, list[float]]:
-    kept = [row for row in rows if "speed_mps" in row]
+    names = ("step", "time_s", *TASK.presentation.listed, "episode_length", "approx_kl", "action_std")
+    kept = [row for row in rows if all(name in row for name in names)]
     parts = np.array_split(np.arange(len(kept)), min(points, len(kept)))
-    names = ("step", "time_s", "distance_m", "speed_mps", "fall_rate", "episode_length", "approx_kl", "action_std")
     return {name: [float(np.mean([kept[i][name] for i in part])) for part in parts] for name in names}
 
 
@@ -201,21 +218,21 @@ def seeds(workdir: Path) -> dict[str, Any]:
     """Train preset fast with every seed and average."""
     runs = []
     for seed in SEEDS:
-        spec = TrainingSpec(seed=seed, total_steps=STEPS, **ONE_CORE)
+        spec = spec_of(seed=seed, total_steps=STEPS, **ONE_CORE)
         runs.append(digest(trained(workdir, f"fast-{seed}", spec), spec, steps=STEPS))
-    names = ("distance_m", "speed_mps", "fall_rate", "top_speed_mps", "deviation_deg")
+    names = TASK.presentation.headline
     mean = {name: float(np.mean([run["final"][name] for run in runs])) for name in names}
     mean["training_s"] = float(np.mean([run["training_s"] for run in runs]))
     return {"mean": mean, "runs": runs}
 
 
 def long(workdir: Path) -> dict[str, Any]:
-    """Take the first seed on to fifty million steps."""
-    trained(workdir, "fast-0", TrainingSpec(seed=0, total_steps=STEPS, **ONE_CORE))
-    spec = TrainingSpec(seed=0, total_steps=LONG_STEPS, checkpoint_interval_steps=5_000_000, **ONE_CORE)
+    """Continue the first seed to fifty million steps."""
+    trained(workdir, "fast-0", spec_of(seed=0, total_steps=STEPS, **ONE_CORE))
+    spec = spec_of(seed=0, total_steps=LONG_STEPS, checkpoint_interval_steps=5_000_000, **ONE_CORE)
     folder = workdir / "fast-0-long"
     if not folder.exists():
-        # a training that goes on is that of one that never stopped, so the first part need not be repeated
+        # a resumed training equals one that never stopped, so the first part need not be repeated
         subprocess.run(["cp", "-r", str(workdir / "fast-0"), str(folder)], check=True)
         for left_over in folder.glob("evaluation-*"):
             subprocess.run(["rm", "-r", str(left_over)], check=True)
@@ -223,13 +240,13 @@ def long(workdir: Path) -> dict[str, Any]:
 
 
 def chain(seed: int) -> Callable[[Path], dict[str, Any]]:
-    """Return a section that takes a seed through all stages of the recipe."""
+    """Return a section that trains a seed through all stages of the chain."""
 
     def section(workdir: Path) -> dict[str, Any]:
         stages: list[dict[str, Any]] = []
         latest: Path | None = None
         for number, settings in enumerate(CHAIN):
-            spec = TrainingSpec(seed=seed, checkpoint_interval_steps=5_000_000, **settings, **ONE_CORE)
+            spec = spec_of(seed=seed, checkpoint_interval_steps=5_000_000, **settings, **ONE_CORE)
             name = f"chain-{seed}-{number + 1}" if number else f"fast-{seed}-long"
             folder = trained(workdir, name, spec, latest)
             latest = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
@@ -241,69 +258,64 @@ def chain(seed: int) -> Callable[[Path], dict[str, Any]]:
 
 def paper(workdir: Path) -> dict[str, Any]:
     """Train the paper's settings for as many steps."""
-    spec = TrainingSpec(preset="paper", total_steps=STEPS, **ONE_CORE)
+    spec = spec_of(preset="paper", total_steps=STEPS, **ONE_CORE)
     return digest(trained(workdir, "paper-0", spec), spec, steps=STEPS)
 
 
 def random_policy(workdir: Path) -> dict[str, Any]:
-    """Draw every action uniformly, for as many episodes as a policy is judged by."""
+    """Draw every action uniformly, for as many episodes as policies are evaluated by."""
     del workdir
-    batch, n_starts = open_training_batch(TrainingSpec(simulator_threads=2))
+    environment, n_starts = open_training_environment(spec_of(start_episode_fraction=0.0))
     rng = np.random.default_rng(0)
-    batch.restart(np.arange(batch.n), np.arange(batch.n) % n_starts)
-    distances: list[float] = []
-    speeds: list[float] = []
-    started = batch.n
-    while len(distances) < EPISODES:
-        batch.step(rng.uniform(-1.0, 1.0, (batch.n, batch.actuation.n_actions)))
-        ended = np.flatnonzero(batch.terminated | batch.truncated)
-        distances += batch.displacement[ended].tolist()
-        speeds += (batch.displacement[ended] / batch.elapsed_s()[ended]).tolist()
-        batch.restart(ended, (started + np.arange(len(ended))) % TRAINING_STARTS)
-        started += len(ended)
-    return {
-        "episodes": len(distances),
-        "distance_m": float(np.mean(distances)),
-        "speed_mps": float(np.mean(speeds)),
-        "fall_rate": 1.0,
-    }
+    n, task = environment.n, environment.task
+    environment.restart(np.arange(n), np.arange(n) % n_starts)
+    measured: list[np.ndarray] = []
+    while len(measured) < EPISODES:
+        environment.step(rng.uniform(-1.0, 1.0, (n, environment.actuation.n_actions)))
+        ended = np.flatnonzero(environment.terminated | environment.truncated)
+        started = n + len(measured)
+        measured += list(task.measure(ended))
+        environment.restart(ended, (started + np.arange(len(ended))) % n_starts)
+    environment.close()
+    names = [metric.name for metric in task.metrics if metric.live]
+    return {"episodes": len(measured), **dict(zip(names, np.mean(measured, axis=0).tolist(), strict=True))}
 
 
 def throughput(workdir: Path) -> dict[str, Any]:
     """Measure the engine alone, the environments, the learner alone, and the whole loop of preset fast."""
-    spec = TrainingSpec(total_steps=10_000_000_000)
-    set_learner_threads(spec.torch_threads)
-    batch, n_starts = open_training_batch(spec)
-    env = SprintVecEnv.from_spec(spec, batch, n_starts)
-    ppo = SprintPPO(spec, env)
+    spec = spec_of(total_steps=10_000_000_000)
+    set_learner_threads(spec.runtime.learner_threads)
+    environment, n_starts = open_training_environment(spec)
+    env = TrainingEnvironment.from_spec(spec, environment, n_starts)
+    ppo = plugins.load(plugins.LEARNERS, "ppo").open(spec, env)
     ppo.begin()
-    ppo.collect_rollouts(env, None, ppo.rollout_buffer, spec.n_steps)
+    ppo.collect()
     rng = np.random.default_rng(0)
-    actions = 0.2 * rng.standard_normal((64, batch.n, batch.actuation.n_actions))
-    targets = [batch.actuation.targets(a) for a in actions]
-    simulator, place = batch.simulator, iter(range(1 << 62))
+    actions = 0.2 * rng.standard_normal((64, env.n, env.n_actions))
+    targets = [environment.actuation.targets(a) for a in actions]
+    simulator, turn, everyone = environment.simulator, iter(range(1 << 62)), slice(0, env.n)
 
     def engine() -> int:
-        angles = simulator.perceptors.joint_angles
-        simulator.step(batch.actuation.speeds(targets[next(place) % len(targets)], angles))
-        return batch.n
+        simulator.step(targets[next(turn) % len(targets)])
+        return env.n
 
     def environments() -> int:
-        env.advance(actions[next(place) % len(actions)])
-        return batch.n
+        env.step_async(actions[next(turn) % len(actions)], everyone)
+        env.step_wait(everyone)
+        return env.n
 
     def learner() -> int:
-        # without taking a step, so that the divergence that ends an update early does not grow
+        # with a learning rate of 0, so that the divergence that ends an update early does not grow
         ppo.rate_factor = 0.0
-        ppo.train()
+        ppo.update()
         return spec.rollout_steps
 
     env.reset()
     found = {"environments": _rate(environments), "learner": _rate(learner)}
     env.reset()
-    # robots that lie on the ground cost more than running ones: start over now and then
+    # robots that lie on the ground cost more than running ones: they are restarted now and then
     found["engine"] = _rate(engine, every=100, then=lambda: env.reset())
-    batch.close()
+    environment.close()
     log = _Rows(workdir / "throughput")
     limit = time.monotonic() + MEASURE_S + 5.0
     train(spec, workdir=workdir / "throughput", reporter=log, stop=lambda: time.monotonic() > limit)
@@ -342,7 +354,7 @@ SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def machine() -> dict[str, Any]:
-    """Say what this was measured on."""
+    """Return what this was measured on."""
     model = next(
         (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
         platform.processor(),
@@ -356,28 +368,30 @@ def machine() -> dict[str, Any]:
 
 
 def plots(results: dict[str, Any]) -> None:
-    """Draw the curves that results.json holds."""
+    """Plot the curves in results.json."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     palette = ("#1b8a6b", "#2c6fbb", "#8a6fb8")
+    listed, references = TASK.presentation.listed, TASK.presentation.references
+    top, mean = TASK.presentation.headline[:2]
     with mpl.rc_context(figures.style()):
         if "seeds" in results:
             figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-            panels = figure.subplots(3, 1, sharex=True)
+            panels = figure.subplots(len(listed), 1, sharex=True)
             lines = [(f"fast, seed {run['seed']}", run, palette[i]) for i, run in enumerate(results["seeds"]["runs"])]
             if "paper" in results:
                 lines.append(("paper, seed 0", results["paper"], "#555c65"))
             for label, run, colour in lines:
-                for axes, name in zip(panels, ("distance_m", "speed_mps", "fall_rate"), strict=True):
-                    scale = 100.0 if name == "fall_rate" else 1.0
+                for axes, name in zip(panels, listed, strict=True):
+                    scale = figures.factor(METRICS[name])
                     curve = run["training_curve"]
                     at = np.array(curve["step"]) / 1e6
                     axes.plot(at, scale * np.array(curve[name]), color=colour, lw=0.9, alpha=0.45)
                     marks = [(point["step"] / 1e6, scale * point[name]) for point in run["curve"]]
                     axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=colour, label=label)
-            for axes, name in zip(panels, ("distance, m", "mean speed, m/s", "falls, %"), strict=True):
-                axes.set_ylabel(name)
+            for axes, name in zip(panels, listed, strict=True):
+                axes.set_ylabel(f"{METRICS[name].title.lower()}, {METRICS[name].unit}")
                 axes.set_ylim(0.0, None)
             panels[0].legend(loc="lower right", fontsize=8.5)
             panels[0].set_title("points: the deterministic policy; thin lines: training, exploring", fontsize=8.5)
@@ -387,23 +401,13 @@ def plots(results: dict[str, Any]) -> None:
             run = results["long"]
             figure = Figure(figsize=(9.0, 4.0), layout="constrained")
             axes = figure.subplots()
-            marks = [(point["step"] / 1e6, point["speed_mps"]) for point in run["curve"]]
+            marks = [(point["step"] / 1e6, point[mean]) for point in run["curve"]]
             axes.plot(*zip(*marks, strict=True), "o-", ms=3.5, lw=1.5, color=palette[0], label="mean, start included")
-            marks = [(p["step"] / 1e6, p["top_speed_mps"]) for p in run["curve"] if p["top_speed_mps"] is not None]
+            marks = [(p["step"] / 1e6, p[top]) for p in run["curve"] if p[top] is not None]
             axes.plot(
                 *zip(*marks, strict=True), "^-", ms=3.5, lw=1.2, color=palette[1], label="top, the paper's measure"
             )
-            for speed, label in figures.SPEEDS_TO_BEAT_MPS:
-                axes.axhline(speed, color="#b3402e", lw=1.0, ls="--")
-                axes.annotate(
-                    label,
-                    (0.0, speed),
-                    (4, 3),
-                    xycoords=("axes fraction", "data"),
-                    textcoords="offset points",
-                    fontsize=8.5,
-                    color="#b3402e",
-                )
+            figures.draw_references(axes, METRICS[mean], references)
             axes.set_ylim(0.0, 4.4)
             axes.set_ylabel("speed, m/s")
             axes.set_xlabel("environment steps, millions")
@@ -417,9 +421,9 @@ def _save(figure: Any, name: str) -> None:
 
 
 def main() -> int:
-    """Run the sections asked for and write what came of them."""
+    """Run sections and write their results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("workdir", type=Path, help="folder for trainings; may be deleted afterwards")
+    parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
     parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "plots"], help="some sections instead of all")
     options = parser.parse_args()
     results: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}

@@ -15,14 +15,18 @@ from pathlib import Path
 from typing import Any
 
 from fastapi.testclient import TestClient
-from naojobs import lifecycle, records, registry
+from naojobs import lifecycle, records, registry, submission
+from naojobs.capabilities import Capabilities
 from naojobs.database import make_engine, make_sessions, upgrade
 from naojobs.lifecycle import Lease
+from naojobs.models import Job
 from naojobs.records import LogLine
-from naojobs.schemas import JobCreate
-from naojobs.states import JobState
+from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key
+from naojobs.submission import JobRequest
 from naojobs.tokens import Scope, create_token
+from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
 from naosprint_api.app import create_app
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
@@ -35,7 +39,7 @@ _ID = re.compile(r"\b([a-z]{2,8})_[0-9a-hjkmnp-tv-z]{26}\b")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?(Z|[+-]\d\d:\d\d)")
 
 SPEC = {"task": "sprint1", "preset": "fast", "total_steps": 100_000, "seed": 7}
-FAILED_SPEC = {"task": "sprint2", "preset": "fast", "robot_type": 4}
+FAILED_SPEC = {"task": "sprint2", "preset": "fast", "robot": "nao-4"}
 QUEUED_SPEC = {"task": "sprint1-erect", "preset": "paper", "clip_range": 0.2, "hidden_sizes": [128, 128]}
 EVALUATION = {"episodes": 10, "seed": 3}
 
@@ -53,6 +57,10 @@ PATHS = (
     "/spec/schema",
     "/presets",
     "/tasks",
+    "/robots",
+    "/simulators",
+    "/algorithms",
+    "/recipes",
     "/tokens",
     "/policies",
     "/policies/sprint",
@@ -86,10 +94,10 @@ PATHS = (
 
 def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) -> dict[str, str]:
     """Write the jobs and all that belongs to them; return identifiers by name."""
-    registry.beat(sessions, "worker-1", host="host", pid=1, queues=["embedded"], version="1")
-    request = JobCreate.model_validate(
-        {"name": "first", "tags": ["regression", "a=b"], "spec": SPEC, "evaluation": EVALUATION, "priority": 7}
-    )
+    has = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    registry.beat(sessions, "worker-1", host="host", pid=1, queues=["embedded"], capabilities=has, version="1")
+    evaluated = EvaluationSpec.model_validate(EVALUATION)
+    request = JobRequest(_spec(SPEC), evaluated, name="first", tags=["regression", "a=b"], priority=7)
     lease = _run(sessions, request)
     records.append_metrics(sessions, lease, ROWS)
     records.append_logs(sessions, lease, [LogLine("info", "training sprint1"), LogLine("warning", "second line")])
@@ -98,23 +106,22 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
     key = checkpoint_key(lease.job_id, 24576, lease.attempt)
     manifest = store.put_directory(key, folder).model_dump()
     checkpoint = records.record_checkpoint(sessions, lease, step=24576, key=key, manifest=manifest)
-    lifecycle.transition(sessions, lease, JobState.EVALUATING)
-    assert request.evaluation is not None
+    lifecycle.transition(sessions, lease, WorkState.EVALUATING)
     evaluation = records.record_evaluation(
         sessions,
         lease,
         checkpoint_id=checkpoint,
-        spec=request.evaluation,
-        summary={"episodes": 10, "distance_m": {"mean": 27.5}, "falls": {"count": 1, "rate": 0.1}},
+        spec=evaluated,
+        summary={"episodes": 10, "results": [{"name": "distance_m", "value": 27.5}], "headline": ["distance_m"]},
         key=key,
         manifest=manifest,
     )
-    lifecycle.transition(sessions, lease, JobState.SUCCEEDED)
-    waiting = records.request_evaluation(sessions, lease.job_id)
-    failed = _run(sessions, JobCreate.model_validate({"spec": FAILED_SPEC, "evaluation": None}))
-    lifecycle.transition(sessions, failed, JobState.FAILED, error="the training process ended with exit status 1")
-    child = JobCreate.model_validate({"spec": QUEUED_SPEC, "parent_job_id": lease.job_id})
-    queued, _ = lifecycle.submit(sessions, child, owner="alice")
+    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    waiting = submission.request_evaluation(sessions, lease.job_id)
+    failed = _run(sessions, JobRequest(_spec(FAILED_SPEC)))
+    lifecycle.transition(sessions, failed, WorkState.FAILED, error="the training process ended with exit status 1")
+    child = JobRequest(_spec(QUEUED_SPEC), EvaluationSpec(), parent_job_id=lease.job_id)
+    queued, _ = submission.submit(sessions, child, owner="alice")
     return {
         "succeeded": lease.job_id,
         "failed": failed.job_id,
@@ -125,12 +132,16 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
     }
 
 
-def _run(sessions: sessionmaker[Session], request: JobCreate) -> Lease:
-    job, _ = lifecycle.submit(sessions, request, owner="alice")
-    claim = lifecycle.claim(sessions, job.id, "worker-1")
+def _spec(settings: dict[str, Any]) -> TrainingSpec:
+    return TrainingSpec.model_validate(nest(settings))
+
+
+def _run(sessions: sessionmaker[Session], request: JobRequest) -> Lease:
+    job, _ = submission.submit(sessions, request, owner="alice")
+    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
     assert claim is not None
     lifecycle.begin(sessions, claim.lease, step=0)
-    lifecycle.transition(sessions, claim.lease, JobState.RUNNING)
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 

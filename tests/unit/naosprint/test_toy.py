@@ -20,7 +20,7 @@ from naosprint.registration import register_envs
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
 from pydantic import Field
 
-from ..naosim import toy_simulator
+from ..naosim import toy_simulator  # noqa: TID252 - a module of the tests
 
 PROGRESS = Metric("progress", "Progress", "m", "Distance crawled.", 2, "higher")
 

@@ -12,10 +12,18 @@ from naosprint.rl.columns import columns
 from naosprint.tasks.metrics import format_value
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
     from types import TracebackType
 
     from naospec import TrainingSpec
+
+
+def listed_text(spec: TrainingSpec, row: Mapping[str, float]) -> list[str]:
+    """Return the metrics of a row that the task shows first: ``["distance 27.95 m", "falls 0.4 %"]``."""
+    known = {metric.name: metric for metric in columns(spec)}
+    listed = [known[name] for name in spec.task_class.presentation.listed if name in row]
+    return [f"{metric.title.lower()} {format_value(metric, row[metric.name])}" for metric in listed]
 
 
 class ConsoleReporter:
@@ -29,8 +37,7 @@ class ConsoleReporter:
     def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
         self._file = (workdir / "metrics.jsonl").open("a", buffering=1)
-        known = {metric.name: metric for metric in columns(spec)}
-        self._listed = [known[name] for name in spec.task_class.presentation.listed if name in known]
+        self._spec = spec
         self._console = Console(stderr=True)
         self._progress = Progress(
             BarColumn(),
@@ -57,11 +64,7 @@ class ConsoleReporter:
         """Show and store the metrics of one update."""
         self._file.write(json.dumps(row, allow_nan=False) + "\n")
         parts = [f"{row['steps_per_s']:,.0f} steps/s"]
-        parts += [
-            f"{metric.title.lower()} {format_value(metric, row[metric.name])}"
-            for metric in self._listed
-            if metric.name in row
-        ]
+        parts += listed_text(self._spec, row)
         self._progress.update(self._bar, completed=int(row["step"]), description=", ".join(parts))
 
     def checkpoint(self, path: Path, step: int) -> None:

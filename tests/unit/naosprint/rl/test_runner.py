@@ -17,7 +17,7 @@ from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
 from naosprint.rl.columns import columns
 from naosprint.rl.policy import load_policy
 
-from ..checkpoints import assert_same
+from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
 

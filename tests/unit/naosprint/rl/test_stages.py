@@ -11,7 +11,7 @@ from naospec import TrainingSpec
 from naosprint import CheckpointError, train
 from naosprint.rl.checkpoint import read_manifest
 
-from ..checkpoints import assert_same
+from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
 Make = Callable[..., TrainingSpec]
 

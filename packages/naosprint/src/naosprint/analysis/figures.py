@@ -289,10 +289,11 @@ def draw_references(axes: Axes, metric: Metric, references: Sequence[Reference])
         axes.annotate(
             reference.title,
             (0.0, level),
-            (4, 3),
+            (4, -3),
             xycoords=("axes fraction", "data"),
             textcoords="offset points",
             fontsize=8.5,
+            va="top",
             color=_REFERENCE,
         )
 
