@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
 from naospec import TrainingSpec
 from naospec.flat import nest
 from naosprint.mirror import Mirror
 from naosprint.tasks.environment import open_training_environment
+from naosprint.tasks.sprint import Sprint1
+
+from .boosters import action_mirror, mirrored_pair, symmetric_environment
 
 
 @pytest.mark.parametrize("robot_type", range(5))
@@ -37,6 +42,28 @@ def test_mirrored_actions_give_the_mirrored_run(robot_type: int) -> None:
     y = environment.simulator.truth.torso_position[:, 1]
     assert abs(y[0]) > 1e-3
     assert y[0] == pytest.approx(-y[1], abs=1e-8)
+
+
+@pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+def test_mirrored_actions_give_the_mirrored_run_of_a_booster(robot: Robot) -> None:
+    """The same in MuJoCo's world, delay of the actions included, from a start that is not symmetric."""
+    environment = symmetric_environment(robot, Sprint1)
+    rng = np.random.default_rng(0)
+    pose = robot.nominal + rng.uniform(-0.02, 0.02, len(robot.joints))
+    environment.load_starts(mirrored_pair(robot, pose))
+    environment.restart(np.arange(2), np.arange(2))
+    observations, actions = environment.observer.mirror, action_mirror(environment)
+    for _ in range(25):
+        np.testing.assert_allclose(
+            environment.observations[1], observations.apply(environment.observations[0]), atol=1e-6
+        )
+        action = 0.5 * rng.standard_normal(environment.actuation.n_actions)
+        environment.step(np.stack([action, actions.apply(action)]))
+        assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-6)
+    # it moved to one side, so the comparison is not one of zeros
+    y = environment.simulator.truth.torso_position[:, 1]
+    assert abs(y[0]) > 1e-3
+    assert y[0] == pytest.approx(-y[1], abs=1e-9)
 
 
 def test_mirroring_twice_changes_nothing() -> None:

@@ -367,9 +367,10 @@ def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
         assert metrics["learning_rate"] == pytest.approx(bound)
 
 
-def test_symmetric_policy_stays_symmetric(open_learner: Open) -> None:
+@pytest.mark.parametrize("robot", ["nao-0", "t1", "k1"])
+def test_symmetric_policy_stays_symmetric(open_learner: Open, robot: str) -> None:
     """After updates the mirrored observation still gets the mirrored action, and the same value."""
-    learner = open_learner(symmetric_policy=True, batch_size=32)
+    learner = open_learner(symmetric_policy=True, batch_size=32, robot=robot)
     for _ in range(3):
         assert learner.collect()
         learner.update()

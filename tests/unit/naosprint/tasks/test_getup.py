@@ -1,0 +1,178 @@
+"""The task getup: lying starts, rewards, when a robot stands, resuming, and what an evaluation reports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
+from naosim.simulator import STEP_S, Starts
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.getup import HOLD_STEPS, STANDING_HEIGHT, STANDING_UP, GetUp, GetUpSettings
+
+from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
+
+BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+
+
+def environment_of(n: int, robot: Robot = T1, **settings: Any) -> Environment:
+    """Return n lying robots."""
+    parameters = GetUp.resolve(GetUpSettings(name="getup", **settings), robot)
+    environment = Environment(MujocoSimulator(robot, n), GetUp, parameters)
+    environment.load_starts(environment.task.starts(n, 0, 0.0))
+    environment.restart(np.arange(n), np.arange(n))
+    return environment
+
+
+def standing(n: int, **settings: Any) -> Environment:
+    """Return n robots that stand."""
+    environment = environment_of(n, **settings)
+    environment.load_starts(Starts(T1.nominal[None]))
+    environment.restart(np.arange(n), np.zeros(n, dtype=np.int64))
+    return environment
+
+
+def hold(environment: Environment) -> np.ndarray:
+    """Return the actions that keep the nominal pose."""
+    return np.zeros((environment.n, environment.actuation.n_actions))
+
+
+@BOTH
+def test_robots_start_lying_on_every_side(robot: Robot) -> None:
+    """On the front, the back and both sides in turn, at rest on the ground, with limbs at random."""
+    environment = environment_of(8, robot)
+    truth = environment.simulator.truth
+    assert (truth.torso_position[:, 2] < 0.5 * robot.standing_height_m).all()
+    assert (np.abs(truth.torso_rotation[:, 2, 2]) < 0.8).all()
+    facing = truth.torso_rotation[:, 2, 0]  # upward component of the front
+    assert facing.max() > 0.6 and facing.min() < -0.6
+    sideways = truth.torso_rotation[:, 2, 1]
+    assert sideways.max() > 0.5 and sideways.min() < -0.5
+    assert (np.ptp(environment.simulator.perceptors["joint_angles"], axis=0) > 5.0).sum() > len(robot.joints) / 2
+    again = environment.task.starts(8, 0, 0.0)
+    np.testing.assert_array_equal(again.poses_rad, environment.task.starts(8, 0, 5.0).poses_rad)
+    assert not np.array_equal(again.poses_rad, environment.task.starts(8, 1, 0.0).poses_rad)
+    low = np.array([joint.low_rad for joint in robot.joints])
+    high = np.array([joint.high_rad for joint in robot.joints])
+    assert ((again.poses_rad >= low) & (again.poses_rad <= high)).all()
+    assert "heading_sin" not in environment.observer.names
+
+
+def test_the_reward_is_for_height_an_upright_torso_and_the_nominal_pose() -> None:
+    """Recomputed from what the simulator reports, for lying and for standing robots."""
+    lying, upright = environment_of(4, pose_weight=0.7), standing(2, pose_weight=0.7)
+    for environment, expected_standing in ((lying, False), (upright, True)):
+        scale = environment.task.parameters.reward_scale
+        for _ in range(5):
+            environment.step(hold(environment))
+            truth = environment.simulator.truth
+            height, up = truth.torso_position[:, 2], truth.torso_rotation[:, 2, 2]
+            stands = (height > STANDING_HEIGHT * T1.standing_height_m) & (up > STANDING_UP)
+            assert (stands == expected_standing).all()
+            angles = environment.actuation.angles(environment.simulator.perceptors["joint_angles"])
+            off = 4.0 * np.square(angles - environment.actuation.nominal).mean(axis=1)
+            expected = np.clip(height / T1.standing_height_m, 0.0, 1.0) + 0.25 * (1.0 + up)
+            expected += stands * (1.0 + 0.7 * np.exp(-off))
+            np.testing.assert_allclose(environment.rewards, scale * expected, atol=1e-9)
+    assert upright.rewards.min() > 1.5 * lying.rewards.max()
+
+
+def test_a_robot_stands_once_it_has_stayed_up_for_half_a_second() -> None:
+    environment = standing(2, episode_steps=HOLD_STEPS + 5)
+    rows = np.arange(2)
+    for step in range(1, HOLD_STEPS + 6):
+        environment.step(hold(environment))
+        assert not environment.terminated.any()
+        assert environment.truncated.all() == (step == HOLD_STEPS + 5)
+        on_feet, in_time = environment.task.measure(rows).T
+        assert on_feet.all()
+        assert in_time.all() == (step >= HOLD_STEPS)
+    stood_at, held = environment.task.trace_row(rows).T
+    assert (stood_at == 1).all() and (held == HOLD_STEPS + 5).all()
+    environment.restart(np.array([0]), np.array([0]))
+    np.testing.assert_array_equal(environment.task.trace_row(rows), [[0, 0], [1, HOLD_STEPS + 5]])
+
+
+def test_a_lying_robot_never_stands() -> None:
+    environment = environment_of(4)
+    for _ in range(30):
+        environment.step(hold(environment))
+    assert not environment.terminated.any()
+    np.testing.assert_array_equal(environment.task.measure(np.arange(4)), np.zeros((4, 2)))
+
+
+@BOTH
+def test_a_resumed_environment_continues_bit_for_bit(robot: Robot) -> None:
+    environment = environment_of(4, robot)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (40, 4, environment.actuation.n_actions))
+    for action in actions[:15]:
+        environment.step(action)
+    state = environment.state()
+    resumed = environment_of(4, robot)
+    resumed.load_state({name: array.copy() for name, array in state.items()})
+    for action in actions[15:]:
+        np.testing.assert_array_equal(resumed.step(action), environment.step(action))
+        np.testing.assert_array_equal(resumed.rewards, environment.rewards)
+    rows = np.arange(4)
+    np.testing.assert_array_equal(resumed.task.trace_row(rows), environment.task.trace_row(rows))
+
+
+def test_a_robot_that_stood_before_a_pause_has_stood_after_it() -> None:
+    environment = standing(1)
+    for _ in range(HOLD_STEPS - 5):
+        environment.step(hold(environment))
+    resumed = standing(1)
+    resumed.load_state(environment.state())
+    for _ in range(5):
+        resumed.step(hold(resumed))
+    assert resumed.task.trace_row(np.arange(1)).tolist() == [[1.0, HOLD_STEPS]]
+
+
+@BOTH
+def test_a_mirrored_robot_is_seen_and_rewarded_alike(robot: Robot) -> None:
+    """It falls over from an oblique start, so that every component of its orientation counts."""
+    environment = symmetric_environment(robot, GetUp, torque_penalty=0.1)
+    rng = np.random.default_rng(3)
+    oblique = np.array([0.8, 0.4, 0.3, 0.2])
+    pose = robot.nominal + rng.uniform(-0.1, 0.1, len(robot.joints))
+    # in the air, before any contact: lying robots have contacts that are not symmetric to the last bit
+    environment.simulator.parameters = environment.simulator.parameters.model_copy(update={"settle_steps": 1})  # type: ignore[attr-defined]
+    environment.load_starts(mirrored_pair(robot, pose, oblique))
+    environment.restart(np.arange(2), np.arange(2))
+    mirror, actions = environment.observer.mirror, action_mirror(environment)
+    np.testing.assert_allclose(environment.observations[1], mirror.apply(environment.observations[0]), atol=1e-6)
+    for step in range(10):
+        action = 0.5 * rng.standard_normal(environment.actuation.n_actions)
+        seen = environment.step(np.stack([action, actions.apply(action)]))
+        np.testing.assert_allclose(seen[1], mirror.apply(seen[0]), atol=1e-5, err_msg=f"step {step}")
+        assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-5)
+
+
+def test_an_evaluation_reports_how_often_and_how_fast_robots_stand() -> None:
+    """Up in time and still up, up too late, up and down again, never up."""
+    stood, held = [50.0, 200.0, 20.0, 0.0], [30.0, 40.0, 0.0, 0.0]
+    samples, zeros = 251, [np.zeros(251)] * 4
+    trace = [np.tile([s, h], (samples, 1)) for s, h in zip(stood, held, strict=True)]
+    episodes = Episodes(
+        x=zeros,
+        y=zeros,
+        height=[np.full(samples, height) for height in (0.6, 0.6, 0.2, 0.2)],
+        up=zeros,
+        feet=[np.zeros((samples, 2))] * 4,
+        airborne=[np.zeros(samples, dtype=np.bool_)] * 4,
+        trace=trace,
+        ends={},
+        max_steps=250,
+    )
+    results, tables = environment_of(1).task.summarize(episodes, Statistics(0.95, 100, 0))
+    found = {result.metric.name: result for result in results}
+    assert tables == ()
+    assert (found["success_rate"].count, found["standing_rate"].count) == (2, 2)
+    assert found["time_s"].episodes == 3 and found["time_s"].high == pytest.approx(200 * STEP_S)
+    assert found["final_height_m"].value == pytest.approx(0.4)
+    assert set(GetUp.presentation.headline) <= found.keys()

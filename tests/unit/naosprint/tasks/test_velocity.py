@@ -1,0 +1,265 @@
+"""The task velocity: commands, rewards, ends, resuming, and what an evaluation reports."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
+from naosim.simulator import STEP_S
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.velocity import OFFSET_LIMIT_M, TRACKING_SCALE, Velocity, VelocitySettings
+from pydantic import ValidationError
+
+from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
+
+ALL = {"stand_fraction": 0.0, "straight_fraction": 0.0, "command_steps": 20}
+
+
+def environment_of(n: int, *, seed: int = 0, robot: Robot = T1, **settings: Any) -> Environment:
+    """Return n robots at their starts."""
+    parameters = Velocity.resolve(VelocitySettings(name="velocity", **{**ALL, **settings}), robot)
+    environment = Environment(MujocoSimulator(robot, n), Velocity, parameters, seed)
+    environment.load_starts(environment.task.starts(n, 0, 2.0))
+    environment.restart(np.arange(n), np.arange(n))
+    return environment
+
+
+def task_of(environment: Environment) -> Velocity:
+    assert isinstance(environment.task, Velocity)
+    return environment.task
+
+
+def gentle(environment: Environment, steps: int, seed: int = 0) -> np.ndarray:
+    """Return (steps, n, A) actions that robots survive for a while."""
+    shape = (steps, environment.n, environment.actuation.n_actions)
+    return 0.3 * np.random.default_rng(seed).uniform(-1.0, 1.0, shape)
+
+
+def commands(environment: Environment, actions: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
+    """Step with (steps, n, A) actions; return the (steps + 1, n, 3) commands on the way."""
+    task = task_of(environment)
+    found = [task.command.copy()]
+    for action in actions:
+        environment.step(action, active)
+        found.append(task.command.copy())
+    return np.array(found)
+
+
+def test_commands_are_drawn_from_the_ranges() -> None:
+    environment = environment_of(
+        64, forward_min_mps=-0.5, forward_max_mps=1.5, sideways_max_mps=0.4, turn_max_rad_s=0.8, stand_fraction=0.2
+    )
+    task = task_of(environment)
+    drawn = []
+    for _ in range(40):
+        environment.task.begin(np.arange(64))
+        drawn.append(task.command.copy())
+    found = np.concatenate(drawn)
+    still = (found == 0.0).all(axis=1)
+    assert still.mean() == pytest.approx(0.2, abs=0.03)
+    low, high = np.array([-0.5, -0.4, -0.8]), np.array([1.5, 0.4, 0.8])
+    moving = found[~still]
+    assert (moving >= low).all() and (moving <= high).all()
+    np.testing.assert_allclose(moving.min(axis=0), low, atol=0.02)
+    np.testing.assert_allclose(moving.max(axis=0), high, atol=0.02)
+    np.testing.assert_allclose(moving.mean(axis=0), (low + high) / 2, atol=0.05)
+    straight = task_of(environment_of(256, straight_fraction=0.5)).command
+    assert ((straight[:, 1:] == 0.0).all(axis=1)).mean() == pytest.approx(0.5, abs=0.1)
+
+
+def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
+    """A robot's commands are the same alone in motion, among others, and whatever it does itself."""
+    first = environment_of(4)
+    actions = gentle(first, 60)
+    found = commands(first, actions)
+    np.testing.assert_array_equal(commands(environment_of(4), actions), found)
+    only_two = commands(environment_of(4), gentle(first, 60, seed=1), np.array([False, False, True, True]))
+    np.testing.assert_array_equal(only_two[:, 2:], found[:, 2:])
+    np.testing.assert_array_equal(commands(environment_of(2), actions[:, :2]), found[:, :2])
+    assert not np.array_equal(commands(environment_of(4, seed=1), actions)[0], found[0])
+    changed = (np.diff(found, axis=0) != 0.0).any(axis=2)
+    assert changed.any(axis=0).all()  # every robot was given new commands on the way,
+    assert changed.sum() == pytest.approx(4 * 60 / 20, abs=8)  # as often as asked for,
+    assert not (changed[:, 0] == changed[:, 1]).all()  # at times of its own
+
+
+def test_a_restart_leaves_the_others_commands_alone() -> None:
+    environment = environment_of(3, command_steps=100_000)
+    before = task_of(environment).command.copy()
+    environment.restart(np.array([1]), np.array([0]))
+    after = task_of(environment).command
+    np.testing.assert_array_equal(after[[0, 2]], before[[0, 2]])
+    assert not np.array_equal(after[1], before[1])
+
+
+def test_the_reward_is_for_following_the_command() -> None:
+    """Recomputed from positions and rotations of the torso alone."""
+    environment = environment_of(
+        3, command_steps=100_000, turn_weight=0.5, path_penalty=2.0, heading_penalty=0.7, tilt_penalty=0.3
+    )
+    task, truth = task_of(environment), environment.simulator.truth
+    scale = task.parameters.reward_scale
+    command = task.command.copy()
+
+    def place() -> tuple[np.ndarray, np.ndarray]:
+        rotation = truth.torso_rotation
+        return truth.torso_position[:, :2].copy(), np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+
+    position, yaw = place()
+    heading, offset = yaw.copy(), np.zeros(3)
+    for action in gentle(environment, 40):
+        environment.step(action)
+        moved, turned = place()[0] - position, place()[1] - yaw
+        position, yaw = place()
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        velocity = np.stack([(moved * ahead).sum(axis=1), (moved * left).sum(axis=1), turned], axis=1) / STEP_S
+        offset += (velocity[:, 1] - command[:, 1]) * STEP_S
+        heading += command[:, 2] * STEP_S
+        error = velocity - command
+        tilt = 1.0 - truth.torso_rotation[:, 2, 2] ** 2
+        expected = (
+            np.exp(-(error[:, 0] ** 2 + error[:, 1] ** 2) / TRACKING_SCALE)
+            + 0.5 * np.exp(-(error[:, 2] ** 2) / TRACKING_SCALE)
+            - 2.0 * np.minimum(np.abs(offset), OFFSET_LIMIT_M)
+            - 0.7 * (yaw - heading) ** 2
+            - 0.3 * tilt
+        )
+        np.testing.assert_allclose(environment.rewards, scale * expected, atol=1e-9)
+        names = environment.observer.names
+        seen = {name: environment.observations[:, names.index(name)] for name in names[-5:]}
+        asked = np.stack([seen[f"command_{kind}"] for kind in ("forward", "sideways", "turn")], axis=1)
+        np.testing.assert_array_equal(asked, command)
+        np.testing.assert_allclose(seen["path_offset"], np.clip(offset, -OFFSET_LIMIT_M, OFFSET_LIMIT_M), atol=1e-9)
+        np.testing.assert_allclose(seen["heading_error"], yaw - heading, atol=1e-9)
+    assert "heading_sin" not in names  # the direction in the world does not matter
+
+
+def test_a_fall_ends_the_episode_and_the_time_limit_truncates_it() -> None:
+    environment = environment_of(2, episode_steps=30, fall_penalty=5.0)
+    nowhere = np.zeros((2, environment.actuation.n_actions))
+    fall = nowhere.copy()
+    fall[0] = 1.0
+    for step in range(1, 31):
+        environment.step(fall)
+        low = environment.simulator.truth.torso_position[:, 2] < T1.fall_height_m
+        np.testing.assert_array_equal(environment.terminated, low)
+        np.testing.assert_array_equal(environment.failed, low)
+        np.testing.assert_array_equal(environment.ends["fallen"], low)
+        np.testing.assert_array_equal(environment.truncated, (step == 30) & ~low)
+        if low.any():
+            assert environment.rewards[0] < environment.rewards[1] - 4.0 * task_of(environment).parameters.reward_scale
+            break
+    assert low.tolist() == [True, False]
+    environment = environment_of(1, episode_steps=30, command_steps=100_000)
+    for step in range(1, 31):
+        environment.step(nowhere[:1])
+        assert environment.truncated.tolist() == [step == 30]
+    error, fallen, forward = environment.task.measure(np.arange(1))[0]
+    assert fallen == 0.0 and abs(forward) < 0.3
+    assert error == pytest.approx(np.hypot(*task_of(environment).command[0, :2]), abs=0.3)
+
+
+@pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+def test_a_resumed_environment_continues_bit_for_bit(robot: Robot) -> None:
+    """From its state alone: commands, path, delayed actions and physics."""
+    environment = environment_of(3, robot=robot)
+    actions = gentle(environment, 60)
+    for action in actions[:25]:
+        environment.step(action)
+    state = environment.state()
+    resumed = environment_of(3, robot=robot)
+    resumed.load_state({name: array.copy() for name, array in state.items()})
+    for action in actions[25:]:
+        np.testing.assert_array_equal(resumed.step(action), environment.step(action))
+        np.testing.assert_array_equal(resumed.rewards, environment.rewards)
+        np.testing.assert_array_equal(task_of(resumed).command, task_of(environment).command)
+    rows = np.arange(3)
+    np.testing.assert_array_equal(resumed.task.measure(rows), environment.task.measure(rows))
+    for which in (environment, resumed):
+        which.restart(rows, rows)
+    np.testing.assert_array_equal(resumed.observations, environment.observations)
+
+
+@pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
+def test_a_mirrored_robot_with_a_mirrored_command_is_seen_and_rewarded_alike(robot: Robot) -> None:
+    environment = symmetric_environment(robot, Velocity, command_steps=100_000, fall_penalty=1.0)
+    rng = np.random.default_rng(2)
+    environment.load_starts(mirrored_pair(robot, robot.nominal + rng.uniform(-0.02, 0.02, len(robot.joints))))
+    environment.restart(np.arange(2), np.arange(2))
+    task = task_of(environment)
+    task.command[:] = (0.8, 0.3, -0.6), (0.8, -0.3, 0.6)
+    mirror, actions = environment.observer.mirror, action_mirror(environment)
+    for step in range(25):
+        action = 0.5 * rng.standard_normal(environment.actuation.n_actions)
+        seen = environment.step(np.stack([action, actions.apply(action)]))
+        np.testing.assert_allclose(seen[1], mirror.apply(seen[0]), atol=1e-6, err_msg=f"step {step}")
+        assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-6)
+    assert environment.rewards[0] != 0.0 and abs(task._offset[0]) > 1e-3
+
+
+def episodes_of(velocity: np.ndarray, command: np.ndarray, *, fallen: list[bool], airborne: np.ndarray) -> Episodes:
+    """Return episodes with (k, T, 3) velocities and commands, and an offset of 0.1 m at their ends."""
+    count, samples = velocity.shape[:2]
+    offset = np.full((count, samples, 1), 0.1)
+    trace = np.concatenate([velocity, command, offset], axis=2)
+    zeros = [np.zeros(samples)] * count
+    return Episodes(
+        x=zeros,
+        y=zeros,
+        height=zeros,
+        up=zeros,
+        feet=[np.zeros((samples, 2))] * count,
+        airborne=list(airborne),
+        trace=list(trace),
+        ends={"fallen": np.array(fallen)},
+        max_steps=samples - 1,
+    )
+
+
+def test_an_evaluation_reports_errors_drift_falls_and_flight() -> None:
+    """The first two seconds are left out of the error, and the start's sample of everything."""
+    samples = 201
+    command = np.zeros((2, samples, 3))
+    command[..., 0] = 1.0
+    velocity = command.copy()
+    velocity[0, 100:, 0] = 1.3  # an error of 0.3 m/s after 2 s
+    velocity[0, 1:100, 0] = 0.0
+    velocity[1, :, 2] = 0.2
+    airborne = np.zeros((2, samples), dtype=np.bool_)
+    airborne[0, 50] = airborne[0, 0] = True
+    environment = environment_of(1)
+    episodes = episodes_of(velocity, command, fallen=[False, True], airborne=airborne)
+    results, tables = environment.task.summarize(episodes, Statistics(0.95, 100, 0))
+    found = {result.metric.name: result for result in results}
+    assert tables == ()
+    assert found["rmse_mps"].low == 0.0 and found["rmse_mps"].high == pytest.approx(0.3)
+    whole = np.sqrt((99 * 1.0 + 101 * 0.09) / 200)
+    assert found["rmse_whole_mps"].high == pytest.approx(whole)
+    assert found["turn_rmse_rad_s"].high == pytest.approx(0.2)
+    assert found["forward_settled_mps"].high == pytest.approx(1.3)
+    assert found["drift_m"].value == pytest.approx(0.1)
+    assert (found["fall_rate"].value, found["upright_rate"].value) == (0.5, 0.5)
+    assert found["flight_share"].value == pytest.approx(0.5 / 200)
+    assert found["flight_rate"].value == 0.5
+    assert set(Velocity.presentation.headline) <= found.keys()
+
+
+def test_an_episode_that_falls_within_two_seconds_has_no_error_after_them() -> None:
+    environment = environment_of(1)
+    short = np.ones((1, 60, 3))
+    episodes = episodes_of(short, short, fallen=[True], airborne=np.zeros((1, 60), dtype=np.bool_))
+    results, _ = environment.task.summarize(episodes, Statistics(0.95, 100, 0))
+    found = {result.metric.name: result for result in results}
+    assert found["rmse_mps"].value is None and found["rmse_whole_mps"].value == 0.0
+    assert found["fall_rate"].value == 1.0
+
+
+def test_a_range_the_wrong_way_round_is_refused() -> None:
+    with pytest.raises(ValidationError, match="exchange them"):
+        VelocitySettings(name="velocity", forward_min_mps=1.0, forward_max_mps=0.5)
