@@ -317,9 +317,9 @@ def test_metrics_are_written_as_their_descriptions_say(page: Browser) -> None:
         return args[0].map((m, i) => withUnit(m, args[1][i]));
         """,
         metrics,
-        [4.034, 0.0042, -3.25, 12345.4, 0.0012345, 5e-4],
+        [4.034, 0.0042, -3.25, 12345.4, 0.00125, 5e-4],
     )
-    assert found == ["4.03 m/s", "0.4 %", "\N{MINUS SIGN}3.3°", "12,345", "0.001235", "0.000500"]
+    assert found == ["4.03 m/s", "0.4 %", "\N{MINUS SIGN}3.3°", "12,345", "0.00125", "0.000500"]
 
 
 def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
