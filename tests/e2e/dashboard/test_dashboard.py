@@ -64,12 +64,9 @@ def wait_for(client: httpx.Client, job_id: str, *states: str, timeout_s: float =
 
 
 def number(value: float, digits: int = 2) -> str:
-    """Return a number as the page shows it: small ones keep two significant digits."""
-    if value and abs(value) < 0.5 * 10**-digits:
-        text = f"{value:.2g}" if abs(value) >= 1e-3 else f"{value:.1e}".replace("e-0", "e-")
-        return text.replace("-", "\N{MINUS SIGN}")
+    """Return a number as the page shows it."""
     text = f"{value:,.{digits}f}"
-    return text.replace("-", "" if float(text) == 0 else "\N{MINUS SIGN}")
+    return text.replace("-", "" if float(text.replace(",", "")) == 0 else "\N{MINUS SIGN}")
 
 
 def flattened(value: Any, path: str = "") -> dict[str, Any]:
@@ -497,7 +494,7 @@ def test_everything_works_with_the_keyboard_alone(browser: Browser, token: str, 
     press(Keys.ESCAPE)
     browser.until(lambda: not browser.all("dialog"))
     press("n")
-    browser.find("[name='spec.task']")
+    browser.find("[name='spec.task.name']")
     press("g")
     press("j")
     browser.until(lambda: len(browser.all("tbody tr")) == 3)

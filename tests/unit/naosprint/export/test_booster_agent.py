@@ -45,7 +45,7 @@ def untrained(spec: TrainingSpec, environment: Environment, seed: int = 0) -> tu
     )
     mean, scale = rng.normal(0.0, 0.1, len(names)), rng.uniform(0.5, 2.0, len(names))
     manifest = Manifest.model_construct(
-        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actions
+        spec=spec, spec_sha256=spec.digest(), stage=0, steps=0, observations=names, actions=actions
     )
     return Policy(mean, scale, 10.0, layers, np.zeros(len(actions), np.float32)), manifest
 

@@ -101,7 +101,7 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
     actuation = Actuation(robots.get(robot))
     names = tuple(f"o{i}" for i in range(3))
     manifest = Manifest.model_construct(
-        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actuation.names
+        spec=spec, spec_sha256=spec.digest(), stage=0, steps=0, observations=names, actions=actuation.names
     )
     layers = ((np.zeros((actuation.n_actions, 3), np.float32), np.zeros(actuation.n_actions, np.float32)),)
     policy = Policy(np.zeros(3), np.ones(3), np.inf, layers, np.zeros(actuation.n_actions, np.float32))

@@ -154,8 +154,9 @@ def trajectories(x: FloatArray, y: FloatArray, failed: BoolArray, lines: Sequenc
         if down:
             axes.plot(row_x[kept[-1]], row_y[kept[-1]], "x", ms=4, color=_REFERENCE)
     # a straight run is a thin line: give it room to both sides, so that deviations can be seen
-    centre_x, centre_y = (float(np.nanmin(v) + np.nanmax(v)) / 2.0 for v in (x, y))
-    half_x = max(float(np.nanmax(x) - np.nanmin(x)) / 2.0 * 1.08, 1.0)
+    places = [*(line.x_m for line in lines), float(np.nanmin(x)), float(np.nanmax(x))]
+    centre_x, centre_y = (min(places) + max(places)) / 2.0, float(np.nanmin(y) + np.nanmax(y)) / 2.0
+    half_x = max((max(places) - min(places)) / 2.0 * 1.08, 1.0)
     half_y = max(float(np.nanmax(y) - np.nanmin(y)) / 2.0 * 1.1, half_x / 4.0)
     axes.set_xlim(centre_x - half_x, centre_x + half_x)
     axes.set_ylim(centre_y - half_y, centre_y + half_y)

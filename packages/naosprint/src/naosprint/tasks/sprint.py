@@ -14,8 +14,9 @@ from naosim.simulator import STEP_S
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
+from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
-from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.penalties import penalties
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +61,6 @@ CHALLENGE_PENALTY_M = 2.0
 """Run challenge: distance that a fall costs, metres."""
 
 DISTANCE = Metric("distance_m", "Distance", "m", "Forward displacement of the torso.", 2, "higher")
-FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
 SPEED = Metric("speed_mps", "Mean speed", "m/s", "Distance divided by duration, start included.", 2, "higher")
 LENGTH = Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0, live=False)
 ARRIVAL_RATE = Metric(
@@ -156,16 +156,9 @@ CHALLENGE_FALLS = Metric(
 )
 
 
-class SprintSettings(PenaltySettings):
+class SprintSettings(FallSettings):
     """Settings of the sprint tasks."""
 
-    min_height_m: float | None = Field(
-        default=None,
-        gt=0.0,
-        title="Minimum torso height",
-        description="Torso height below which an episode ends as a fall; left out: the robot's own.",
-        json_schema_extra={"unit": "m"},
-    )
     drift_penalty: float = Field(
         default=1.0,
         ge=0.0,
@@ -188,7 +181,7 @@ class Sprint(Task):
 
     Parameters = SprintSettings
     metrics = (DISTANCE, FALL_RATE, SPEED)
-    ends = (End("fallen", "Fall", failure=True), End("arrived", "Arrival"))
+    ends = (FALL, End("arrived", "Arrival"))
     presentation = Presentation(
         charts=(
             Chart("Speed", ("speed_mps",)),
@@ -211,15 +204,8 @@ class Sprint(Task):
     def resolve(cls, parameters: SprintSettings, robot: Robot) -> SprintSettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
-        height = parameters.min_height_m
-        if height is None:
-            height = robot.erect_height_m if cls.erect else robot.fall_height_m
-        if height >= robot.standing_height_m:
-            raise ValueError(
-                f"task.min_height_m: {height:g} m is not below the standing height of robot {robot.name}, "
-                f"{robot.standing_height_m:.3f} m; use a smaller min_height_m"
-            )
-        return parameters.model_copy(update={"min_height_m": height})
+        usual = robot.erect_height_m if cls.erect else robot.fall_height_m
+        return with_min_height(parameters, robot, usual)
 
     def __init__(self, parameters: SprintSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)

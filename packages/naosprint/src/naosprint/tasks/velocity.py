@@ -9,9 +9,10 @@ from naosim.simulator import STEP_S
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from naosprint.tasks.base import End, RewardTerm, Task, World
+from naosprint.tasks.base import RewardTerm, Task, World
+from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
-from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.penalties import penalties
 from naosprint.tasks.randomness import uniform
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ FLIGHT_STEPS = 1
 ERROR = Metric(
     "velocity_error_mps", "Velocity error", "m/s", "Mean distance between commanded and actual velocity.", 2, "lower"
 )
-FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
 SPEED = Metric("forward_mps", "Forward speed", "m/s", "Mean speed in the commanded heading.", 2)
 SPEED_RATIO = Metric(
     "forward_settled_mps",
@@ -91,16 +91,9 @@ FLIGHT_RATE = Metric(
 )
 
 
-class VelocitySettings(PenaltySettings):
+class VelocitySettings(FallSettings):
     """Settings of the task ``velocity``."""
 
-    min_height_m: float | None = Field(
-        default=None,
-        gt=0.0,
-        title="Minimum torso height",
-        description="Torso height below which an episode ends as a fall; left out: the robot's own.",
-        json_schema_extra={"unit": "m"},
-    )
     forward_min_mps: float = Field(
         default=-0.5,
         ge=-5.0,
@@ -209,7 +202,7 @@ class Velocity(Task):
     summary = "Follow a commanded velocity: forward, sideways, and turning."
     Parameters = VelocitySettings
     metrics = (ERROR, FALL_RATE, SPEED)
-    ends = (End("fallen", "Fall", failure=True),)
+    ends = (FALL,)
     trace = (
         "forward_mps",
         "sideways_mps",
@@ -239,13 +232,7 @@ class Velocity(Task):
     def resolve(cls, parameters: VelocitySettings, robot: Robot) -> VelocitySettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
-        height = robot.fall_height_m if parameters.min_height_m is None else parameters.min_height_m
-        if height >= robot.standing_height_m:
-            raise ValueError(
-                f"task.min_height_m: {height:g} m is not below the standing height of robot {robot.name}, "
-                f"{robot.standing_height_m:.3f} m; use a smaller min_height_m"
-            )
-        return parameters.model_copy(update={"min_height_m": height})
+        return with_min_height(parameters, robot, robot.fall_height_m)
 
     def __init__(self, parameters: VelocitySettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)

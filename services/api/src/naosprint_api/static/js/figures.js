@@ -57,7 +57,7 @@ export function resultLines(width, series, { xLabel, yLabel, xFormat, format, me
   const height = 290, all = series.flatMap((x) => x.rows), scale = metric?.unit === "%" ? 100 : 1;
   const top = Math.max(...all.map((r) => r.high), ...refs.map((r) => r.y)) * scale, least = Math.min(0, ...all.map((r) => r.low)) * scale;
   const places = [...new Set(all.map((r) => r.at))].sort((a, b) => a - b), margin = (places.at(-1) - places[0]) * 0.05 || 0.5;
-  const a = axes({ width, height, x: [places[0] - margin, places.at(-1) + margin], y: [least, top > least ? top * 1.05 : least + 1], xTicks: places, xLabel, yLabel, xFormat });
+  const a = axes({ width, height, x: [places[0] - margin, places.at(-1) + margin], y: [least, top > least ? top * 1.05 : least + 1], xTicks: places, xLabel, yLabel, xFormat, left: 58 });
   const y = (v) => a.sy(v * scale);
   return svg(width, height, series.map((x) => `${x.label}: ${x.rows.map((r) => `${format(r.mean)} at ${xFormat(r.at)}`).join(", ")}`).join("; "), a.group,
     refs.map((r) => [s("line", { class: "ref", x1: a.left, x2: width - a.right, y1: y(r.y), y2: y(r.y) }), s("text", { class: "ref-text", x: a.left + 4, y: y(r.y) - 4 }, r.label)]),

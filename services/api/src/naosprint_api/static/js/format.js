@@ -36,8 +36,6 @@ export function metricText(metric, v) {
   if (missing(v)) return NONE;
   const value = metric.unit === "%" ? v * 100 : v;
   if (metric.digits === null || metric.digits === undefined) return significant(value, 4);
-  // What its digits would round to nothing is still told from nothing.
-  if (value !== 0 && Math.abs(value) < 0.5 * 10 ** -metric.digits && metric.unit !== "%") return significant(value, 2);
   return value.toLocaleString("en-US", { minimumFractionDigits: metric.digits, maximumFractionDigits: metric.digits }).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
 }
 

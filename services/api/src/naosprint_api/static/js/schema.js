@@ -48,7 +48,7 @@ export function field(name, schema, root) {
   }
   const low = inner.minimum ?? inner.exclusiveMinimum, high = inner.maximum ?? inner.exclusiveMaximum;
   // Without a title of its own a field gets one made of its name, with every word in capitals.
-  const given = outer.title && outer.title.toLowerCase() !== name.replace(/_/g, " ") ? outer.title : null;
+  const made = name.split("_").map((word) => word.charAt(0).toUpperCase() + word.slice(1)).join(" "), given = outer.title && outer.title !== made ? outer.title : null;
   const base = { name, label: given ?? words(name), hint: outer.description ?? "", unit: outer.unit ?? null, nullable, low, high, openLow: inner.exclusiveMinimum !== undefined, openHigh: inner.exclusiveMaximum !== undefined, fallback: outer.default };
   const choices = inner.enum ?? (inner.const !== undefined ? [inner.const] : null);
   if (choices) return { ...base, kind: "choice", choices: nullable ? [...choices.filter((c) => c !== null), null] : choices };

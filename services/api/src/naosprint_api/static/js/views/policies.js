@@ -6,10 +6,13 @@ import { compact, duration, integer } from "../format.js";
 import { loading, problem } from "./messages.js";
 import { headlineStats, stat } from "./results.js";
 
-/** Headline of a policy's card as a block; `flat` inside of a card. */
-export const headlineBlock = (card, flat) => h("div", { class: ["stats", flat && "flat", "six"] }, headlineStats(card),
-  stat("Trained", compact(card.steps), "steps", card.lineage.length > 1 ? `${card.lineage.length} jobs` : "1 job", `${integer(card.steps)} environment steps`),
-  stat("Took", duration(card.training_s), null, "wall-clock"));
+/** Headline of a policy's card as a block; `flat` inside of a card, in rows of three. */
+export function headlineBlock(card, flat) {
+  const jobs = card.lineage.length > 1 ? `${card.lineage.length} jobs` : "1 job";
+  const cells = [...headlineStats(card), stat("Trained", compact(card.steps), "steps", `${jobs}, ${duration(card.training_s)}`, `${integer(card.steps)} environment steps`)];
+  while (flat && cells.length % 3) cells.push(h("div"));
+  return h("div", { class: ["stats", flat && "flat", "six"] }, cells);
+}
 
 /** A policy's robot and task as tags. */
 export const tags = (card) => [h("span", { class: "tag" }, card.task), h("span", { class: "tag" }, card.robot)];

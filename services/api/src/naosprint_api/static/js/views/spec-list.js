@@ -9,7 +9,7 @@ import { field, resolve, variant } from "../schema.js";
 const PRESET_SECTIONS = ["algorithm", "task"];
 
 /** A setting's value as text. */
-export const show = (v) => (v === null ? "none" : Array.isArray(v) ? (v.every((x) => typeof x !== "object") ? v.join(" × ") : JSON.stringify(v)) : typeof v === "object" ? JSON.stringify(v) : typeof v === "boolean" ? (v ? "yes" : "no") : typeof v === "number" && Math.abs(v) >= 1e4 ? v.toLocaleString("en-US") : String(v));
+export const show = (v) => (v === null ? "none" : Array.isArray(v) ? (!v.length ? "none" : v.every((x) => typeof x !== "object") ? v.join(" × ") : JSON.stringify(v)) : typeof v === "object" ? JSON.stringify(v) : typeof v === "boolean" ? (v ? "yes" : "no") : typeof v === "number" && Math.abs(v) >= 1e4 ? v.toLocaleString("en-US") : String(v));
 
 /** A specification by path with dots: {"algorithm.learning_rate": 0.0005}; lists stay whole. */
 export function flattened(value, path = "") {
@@ -45,9 +45,10 @@ export function overrides(spec, presets, family) {
   return new Set(Object.entries(presetValues(preset, family)).filter(([path, value]) => path in mine && JSON.stringify(mine[path]) !== JSON.stringify(value)).map(([path]) => path));
 }
 
-/** Settings as a list of names and values; `fields` gives names, units and hints by path, `changed` those that override the preset. */
+/** Settings as a list of names and values; `fields` gives order, names, units and hints by path, `changed` those that override the preset. */
 export function specList(values, fields = new Map(), changed = new Set()) {
-  return h("dl", null, Object.entries(flattened(values)).map(([path, value]) => {
+  const order = new Map([...fields.keys()].map((path, i) => [path, i])), rank = ([path]) => order.get(path) ?? order.size;
+  return h("dl", null, Object.entries(flattened(values)).sort((a, b) => rank(a) - rank(b)).map(([path, value]) => {
     const known = fields.get(path);
     return h("div", { class: "pair", title: known?.hint }, h("dt", null, known?.label ?? words(path.replace(/\.name$/, "").split(".").at(-1))), h("dd", { class: changed.has(path) ? "changed" : null }, show(value), known?.unit && value !== null ? h("span", { class: "unit" }, known.unit) : null, changed.has(path) ? h("span", { class: "sr" }, " (overrides the preset)") : null));
   }));
