@@ -61,7 +61,7 @@ def exported(robot: str, folder: Path, spread: float) -> tuple[Policy, Path]:
     )
     policy = Policy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
     manifest = Manifest.model_construct(
-        spec=spec, spec_sha256=spec.digest(), steps=0, observations=names, actions=actions
+        spec=spec, spec_sha256=spec.digest(), steps=0, stage=0, observations=names, actions=actions
     )
     path = folder / f"{robot}.npz"
     np.savez(path, **policy_arrays(policy, manifest))

@@ -36,7 +36,21 @@ documents = load_documents()
 COMMANDS = documents.commands()
 
 #: Programs of the system, whose own arguments are not looked at.
-SYSTEM = {"pg_dump", "pg_restore", "cat", "cp", "chmod", "echo", "git", "source", "curl", "apt-get", "ssh"}
+SYSTEM = {
+    "pg_dump",
+    "pg_restore",
+    "cat",
+    "cp",
+    "chmod",
+    "echo",
+    "git",
+    "source",
+    "curl",
+    "apt-get",
+    "ssh",
+    "pip",
+    "rcssservermj",
+}
 
 #: Commands of `docker compose` that the documents use.
 COMPOSE = {"up", "down", "exec", "ps", "build", "logs", "stop", "run", "pull"}
