@@ -25,7 +25,7 @@ BODY_COLOUR = "#c9ced6"
 """Colour of torso, neck and head."""
 
 UNIT_TORSO_M, UNIT_TOP_M = 0.385, 0.53
-"""Torso height of the robot that sizes in pictures are chosen for, standing, and height of its head's centre, metres."""
+"""Standing torso height of the robot that sizes in pictures are chosen for, and height of its head, metres."""
 
 _COLOURS = {"left": LEFT_COLOUR, "right": RIGHT_COLOUR, "centre": BODY_COLOUR}
 _LIGHT = np.array([0.35, -0.55, 0.76])
