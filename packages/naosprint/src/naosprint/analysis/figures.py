@@ -233,7 +233,7 @@ def joint_angles(angles_rad: FloatArray, robot: Robot, first: int) -> Figure:
 def frame_strip(replay: Replay, frames: Sequence[int], camera: Camera | None = None) -> Figure:
     """Draw the robot of some steps side by side, with the time below each."""
     camera = camera or Camera()
-    size = scale(replay.robot)
+    size = scale(replay)
     pitch, bottom, top = 0.44 * size, -0.15 * size, 0.62 * size
     figure = Figure(figsize=(9.0, 9.0 * (top - bottom) / (pitch * len(frames))))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))

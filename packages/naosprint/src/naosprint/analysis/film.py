@@ -43,7 +43,7 @@ class Film:
 
     def __init__(self, replay: Replay, camera: Camera | None = None) -> None:
         self._replay = replay
-        self._span = _SPAN_M * scale(replay.robot)
+        self._span = _SPAN_M * scale(replay)
         self._camera = camera or Camera(azimuth_deg=-14.0, elevation_deg=9.0)
         self._figure = Figure(figsize=(WIDTH_PX / _DPI, HEIGHT_PX / _DPI), dpi=_DPI)
         self._canvas = FigureCanvasAgg(self._figure)

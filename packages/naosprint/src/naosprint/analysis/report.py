@@ -153,7 +153,7 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
         for name in _REQUIRED:
             if name not in summary:
                 raise ReportError(f"{results}: {name}: missing")
-        spec = TrainingSpec.model_validate({**summary["training"], "stages": [], "task": summary["task"]["settings"]})
+        spec = _episodes_spec(summary)
         with np.load(paths_file, allow_pickle=False) as archive:
             paths = {name: np.array(archive[name], dtype=np.float64) for name in archive.files}
     except ReportError:
@@ -163,6 +163,13 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ReportError(f"{directory}: no complete evaluation: {error}") from error
     return summary, spec, paths
+
+
+def _episodes_spec(summary: Mapping[str, Any]) -> TrainingSpec:
+    """Return the specification of the episodes: the training's with the evaluation's task, and its stage's robot."""
+    training = summary["training"]
+    robot = training["robot"] if training["robot"]["name"] == summary["robot"] else summary["robot"]
+    return TrainingSpec.model_validate({**training, "stages": [], "task": summary["task"]["settings"], "robot": robot})
 
 
 def _window(samples: int) -> tuple[int, int]:

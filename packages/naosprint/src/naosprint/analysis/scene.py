@@ -10,7 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 if TYPE_CHECKING:
-    from naosim.robots import Robot, Shape
+    from naosim.robots import Shape
 
     from naosprint.analysis.replay import Replay
     from naosprint.arrays import FloatArray
@@ -24,8 +24,8 @@ RIGHT_COLOUR = "#d9772b"
 BODY_COLOUR = "#c9ced6"
 """Colour of torso, neck and head."""
 
-UNIT_HEIGHT_M = 0.385
-"""Standing height of the robot for which sizes in pictures are chosen, metres; taller robots get larger ones."""
+UNIT_TORSO_M, UNIT_TOP_M = 0.385, 0.53
+"""Standing torso height of the robot that sizes in pictures are chosen for, and height of its head, metres."""
 
 _COLOURS = {"left": LEFT_COLOUR, "right": RIGHT_COLOUR, "centre": BODY_COLOUR}
 _LIGHT = np.array([0.35, -0.55, 0.76])
@@ -65,9 +65,10 @@ class _Face:
     depth: float
 
 
-def scale(robot: Robot) -> float:
-    """Return the size of a robot in pictures, 1 for one of :data:`UNIT_HEIGHT_M`."""
-    return robot.standing_height_m / UNIT_HEIGHT_M
+def scale(replay: Replay) -> float:
+    """Return the size of a replay's robot in pictures, 1 for one of :data:`UNIT_TORSO_M`."""
+    top = float(replay.positions[:, :, 2].max())
+    return max(replay.robot.standing_height_m / UNIT_TORSO_M, top / UNIT_TOP_M)
 
 
 def robot_collection(
@@ -84,7 +85,7 @@ def robot_collection(
     view = camera.axes()
     positions = replay.positions[frame].astype(np.float64)
     below = np.array([positions[0, 0], positions[0, 1], 0.0])
-    size = scale(replay.robot)
+    size = scale(replay)
     shadows: list[FloatArray] = []
     faces: list[_Face] = []
     for shape, position, quaternion in zip(
