@@ -66,7 +66,7 @@ def test_submit_keeps_what_was_asked_for(sessions: Sessions, submit: Callable[..
     assert (kept.state, kept.tags, kept.priority, kept.attempt) == (WorkState.QUEUED, ["a", "b"], 8, 0)
     assert kept.total_steps == spec.planned_steps >= 100_000
     assert kept.evaluation is not None
-    assert kept.evaluation["task"] == "sprint2"
+    assert kept.evaluation["task"]["name"] == "sprint2"
     assert kinds(sessions, job.id) == ["queued"]
 
 
@@ -342,7 +342,7 @@ def test_anothers_job_is_no_parent(sessions: Sessions, submit: Callable[..., Job
 def test_a_group_has_one_job_for_each_point_and_is_made_once(sessions: Sessions) -> None:
     request = GroupRequest(job=JobRequest(tags=["sweep"]), seeds=[1, 2], grid={"learning_rate": [1e-3, 1e-4]})
     group, jobs, created = submission.submit_group(sessions, request, owner="alice", idempotency_key="g")
-    points = {(job.spec["seed"], job.spec["learning_rate"]) for job in jobs}
+    points = {(job.spec["seed"], job.spec["algorithm"]["learning_rate"]) for job in jobs}
     assert points == {(1, 1e-3), (1, 1e-4), (2, 1e-3), (2, 1e-4)}
     assert created
     again, same, created = submission.submit_group(sessions, request, owner="alice", idempotency_key="g")

@@ -226,7 +226,7 @@ def test_a_server_that_does_not_wait_or_does_not_run_is_named() -> None:
         "rcssservermj", tuple(a for a in RCSSSERVERMJ.arguments if a not in ("--sync", "--no-realtime"))
     )
     with pytest.raises(ServerLostError, match="it must run in sync mode"):
-        MujocoFleet(ProcessLauncher(hasty, (sys.executable, "-m", "rcsssmj")), T1, 1)
+        MujocoFleet(ProcessLauncher(hasty, (sys.executable, "-m", "rcsssmj")), T1, 1, start_timeout_s=15.0)
     broken = ProcessLauncher(RCSSSERVERMJ, ("sh", "-c", "echo oh no; exit 3"))
     with pytest.raises(ServerLostError, match=r"exit code 3, log: \.\.\.oh no"):
         MujocoFleet(broken, T1, 1)
