@@ -201,6 +201,23 @@ def test_stages_override_algorithm_and_task() -> None:
     assert TrainingSpec().stage_specs == (TrainingSpec(),)
 
 
+def test_a_stage_with_another_robot_has_that_robots_own_settings() -> None:
+    """What was chosen is kept; what the training's robot decided is not."""
+    stages = [{"steps": 10, "robot": "k1"}, {"steps": 10}]
+    spec = TrainingSpec.model_validate(
+        {"robot": "t1", "task": {"name": "sprint1", "drift_penalty": 0.25}, "stages": stages}
+    )
+    first, second = spec.stage_specs
+    assert (first.robot.name, second.robot.name) == ("k1", "t1")
+    assert first.task.min_height_m == robots.get("k1").fall_height_m
+    assert second.task.min_height_m == robots.get("t1").fall_height_m
+    assert first.task.drift_penalty == second.task.drift_penalty == 0.25
+    chosen = TrainingSpec.model_validate(
+        {"robot": "t1", "task": {"name": "sprint1", "min_height_m": 0.3}, "stages": stages}
+    )
+    assert [stage.task.min_height_m for stage in chosen.stage_specs] == [0.3, 0.3]
+
+
 @pytest.mark.parametrize(
     ("stages", "words"),
     [

@@ -326,10 +326,11 @@ class TrainingSpec(_Specification):
         found = []
         for number, stage in enumerate(self.stages):
             content = self.model_dump(exclude={"stages"})
+            if stage.robot is not None:
+                # what the training's own robot decided is for this one to decide
+                content = {**self.without_preset(), "stages": (), "robot": {"name": stage.robot}}
             content["total_steps"] = stage.steps
             content["seed"] = self.seed if stage.seed is None else stage.seed
-            if stage.robot is not None:
-                content["robot"] = {"name": stage.robot}
             for section in ("algorithm", "task"):
                 changes = getattr(stage, section)
                 fixed = {"name", "preset", "version"} & changes.keys()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import Field
 
@@ -31,7 +31,10 @@ class FallSettings(PenaltySettings):
     )
 
 
-def with_min_height(parameters: Any, robot: Robot, usual_m: float) -> Any:
+Settings = TypeVar("Settings", bound=FallSettings)
+
+
+def with_min_height(parameters: Settings, robot: Robot, usual_m: float) -> Settings:
     """Return the settings with ``usual_m`` as the minimum height if none is given.
 
     Raises:
