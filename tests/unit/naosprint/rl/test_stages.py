@@ -108,3 +108,19 @@ def test_other_stages_are_another_training(make_spec: Make, tmp_path: Path, reco
     other = make_spec(stages=[{"steps": 1024, "algorithm": FIRST}], seed=4)
     with pytest.raises(CheckpointError, match="stages: the checkpoint was trained with"):
         train(other, workdir=tmp_path / "b", reporter=recorder, resume=checkpoint)
+
+
+def test_stopping_right_after_the_border_saves_nothing_twice(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """The border's checkpoint stays as it is, and is reported once."""
+    spec = two_stages(make_spec)
+
+    def stop() -> bool:
+        return any("stage 2 of 2" in message for _, message in recorder.lines)
+
+    stopped = train(spec, workdir=tmp_path, reporter=recorder, stop=stop)
+    assert (stopped.status, stopped.steps) == ("stopped", 512)
+    assert [step for _, step in recorder.checkpoints] == [0, 256, 512]
+    assert read_manifest(stopped.checkpoint).stage == 0
+    again = train(spec, workdir=tmp_path / "again", reporter=recorder, resume=stopped.checkpoint)
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    assert_same(again.checkpoint, whole.checkpoint)

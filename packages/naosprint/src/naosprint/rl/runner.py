@@ -175,7 +175,9 @@ class _Session:
         self._workdir = workdir
         self._reporter = reporter
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
-        self._saved_step: int | None = None
+        # the last checkpoint of the stage before is also the state in which this one begins
+        border = stage > 0 and (workdir / _name(self.first_step)).exists()
+        self._saved_step: int | None = self.first_step if border else None
         self.environment.on_loss = self._report_loss
 
     @property
