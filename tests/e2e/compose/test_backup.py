@@ -10,7 +10,7 @@ from typing import Any
 
 SMALL = (
     *("--n-envs", "8", "--n-steps", "64", "--batch-size", "128", "--steps", "1024", "--no-evaluate"),
-    *("--simulator-threads", "1", "--torch-threads", "1"),
+    *("--simulator-threads", "1", "--learner-threads", "1"),
 )
 
 

@@ -15,7 +15,7 @@ Naoctl = Callable[..., Any]
 #: Rollouts of 512 steps on one processor.
 SMALL = (
     *("--n-envs", "8", "--n-steps", "64", "--batch-size", "128"),
-    *("--simulator-threads", "1", "--torch-threads", "1"),
+    *("--simulator-threads", "1", "--learner-threads", "1"),
 )
 JUDGED = ("--eval-episodes", "4", "--eval-n-envs", "4", "--eval-trajectories", "2", "--eval-bootstrap-resamples", "100")
 LONG = ("--no-evaluate", "--checkpoint-interval-steps", "10240")

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[3]
 SMALL = (
     *("--n-envs", "8", "--n-steps", "64", "--batch-size", "128", "--no-evaluate"),
-    *("--simulator-threads", "1", "--torch-threads", "1"),
+    *("--simulator-threads", "1", "--learner-threads", "1"),
 )
 
 
