@@ -46,7 +46,7 @@ class Descriptions:
         self._remote: dict[str, dict[str, Any]] | None = None
 
     def task(self, name: str) -> dict[str, Any]:
-        """Return a task's description; empty if nobody has one."""
+        """Return a task's description; empty if neither this installation nor the service has one."""
         if name in plugins.names(plugins.TASKS):
             described: dict[str, Any] = plugins.load(plugins.TASKS, name).describe()
             return described

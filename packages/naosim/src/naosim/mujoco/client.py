@@ -7,7 +7,7 @@ What the server needs, and this client does:
   of all joints: the first message commands every joint.
 - A server drops agents that are silent for 5 s: a thread steps those to which nothing has been sent for a while.
 - The K1's first touch of the ball kills the server: the ball is put aside.
-- The game's mode stays BeforeKickOff, in which beams are allowed and nobody is removed.
+- The game's mode stays BeforeKickOff, in which beams are allowed and no robot is removed.
 """
 
 from __future__ import annotations

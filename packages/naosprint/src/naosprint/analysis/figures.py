@@ -304,7 +304,7 @@ def _with_unit(title: str, unit: str) -> str:
 
 
 def _start_at_zero(axes: Axes) -> None:
-    """Let the vertical axis begin at 0 unless something lies below."""
+    """Start the vertical axis at 0 unless a value is below it."""
     if axes.dataLim.ymin >= 0.0:
         axes.set_ylim(0.0, None)
 
