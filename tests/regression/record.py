@@ -1,11 +1,15 @@
-"""Record again what the regression tests compare with: ``python tests/regression/record.py``.
+"""Record again what the regression tests compare with.
 
-This rewrites all files in ``records``. Record again only where the arithmetic, or a response of the API, deliberately
-changed; the commit message states why. A test that fails for any other reason has found an error.
+    python tests/regression/record.py [policies] [trainings] [api]
+
+This rewrites the files in ``records``: those that are named, or all. Record again only where the arithmetic, or a
+response of the API, deliberately changed; the commit message states why. A test that fails for any other reason has
+found an error.
 """
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,16 +18,17 @@ from comparison import write_record
 
 
 def main() -> None:
-    """Run everything and write all records."""
+    """Run what is asked for and write its records."""
+    asked = sys.argv[1:] or ["policies", "trainings", "api"]
     with ThreadPoolExecutor(2) as pool:
-        paper = pool.submit(runs.run, "training-paper")
-        fast = pool.submit(runs.run, "training-fast")
-        evaluations = pool.submit(runs.run, "evaluations")
-        api = pool.submit(runs.run_script, Path(__file__).with_name("api_scenario.py"))
-        results = {"fast": fast.result()["results"], "paper": paper.result()["results"]}
-        write_record("policies", evaluations.result())
-        write_record("trainings", {"platform": paper.result()["platform"], "results": results})
-        write_record("api", api.result())
+        if "trainings" in asked:
+            found = {name: pool.submit(runs.run, f"training-{name}") for name in ("paper", "fast")}
+            results = {name: run.result()["results"] for name, run in found.items()}
+            write_record("trainings", {"platform": found["paper"].result()["platform"], "results": results})
+        if "policies" in asked:
+            write_record("policies", runs.run("evaluations"))
+        if "api" in asked:
+            write_record("api", runs.run_script(Path(__file__).with_name("api_scenario.py")))
 
 
 if __name__ == "__main__":

@@ -36,10 +36,10 @@ def quiet_openmp() -> bool:
 
 
 def set_learner_threads(count: int) -> None:
-    """Let PyTorch use ``count`` threads inside an operation and one between operations."""
+    """Divide ``count`` threads between two networks: PyTorch then uses half of them inside an operation."""
     import torch
 
-    torch.set_num_threads(count)
+    torch.set_num_threads(max(1, count // 2))
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

@@ -296,6 +296,19 @@ def test_target_kl_ends_an_update_early(open_learner: Open) -> None:
     assert int(learner.state()["n_updates"][0]) < 50
 
 
+def test_two_threads_learn_what_one_learns(open_learner: Open) -> None:
+    states = []
+    for threads in (1, 2):
+        learner = open_learner(learner_threads=threads, max_grad_norm=0.1, symmetric_policy=True)
+        for _ in range(2):
+            learner.collect()
+            learner.update()
+        states.append(learner.state())
+    assert states[0].keys() == states[1].keys()
+    for name, array in states[0].items():
+        assert np.array_equal(array, states[1][name]), name
+
+
 def test_rollout_advantages_are_standardized_once(open_learner: Open) -> None:
     """With advantages standardized over the rollout an update still learns, from other gradients."""
     weights = {}

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.simulator import Bytes, Flags, Floats, Ints, Starts
 
-_EXACT = EmbeddedParameters()
+_EXACT = EmbeddedParameters(exact=True)
 
 _SETTLED_TOGETHER = 64
 _LOWEST_STANDING = 0.8
@@ -45,7 +45,7 @@ class MujocoSimulator(Simulator):
     def __init__(self, robot: Robot, n: int, parameters: EmbeddedParameters = _EXACT, *, threads: int = 1) -> None:
         super().__init__(robot, n)
         self.parameters = parameters
-        self.world: World = world_of(robot, ball=parameters.exact)
+        self.world: World = world_of(robot, exact=parameters.exact)
         self._threads = threads
         self.batch = self._new_batch(n)
         self.perceptors = self.batch.perceptors

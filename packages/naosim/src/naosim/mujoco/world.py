@@ -156,15 +156,18 @@ def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats)
     return shares
 
 
-def world_of(robot: Robot, *, ball: bool = True) -> World:
+def world_of(robot: Robot, *, exact: bool = True) -> World:
     """Return the world of a robot with its gains."""
-    world = compiled(robot.data["model"], ball)
+    world = compiled(robot.data["model"], exact)
     return world.with_gains(*gains(robot))
 
 
 @cache
-def compiled(robot: str, ball: bool) -> World:
-    """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process."""
+def compiled(robot: str, exact: bool) -> World:
+    """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
+
+    A world that is not exact has neither ball nor air.
+    """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
     world = mujoco.MjSpec.from_file(str(resources / "environments/soccer/world.xml"))
@@ -182,7 +185,7 @@ def compiled(robot: str, ball: bool) -> World:
         geom.material = ""
     for element in (*world.materials, *world.textures):
         world.delete(element)
-    if not ball:
+    if not exact:
         world.delete(world.body("ball"))
     torso = spec.body("torso")
     torso.pos[0] = -(2 * UNIFORM_NUMBER + 1)
@@ -203,4 +206,6 @@ def compiled(robot: str, ball: bool) -> World:
     model = world.compile()
     # a world that diverges stays where it is, for the caller to see, instead of starting anew by itself
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-    return World(model, model.nu // 3, 7 if ball else 0)
+    if not exact:
+        model.opt.density = model.opt.viscosity = 0.0
+    return World(model, model.nu // 3, 7 if exact else 0)

@@ -39,6 +39,8 @@ class Actuation:
         self.high_rad: Floats = ends.max(axis=1)
         self.nominal: Floats = robot.nominal[self.index] * self.sign
         self._half_range = (self.high_rad - self.low_rad) / 2.0
+        # in the simulator's signs, which changes no bit
+        self._signed_half_range, self._signed_low = self._half_range * self.sign, self.low_rad * self.sign
         self._range: Floats | None = None
         if robot.action_range_rad is not None:
             self._range = np.array([robot.action_range_rad[name] for name in self.names])
@@ -66,13 +68,16 @@ class Actuation:
             (n, J) target angles in radians, simulator order and signs; joints that no action moves are at their nominal
             angle.
         """
-        targets = np.repeat(self.robot.nominal[None], len(actions), axis=0)
+        targets = np.empty((len(actions), self.n_joints))
+        targets[:] = self.robot.nominal
         unit = np.clip(actions, -1.0, 1.0)
         if self._range is None:
-            angles = (unit + 1.0) * self._half_range + self.low_rad
+            unit += 1.0
+            unit *= self._signed_half_range
+            unit += self._signed_low
         else:
-            angles = np.clip(self.nominal + unit * self._range, self.low_rad, self.high_rad)
-        targets[:, self.index] = angles * self.sign
+            unit = np.clip(self.nominal + unit * self._range, self.low_rad, self.high_rad) * self.sign
+        targets[:, self.index] = unit
         return targets
 
     def angles(self, angles_deg: Floats) -> Floats:

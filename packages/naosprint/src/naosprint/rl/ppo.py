@@ -9,6 +9,7 @@ copies to and from NumPy.
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -112,6 +113,10 @@ class PPO(Learner):
         self._n_passes = 0
         self._average = {name: tensor.clone() for name, tensor in self.policy.state_dict().items()}
         self._averaged = 0
+        self._other_thread: ThreadPoolExecutor | None = None
+        if spec.runtime.learner_threads > 1:
+            count = torch.get_num_threads()
+            self._other_thread = ThreadPoolExecutor(1, "critic", initializer=lambda: torch.set_num_threads(count))
         self._observations: Float32Array = np.zeros((environment.n, environment.n_observations), np.float32)
         self._starts: BoolArray = np.ones(environment.n, dtype=np.bool_)
 
@@ -187,9 +192,9 @@ class PPO(Learner):
         target_kl = schedules.target_kl(self.spec, self.steps)
         observations, actions = rollout.flat("observations"), rollout.flat("actions")
         old_log_probs, returns, advantages = (rollout.flat(name) for name in ("log_probs", "returns", "advantages"))
+        parameters = list(policy.parameters())
         if settings.advantage_normalization == "rollout":
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        parameters = list(policy.parameters())
         losses: list[tuple[float, ...]] = []
         kls: list[float] = []
         for _ in range(settings.n_epochs):
@@ -197,27 +202,24 @@ class PPO(Learner):
             kls = []
             for first in range(0, len(observations), settings.batch_size):
                 chosen = order[first : first + settings.batch_size]
-                policy_loss, value_loss, entropy, log_ratio = self._losses(
-                    observations.index_select(0, chosen),
-                    actions.index_select(0, chosen),
-                    old_log_probs.index_select(0, chosen),
-                    advantages.index_select(0, chosen),
-                    returns.index_select(0, chosen),
-                )
-                loss = policy_loss - settings.entropy_coefficient * entropy + settings.value_coefficient * value_loss
-                with torch.no_grad():
-                    ratio = log_ratio.exp()
-                    # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
-                    kls.append(float(((ratio - 1.0) - log_ratio).mean()))
-                    clipped = float(((ratio - 1.0).abs() > settings.clip_range).float().mean())
-                losses.append(
-                    (float(policy_loss.detach()), float(value_loss.detach()), float(entropy.detach()), clipped)
-                )
-                self._require_finite(losses[-1], kls[-1])
-                if target_kl is not None and kls[-1] > 1.5 * target_kl:
-                    break
+                seen = observations.index_select(0, chosen)
                 policy.optimizer.zero_grad()
-                loss.backward()
+                # actor and critic share nothing but the norm of the gradient
+                critic = self._beside(self._critic_gradient, seen, returns.index_select(0, chosen))
+                try:
+                    policy_loss, entropy, clipped, kl = self._actor_gradient(
+                        seen,
+                        actions.index_select(0, chosen),
+                        old_log_probs.index_select(0, chosen),
+                        advantages.index_select(0, chosen),
+                    )
+                finally:
+                    value_loss = critic()
+                kls.append(kl)
+                losses.append((policy_loss, value_loss, entropy, clipped))
+                self._require_finite(losses[-1], kl)
+                if target_kl is not None and kl > 1.5 * target_kl:
+                    break
                 if settings.max_grad_norm is not None:
                     nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
                 policy.optimizer.step()
@@ -243,25 +245,45 @@ class PPO(Learner):
             "learning_rate": rate,
         }
 
-    def _losses(
-        self, observations: Tensor, actions: Tensor, old_log_probs: Tensor, advantages: Tensor, returns: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return a minibatch's policy loss, value loss, entropy, and (k,) logarithms of the probability ratios."""
-        log_std = self.policy.log_std
+    def _actor_gradient(
+        self, observations: Tensor, actions: Tensor, old_log_probs: Tensor, advantages: Tensor
+    ) -> tuple[float, float, float, float]:
+        """Add the gradient of a minibatch's policy loss and entropy to that of the actor.
+
+        Returns:
+            Policy loss, entropy, fraction of clipped samples, and approximate KL divergence from the old policy.
+        """
+        settings, log_std = self.settings, self.policy.log_std
         mean = run_network(self._actor, observations)
-        values = run_network(self._critic, observations).squeeze(1)
         deviation = (actions - mean) * (-log_std).exp()
         log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
-        if self.settings.advantage_normalization == "minibatch":
+        if settings.advantage_normalization == "minibatch":
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         log_ratio = log_probs - old_log_probs
         ratio = log_ratio.exp()
-        clip = self.settings.clip_range
+        clip = settings.clip_range
         policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-        value_loss = (returns - values).square().mean()
         # of a Gaussian whose spread does not depend on the state
         entropy = log_std.sum() + log_std.numel() * (0.5 + _HALF_LOG_TWO_PI)
-        return policy_loss, value_loss, entropy, log_ratio.detach()
+        (policy_loss - settings.entropy_coefficient * entropy).backward()
+        with torch.no_grad():
+            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
+            kl = float(((ratio - 1.0) - log_ratio).mean())
+            clipped = float(((ratio - 1.0).abs() > clip).float().mean())
+            return float(policy_loss), float(entropy), clipped, kl
+
+    def _critic_gradient(self, observations: Tensor, returns: Tensor) -> float:
+        """Add the gradient of a minibatch's value loss to that of the critic, and return the loss."""
+        values = run_network(self._critic, observations).squeeze(1)
+        value_loss = (returns - values).square().mean()
+        (self.settings.value_coefficient * value_loss).backward()
+        return float(value_loss.detach())
+
+    def _beside(self, work: Callable[..., float], *arguments: Tensor) -> Callable[[], float]:
+        """Begin work on the other thread, if there is one, and return what waits for its result."""
+        if self._other_thread is None:
+            return lambda: work(*arguments)
+        return self._other_thread.submit(work, *arguments).result
 
     def _require_finite(self, losses: tuple[float, ...], kl: float) -> None:
         if not all(map(math.isfinite, (*losses, kl))):

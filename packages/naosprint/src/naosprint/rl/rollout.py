@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
     from naosprint.tasks.environment import Environment
 
+_NO_OBSERVATIONS: Float32Array = np.zeros((0, 0), np.float32)
+
 
 @dataclass(frozen=True, slots=True)
 class Transition:
@@ -130,7 +132,7 @@ class TrainingEnvironment:
             rewards=rewards,
             dones=dones,
             bootstrapped=bootstrapped,
-            last_observations=self.normalizer.observations(last_raw),
+            last_observations=self.normalizer.observations(last_raw) if len(last_raw) else _NO_OBSERVATIONS,
         )
 
     def _record(self, ended: IntArray) -> None:

@@ -287,7 +287,7 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
 
         def measure(rows: slice | IntArray) -> FloatArray:
             values = world.perceptors[f"foot_{side}"][rows, columns]
-            return np.where(np.isnan(values), 0.0, values)
+            return np.where(values == values, values, 0.0)  # NaN differs from itself
 
         return ObservationBlock(
             tuple(f"{side}_foot_{kind}_{axis}" for axis in _AXES),
@@ -306,19 +306,22 @@ def _foot_counters(world: World) -> ObservationBlock:
     loaded_before: BoolArray = np.zeros((world.n, 2), dtype=np.bool_)
 
     def loaded(rows: slice | IntArray) -> BoolArray:
-        feet = [world.perceptors[f"foot_{side}"][rows][:, 3:] for side in ("left", "right")]
-        # comparisons with NaN, which stands for no contact, are false
-        return np.stack([(np.abs(forces) > 0.0).any(axis=1) for forces in feet], axis=1)
+        found = np.empty((rows.stop - rows.start if isinstance(rows, slice) else len(rows), 2), dtype=np.bool_)
+        for side, perceptor in enumerate(("foot_left", "foot_right")):
+            forces = world.perceptors[perceptor][rows, 3:]
+            # comparisons with NaN, which stands for no contact, are false
+            np.greater(np.einsum("ij,ij->i", forces, forces), 0.0, out=found[:, side])
+        return found
 
     def begin(rows: IntArray) -> None:
         counters[rows] = 0
         loaded_before[rows] = loaded(rows)
 
     def update(rows: slice) -> None:
-        now = loaded(rows)
-        counters[rows] += 1
-        counters[rows][now & ~loaded_before[rows]] = 0
-        loaded_before[rows] = now
+        now, before, count = loaded(rows), loaded_before[rows], counters[rows]
+        count += 1
+        count[now & ~before] = 0
+        before[:] = now
 
     return ObservationBlock(
         ("right_foot_counter", "left_foot_counter"),
