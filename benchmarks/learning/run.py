@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +50,7 @@ SEEDS = (0, 1, 2)
 STEPS = 10_000_000
 LONG_STEPS = 50_000_000
 EPISODES = 1000
+OTHER_ROBOTS = ("t1", "k1")
 CURVE_EPISODES = 200
 """Episodes behind each point of a curve of evaluations."""
 
@@ -214,16 +216,21 @@ def _thinned(rows: Sequence[dict[str, float]], points: int = 200) -> dict[str, l
     return {name: [float(np.mean([kept[i][name] for i in part])) for part in parts] for name in names}
 
 
-def seeds(workdir: Path) -> dict[str, Any]:
-    """Train preset fast with every seed and average."""
-    runs = []
-    for seed in SEEDS:
-        spec = spec_of(seed=seed, total_steps=STEPS, **ONE_CORE)
-        runs.append(digest(trained(workdir, f"fast-{seed}", spec), spec, steps=STEPS))
-    names = TASK.presentation.headline
-    mean = {name: float(np.mean([run["final"][name] for run in runs])) for name in names}
-    mean["training_s"] = float(np.mean([run["training_s"] for run in runs]))
-    return {"mean": mean, "runs": runs}
+def seeds(robot: str | None = None) -> Callable[[Path], dict[str, Any]]:
+    """Return a section that trains preset fast with every seed and averages, for the default robot or another."""
+
+    def section(workdir: Path) -> dict[str, Any]:
+        runs = []
+        for seed in SEEDS:
+            spec = spec_of(seed=seed, total_steps=STEPS, **ONE_CORE, **({"robot": robot} if robot else {}))
+            name = f"fast-{robot}-{seed}" if robot else f"fast-{seed}"
+            runs.append(digest(trained(workdir, name, spec), spec, steps=STEPS))
+        names = TASK.presentation.headline
+        mean = {name: float(np.mean([run["final"][name] for run in runs])) for name in names}
+        mean["training_s"] = float(np.mean([run["training_s"] for run in runs]))
+        return {"mean": mean, "runs": runs}
+
+    return section
 
 
 def long(workdir: Path) -> dict[str, Any]:
@@ -281,9 +288,9 @@ def random_policy(workdir: Path) -> dict[str, Any]:
     return {"episodes": len(measured), **dict(zip(names, np.mean(measured, axis=0).tolist(), strict=True))}
 
 
-def throughput(workdir: Path) -> dict[str, Any]:
+def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
     """Measure the engine alone, the environments, the learner alone, and the whole loop of preset fast."""
-    spec = spec_of(total_steps=10_000_000_000)
+    spec = spec_of(total_steps=10_000_000_000, **({"robot": robot} if robot else {}))
     set_learner_threads(spec.runtime.learner_threads)
     environment, n_starts = open_training_environment(spec)
     env = TrainingEnvironment.from_spec(spec, environment, n_starts)
@@ -316,9 +323,10 @@ def throughput(workdir: Path) -> dict[str, Any]:
     # robots that lie on the ground cost more than running ones: they are restarted now and then
     found["engine"] = _rate(engine, every=100, then=lambda: env.reset())
     environment.close()
-    log = _Rows(workdir / "throughput")
+    folder = workdir / ("throughput-" + spec.robot.name)
+    log = _Rows(folder)
     limit = time.monotonic() + MEASURE_S + 5.0
-    train(spec, workdir=workdir / "throughput", reporter=log, stop=lambda: time.monotonic() > limit)
+    train(spec, workdir=folder, reporter=log, stop=lambda: time.monotonic() > limit)
     late = [row for row in log.rows if row["time_s"] > 5.0]
     span = late[-1]["time_s"] - late[0]["time_s"]
     found["whole_loop"] = (late[-1]["step"] - late[0]["step"]) / span
@@ -346,7 +354,9 @@ def _rate(work: Callable[[], int], *, every: int = 0, then: Callable[[], object]
 SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "throughput": throughput,
     "random": random_policy,
-    "seeds": seeds,
+    "seeds": seeds(),
+    **{f"seeds-{robot}": seeds(robot) for robot in OTHER_ROBOTS},
+    **{f"throughput-{robot}": partial(throughput, robot=robot) for robot in OTHER_ROBOTS},
     "paper": paper,
     "long": long,
     **{f"chain-{seed}": chain(seed) for seed in SEEDS},
