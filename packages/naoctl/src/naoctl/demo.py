@@ -31,8 +31,17 @@ from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
 
-#: The bundled policy that runs at the end, over how many episodes, and how much of one is filmed, seconds.
-BUNDLED, BUNDLED_EPISODES, BUNDLED_FILM_S = "sprint", 20, 5
+#: Episodes of the bundled policy that runs at the end, and how much of one is filmed, seconds.
+BUNDLED_EPISODES, BUNDLED_FILM_S = 20, 5
+
+#: By robot: steps after which it runs, and episodes of its evaluation, so that it all ends while somebody watches.
+ROBOTS = {"nao-0": (3_000_000, 1000), "t1": (2_500_000, 300), "k1": (2_500_000, 300)}
+
+
+def bundled_policy(robot: str) -> str | None:
+    """Return the name of the fastest bundled policy of a robot; None if there is none."""
+    names = [name for name in naopolicies.names() if naopolicies.card(name)["robot"] == robot]
+    return min(names, key=len, default=None)
 
 
 class Demo:
@@ -49,7 +58,7 @@ class Demo:
         self.layout = layout
         self.output = output
 
-    def run(self, *, steps: int, seed: int, episodes: int, keep: bool) -> None:
+    def run(self, *, robot: str, steps: int, seed: int, episodes: int, keep: bool) -> None:
         """Do all of it; whatever happens, nothing is left running unless ``keep``.
 
         Raises:
@@ -63,12 +72,14 @@ class Demo:
             self.context.say("Dashboard", stack.url)
             self.context.say("Sign in", stack.sign_in_url)
             with Client(Target(stack.url, stack.token)) as client:
-                job = self._train(client, steps, seed, episodes)
+                job = self._train(client, robot, steps, seed, episodes)
                 evaluation = self._show_results(client, job)
                 checkpoint_folder = self._download(client, job, evaluation)
             self._verify(checkpoint_folder, evaluation)
             self._report(checkpoint_folder.parent)
-            self.show_bundled(evaluation, self.output / BUNDLED)
+            bundled = bundled_policy(robot)
+            if bundled is not None:
+                self.show_bundled(bundled, evaluation, self.output / bundled)
         finally:
             if not keep:
                 self._head("8. Stop")
@@ -81,9 +92,9 @@ class Demo:
         self.context.out.print(text, style="bold", markup=False)
         self.context.out.file.flush()
 
-    def _train(self, client: Client, steps: int, seed: int, episodes: int) -> dict[str, Any]:
-        self._head(f"2. A training job: sprint1, preset fast, {steps:,} steps")
-        flags = {"task": "sprint1", "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
+    def _train(self, client: Client, robot: str, steps: int, seed: int, episodes: int) -> dict[str, Any]:
+        self._head(f"2. A training job: sprint1, robot {robot}, preset fast, {steps:,} steps")
+        flags = {"task": "sprint1", "robot": robot, "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
         body = make_body({}, flags, {"eval_episodes": str(episodes)})
         job: dict[str, Any] = client.post("/jobs", {**body, "name": "demo", "tags": ["demo"]})
         self.context.say("Submitted", job["id"])
@@ -124,18 +135,18 @@ class Demo:
         for film in sorted(page.parent.glob("*.mp4")):
             self.context.say("Film", film.resolve().as_uri())
 
-    def show_bundled(self, evaluation: dict[str, Any], folder: Path) -> None:
+    def show_bundled(self, name: str, evaluation: dict[str, Any], folder: Path) -> None:
         """Evaluate a bundled policy, show its results beside those of the one just trained, and film it."""
-        self._head(f"7. For comparison, the bundled policy {BUNDLED}")
-        trained, bundled = evaluation["summary"], evaluate(BUNDLED, episodes=BUNDLED_EPISODES)
+        self._head(f"7. For comparison, the bundled policy {name}")
+        trained, bundled = evaluation["summary"], evaluate(name, episodes=BUNDLED_EPISODES)
         for title, summary, steps in (
             ("Trained", trained, trained["checkpoint"]["step"]),
-            (BUNDLED.capitalize(), bundled, naopolicies.card(BUNDLED)["steps"]),
+            (name.capitalize(), bundled, naopolicies.card(name)["steps"]),
         ):
-            results = ", ".join(f"{name.lower()} {text}" for name, text in headline(summary).items())
+            results = ", ".join(f"{what.lower()} {text}" for what, text in headline(summary).items())
             self.context.say(title, f"{summary['episodes']:,} episodes after {steps:,} steps: {results}")
         try:
-            run_naosprint("replay", BUNDLED, str(folder), "--film-seconds", str(BUNDLED_FILM_S))
+            run_naosprint("replay", name, str(folder), "--film-seconds", str(BUNDLED_FILM_S))
         except CliError as error:
             self.context.say("Film", str(error))
             return

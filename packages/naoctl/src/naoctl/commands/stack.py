@@ -9,7 +9,7 @@ import typer
 
 from naoctl.config import Config
 from naoctl.context import Context, DataDir, JsonFlag, context_of
-from naoctl.errors import ExitCode, StackError
+from naoctl.errors import CliError, ExitCode, StackError
 
 #: Port, workers and queues of `naoctl up`.
 PortOption = Annotated[
@@ -159,9 +159,16 @@ def doctor(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag = Fal
 
 def demo(
     ctx: typer.Context,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Environment steps to train for.")] = 3_000_000,
+    robot: Annotated[str, typer.Option("--robot", help="Robot to train: nao-0, t1 or k1.")] = "nao-0",
+    steps: Annotated[
+        int | None,
+        typer.Option("--steps", min=1, help="Environment steps to train for.  \\[default: until it runs]"),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the training.")] = 0,
-    episodes: Annotated[int, typer.Option("--episodes", min=1, help="Episodes of the evaluation.")] = 1000,
+    episodes: Annotated[
+        int | None,
+        typer.Option("--episodes", min=1, help="Episodes of the evaluation.  \\[default: 1000; 300 for T1 and K1]"),
+    ] = None,
     data_dir: DataDir = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where the policy and its results go.")
@@ -170,13 +177,16 @@ def demo(
 ) -> None:
     """Show everything once: start the service, train a robot live, evaluate its policy, fetch and check it, stop."""
     _need_stack()
-    from naoctl.demo import Demo
+    from naoctl.demo import ROBOTS, Demo
     from naoctl.stack.layout import Layout, default_data_dir
 
+    if robot not in ROBOTS:
+        raise CliError(f"--robot: {robot!r} is not one of {', '.join(ROBOTS)}", code=ExitCode.USAGE)
+    usual_steps, usual_episodes = ROBOTS[robot]
     folder = data_dir or default_data_dir().with_name("naosprint-demo")
     layout = Layout.at(folder)
     Demo(context_of(ctx), layout, output or layout.root / "results").run(
-        steps=steps, seed=seed, episodes=episodes, keep=keep
+        robot=robot, steps=steps or usual_steps, seed=seed, episodes=episodes or usual_episodes, keep=keep
     )
 
 
