@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosprint packages/naojobs packages/naoctl services/api services/worker
-SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) packages/naosim/CMakeLists.txt $(wildcard packages/naosim/cpp/*)
+SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) $(wildcard packages/*/CMakeLists.txt packages/*/cpp/*)
 INSTALLED := $(VENV)/.installed
 
 .PHONY: help install demo up test check lint types e2e readme docs bench sanitize clean

@@ -148,8 +148,8 @@ def recorded_form(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def training(preset: str) -> dict[str, Any]:
-    """Train briefly with one preset."""
+def training(name: str) -> dict[str, Any]:
+    """Train briefly: with a preset and PyTorch's gradients, or, as ``compiled``, preset fast with the kernel's."""
     from naospec import TrainingSpec
     from naosprint.rl.checkpoint import read_arrays
     from naosprint.rl.runner import train
@@ -170,10 +170,10 @@ def training(preset: str) -> dict[str, Any]:
 
     spec = TrainingSpec.model_validate(
         {
-            "algorithm": {"preset": preset},
+            "algorithm": {"preset": "fast" if name == "compiled" else name},
             "total_steps": TOTAL_STEPS,
             "seed": 0,
-            "runtime": {"simulator_threads": 1, "learner_threads": 1},
+            "runtime": {"simulator_threads": 1, "learner_threads": 1, "compiled_update": name == "compiled"},
         }
     )
     reporter = LastRow()
@@ -259,6 +259,7 @@ KINDS = {
     "evaluations": evaluations,
     "training-fast": partial(training, "fast"),
     "training-paper": partial(training, "paper"),
+    "training-compiled": partial(training, "compiled"),
 }
 
 if __name__ == "__main__":

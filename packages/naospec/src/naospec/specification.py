@@ -107,6 +107,11 @@ class RuntimeSettings(BaseModel):
     learner_threads: int = Field(
         default=2, ge=1, le=256, title="Learner threads", description="Threads of the learner."
     )
+    compiled_update: bool = Field(
+        default=True,
+        title="Compiled update",
+        description="Compute gradients by the compiled kernel, rather than by PyTorch; the last digits differ.",
+    )
     checkpoint_interval_steps: int = Field(
         default=1_000_000,
         ge=1,

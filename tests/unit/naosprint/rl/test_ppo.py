@@ -157,13 +157,15 @@ def test_time_limit_bootstraps_the_value_of_what_would_have_followed(
 
 
 @pytest.mark.parametrize(("entropy", "symmetric"), [(0.0, True), (0.01, True), (0.01, False)])
+@pytest.mark.parametrize("compiled", [True, False])
 def test_update_is_that_of_stable_baselines3(
-    open_learner: Open, entropy: float, symmetric: bool, monkeypatch: pytest.MonkeyPatch
+    open_learner: Open, entropy: float, symmetric: bool, compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the same rollout and minibatches, stable-baselines3's PPO.train and ours arrive at the same weights."""
     ours = open_learner(
         entropy_coefficient=entropy,
         symmetric_policy=symmetric,
+        compiled_update=compiled,
         n_epochs=3,
         target_kl=None,
         learning_rate=1e-3,
@@ -443,7 +445,11 @@ def test_observation_that_is_not_finite_is_named(open_learner: Open) -> None:
 def test_weight_that_is_not_finite_is_reported(open_learner: Open) -> None:
     """A learning rate that destroys the weights is noticed in the same update."""
     learner = open_learner(
-        target_kl=None, learning_rate_schedule="constant", max_grad_norm=None, normalize_rewards=False
+        target_kl=None,
+        learning_rate_schedule="constant",
+        max_grad_norm=None,
+        normalize_rewards=False,
+        compiled_update=False,  # the kernel calls no hooks
     )
     assert learner.collect()
     weight = learner.policy.get_parameter("action_net.weight")

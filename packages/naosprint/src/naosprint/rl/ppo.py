@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,9 +21,10 @@ from torch import nn
 
 from naosprint.mirror import Mirror
 from naosprint.rl import schedules
+from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, linear_layers, run_network
-from naosprint.rl.symmetry import tie_weights
+from naosprint.rl.symmetry import Projections, tie_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -101,7 +103,12 @@ class PPO(Learner):
         self.spec = spec
         self.settings = settings
         self.environment = environment
-        self.policy = _build_policy(spec, environment)
+        self.policy, projections = _build_policy(spec, environment)
+        self._gradients: Gradients = (
+            KernelGradients(self.policy, settings, projections)
+            if spec.runtime.compiled_update
+            else TorchGradients(self.policy, settings)
+        )
         self._actor = linear_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
         self._critic = linear_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
@@ -190,29 +197,24 @@ class PPO(Learner):
         for group in policy.optimizer.param_groups:
             group["lr"] = rate
         target_kl = schedules.target_kl(self.spec, self.steps)
-        observations, actions = rollout.flat("observations"), rollout.flat("actions")
-        old_log_probs, returns, advantages = (rollout.flat(name) for name in ("log_probs", "returns", "advantages"))
-        parameters = list(policy.parameters())
+        samples = Samples(
+            **{name: rollout.flat(name) for name in ("observations", "actions", "log_probs", "advantages", "returns")}
+        )
         if settings.advantage_normalization == "rollout":
-            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+            advantages = samples.advantages
+            samples = replace(samples, advantages=(advantages - advantages.mean()) / (advantages.std() + 1e-8))
+        parameters = list(policy.parameters())
         losses: list[tuple[float, ...]] = []
         kls: list[float] = []
         for _ in range(settings.n_epochs):
-            order = torch.randperm(len(observations), generator=self.generator)
+            order = torch.randperm(len(samples.returns), generator=self.generator)
             kls = []
-            for first in range(0, len(observations), settings.batch_size):
+            for first in range(0, len(samples.returns), settings.batch_size):
                 chosen = order[first : first + settings.batch_size]
-                seen = observations.index_select(0, chosen)
-                policy.optimizer.zero_grad()
                 # actor and critic share nothing but the norm of the gradient
-                critic = self._beside(self._critic_gradient, seen, returns.index_select(0, chosen))
+                critic = self._beside(self._gradients.critic, samples, chosen)
                 try:
-                    policy_loss, entropy, clipped, kl = self._actor_gradient(
-                        seen,
-                        actions.index_select(0, chosen),
-                        old_log_probs.index_select(0, chosen),
-                        advantages.index_select(0, chosen),
-                    )
+                    policy_loss, entropy, clipped, kl = self._gradients.actor(samples, chosen)
                 finally:
                     value_loss = critic()
                 kls.append(kl)
@@ -245,41 +247,7 @@ class PPO(Learner):
             "learning_rate": rate,
         }
 
-    def _actor_gradient(
-        self, observations: Tensor, actions: Tensor, old_log_probs: Tensor, advantages: Tensor
-    ) -> tuple[float, float, float, float]:
-        """Add the gradient of a minibatch's policy loss and entropy to that of the actor.
-
-        Returns:
-            Policy loss, entropy, fraction of clipped samples, and approximate KL divergence from the old policy.
-        """
-        settings, log_std = self.settings, self.policy.log_std
-        mean = run_network(self._actor, observations)
-        deviation = (actions - mean) * (-log_std).exp()
-        log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
-        if settings.advantage_normalization == "minibatch":
-            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        log_ratio = log_probs - old_log_probs
-        ratio = log_ratio.exp()
-        clip = settings.clip_range
-        policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-        # of a Gaussian whose spread does not depend on the state
-        entropy = log_std.sum() + log_std.numel() * (0.5 + _HALF_LOG_TWO_PI)
-        (policy_loss - settings.entropy_coefficient * entropy).backward()
-        with torch.no_grad():
-            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
-            kl = float(((ratio - 1.0) - log_ratio).mean())
-            clipped = float(((ratio - 1.0).abs() > clip).float().mean())
-            return float(policy_loss), float(entropy), clipped, kl
-
-    def _critic_gradient(self, observations: Tensor, returns: Tensor) -> float:
-        """Add the gradient of a minibatch's value loss to that of the critic, and return the loss."""
-        values = run_network(self._critic, observations).squeeze(1)
-        value_loss = (returns - values).square().mean()
-        (self.settings.value_coefficient * value_loss).backward()
-        return float(value_loss.detach())
-
-    def _beside(self, work: Callable[..., float], *arguments: Tensor) -> Callable[[], float]:
+    def _beside(self, work: Callable[..., float], *arguments: Any) -> Callable[[], float]:
         """Begin work on the other thread, if there is one, and return what waits for its result."""
         if self._other_thread is None:
             return lambda: work(*arguments)
@@ -344,9 +312,13 @@ class PPO(Learner):
             }
 
 
-def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> ActorCriticPolicy:
-    """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed."""
+def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple[ActorCriticPolicy, Projections]:
+    """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed.
+
+    With them comes what the gradients of tied weights pass through.
+    """
     settings = spec.algorithm
+    projections: Projections = {}
     # without touching the process's generators
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(spec.seed)
@@ -365,10 +337,10 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> Actor
         if settings.symmetric_policy:
             inner = environment.environment
             actions = Mirror.of_names(inner.actuation.names, *inner.actuation.mirror)
-            tie_weights(policy, inner.observer.mirror, actions)
+            projections = tie_weights(policy, inner.observer.mirror, actions)
     if settings.final_log_std is not None:
         policy.log_std.requires_grad_(False)
-    return policy
+    return policy, projections
 
 
 def _initialize_unit_norm(policy: ActorCriticPolicy) -> None:

@@ -8,29 +8,36 @@ pairs of which each sees the mirror image of what the other sees.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from naosprint.mirror import Mirror
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import ActorCriticPolicy
-    from torch import Tensor
+
+Projections = dict[Tensor, Callable[[Tensor], Tensor]]
+"""Functions that make gradients symmetric, by parameter."""
 
 
-def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> None:
+def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> Projections:
     """Make actor and critic symmetric, now and under every gradient step to come.
 
     The weights are replaced by their means with their own mirror images, scaled so that units keep their norms, and
     hooks do the same to the gradients. Mirrored weights then get mirrored gradients, bit for bit, and an optimizer that
     treats all weights alike, as Adam does, keeps them mirrored.
 
+    Returns:
+        What the hooks do, by parameter, for gradients that PyTorch does not compute.
+
     Raises:
         ValueError: if a hidden layer has an odd number of units.
     """
+    projections: Projections = {}
     value = Mirror(np.zeros(1, dtype=np.int64), np.ones(1))
     for body, head, outputs in (
         (policy.mlp_extractor.policy_net, policy.action_net, actions),
@@ -40,13 +47,14 @@ def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror
         layers = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
         for layer in layers:
             out = outputs if layer is layers[-1] else Mirror.of_pairs(layer.out_features)
-            _tie(layer.weight, out, inputs)
-            _tie(layer.bias, out, None)
+            projections[layer.weight] = _tie(layer.weight, out, inputs)
+            projections[layer.bias] = _tie(layer.bias, out, None)
             inputs = out
-    _tie(policy.log_std, Mirror(actions.index, np.abs(actions.sign)), None)
+    projections[policy.log_std] = _tie(policy.log_std, Mirror(actions.index, np.abs(actions.sign)), None)
+    return projections
 
 
-def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> None:
+def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> Callable[[Tensor], Tensor]:
     row_index = torch.from_numpy(rows.index)
     signs = torch.from_numpy(rows.sign).to(torch.float32)
     if columns is not None:
@@ -70,3 +78,4 @@ def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> None:
             # one factor for both units of a pair, to the last bit
             parameter.mul_(0.5 * (factors + factors[row_index]))
     parameter.register_hook(symmetric)  # type: ignore[no-untyped-call]
+    return symmetric

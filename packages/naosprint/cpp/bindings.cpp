@@ -1,0 +1,164 @@
+// The module naosprint.rl._kernel; naosprint.rl.kernel documents it.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "network.hpp"
+
+namespace nb = nanobind;
+
+using Floats = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using Index = nb::ndarray<const std::int64_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+
+namespace naosprint {
+namespace {
+
+void require(bool holds, const char* what) {
+  if (!holds) throw nb::value_error(what);
+}
+
+// One network's parameters, where they lie, and where their gradients go.
+class Network {
+ public:
+  // Weight, bias, gradient of the weight, gradient of the bias of each layer. The arrays must outlive this object, which keeps them.
+  Network(std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays, const std::string& kernel) : arrays_(std::move(arrays)) {
+    kernel_ = kernel.empty() ? &best_kernel() : find_kernel(kernel.c_str());
+    require(kernel_ != nullptr, "kernel: does not run on this processor");
+    require(!arrays_.empty(), "layers: at least one is needed");
+    for (auto& [weight, bias, weight_gradient, bias_gradient] : arrays_) {
+      require(weight.ndim() == 2 && weight_gradient.ndim() == 2 && bias.ndim() == 1 && bias_gradient.ndim() == 1, "layers: wrong shape");
+      require(weight.shape(0) == bias.shape(0) && weight.shape(0) == weight_gradient.shape(0) && weight.shape(1) == weight_gradient.shape(1) &&
+                  bias.shape(0) == bias_gradient.shape(0),
+              "layers: shapes do not fit each other");
+      require(layers_.empty() || static_cast<int>(weight.shape(1)) == layers_.back().outputs, "layers: widths do not fit each other");
+      layers_.push_back({static_cast<int>(weight.shape(1)), static_cast<int>(weight.shape(0)), weight.data(), bias.data(), weight_gradient.data(),
+                         bias_gradient.data()});
+    }
+  }
+
+  std::tuple<double, double, double> actor(const Floats& log_std, std::optional<Floats> log_std_gradient, const Floats& observations,
+                                           const Floats& actions, const Floats& log_probs, const Floats& advantages, const Index& rows, bool normalize,
+                                           float clip_range) {
+    const std::size_t n = observations.shape(0), outputs = static_cast<std::size_t>(layers_.back().outputs);
+    check(observations, rows);
+    require(actions.size() == n * outputs && log_std.size() == outputs && (!log_std_gradient || log_std_gradient->size() == outputs),
+            "actions, log_std: wrong shape");
+    require(log_probs.size() == n && advantages.size() == n, "log_probs, advantages: wrong shape");
+    require(!normalize || rows.size() >= 2, "rows: at least two are needed to normalize advantages");
+    const Rollout rollout{observations.data(), actions.data(), log_probs.data(), advantages.data(), nullptr};
+    float* gradient = log_std_gradient ? log_std_gradient->data() : nullptr;
+    nb::gil_scoped_release release;
+    const ActorResult result = kernel_->actor(layers_, log_std.data(), gradient, rollout, {rows.data(), static_cast<int>(rows.size())}, normalize,
+                                              clip_range, workspace_);
+    return {result.loss, result.clipped, result.kl};
+  }
+
+  double critic(const Floats& observations, const Floats& returns, const Index& rows, float coefficient) {
+    check(observations, rows);
+    require(returns.size() == observations.shape(0) && layers_.back().outputs == 1, "returns: wrong shape");
+    const Rollout rollout{observations.data(), nullptr, nullptr, nullptr, returns.data()};
+    nb::gil_scoped_release release;
+    return kernel_->critic(layers_, rollout, {rows.data(), static_cast<int>(rows.size())}, coefficient, workspace_);
+  }
+
+  const char* kernel_name() const { return kernel_->name; }
+
+ private:
+  void check(const Floats& observations, const Index& rows) const {
+    require(observations.ndim() == 2 && static_cast<int>(observations.shape(1)) == layers_.front().inputs, "observations: wrong shape");
+    require(rows.size() >= 1, "rows: at least one is needed");
+    for (std::size_t k = 0; k < rows.size(); ++k)
+      require(rows.data()[k] >= 0 && rows.data()[k] < static_cast<std::int64_t>(observations.shape(0)), "rows: out of range");
+  }
+
+  std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays_;
+  std::vector<Layer> layers_;
+  const Kernel* kernel_;
+  Workspace workspace_;
+};
+
+}  // namespace
+
+float* Workspace::take(std::size_t floats) {
+  float* at = memory_.data() + used_;
+  used_ += (floats + 15) / 16 * 16;
+  return at;
+}
+
+void Workspace::reserve(std::size_t floats) {
+  if (memory_.size() < floats) memory_.resize(floats);
+}
+
+#define NAOSPRINT_DECLARE(isa) \
+  namespace isa {              \
+  extern const Kernel kernel;  \
+  }
+NAOSPRINT_DECLARE(generic)
+#ifdef NAOSPRINT_HAS_avx2
+NAOSPRINT_DECLARE(avx2)
+#endif
+#ifdef NAOSPRINT_HAS_avx512
+NAOSPRINT_DECLARE(avx512)
+#endif
+
+namespace {
+
+const Kernel* const kKernels[] = {
+#ifdef NAOSPRINT_HAS_avx512
+    &avx512::kernel,
+#endif
+#ifdef NAOSPRINT_HAS_avx2
+    &avx2::kernel,
+#endif
+    &generic::kernel,
+};
+
+bool runs_here(const std::string& name) {
+#if defined(__x86_64__)
+  if (name == "avx512")
+    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+           __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd");
+  if (name == "avx2") return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+#endif
+  return name == "generic";
+}
+
+}  // namespace
+
+const Kernel& best_kernel() {
+  for (const Kernel* kernel : kKernels)
+    if (runs_here(kernel->name)) return *kernel;
+  return generic::kernel;
+}
+
+const Kernel* find_kernel(const char* name) {
+  for (const Kernel* kernel : kKernels)
+    if (std::string(kernel->name) == name && runs_here(name)) return kernel;
+  return nullptr;
+}
+
+}  // namespace naosprint
+
+NB_MODULE(_kernel, m) {
+  using naosprint::Network;
+  nb::class_<Network>(m, "Network")
+      .def(nb::init<std::vector<std::tuple<Floats, Floats, Floats, Floats>>, const std::string&>(), nb::arg("layers"), nb::arg("kernel"))
+      .def("actor", &Network::actor, nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"), nb::arg("actions"),
+           nb::arg("log_probs"), nb::arg("advantages"), nb::arg("rows"), nb::arg("normalize"), nb::arg("clip_range"))
+      .def("critic", &Network::critic, nb::arg("observations"), nb::arg("returns"), nb::arg("rows"), nb::arg("coefficient"))
+      .def_prop_ro("kernel", &Network::kernel_name);
+  m.def("kernels", [] {
+    std::vector<std::string> names;
+    for (const naosprint::Kernel* kernel : naosprint::kKernels)
+      if (naosprint::runs_here(kernel->name)) names.push_back(kernel->name);
+    return names;
+  });
+}

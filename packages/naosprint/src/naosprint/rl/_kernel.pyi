@@ -1,0 +1,27 @@
+from collections.abc import Sequence
+
+from naosprint.arrays import Float32Array, IntArray
+
+class Network:
+    def __init__(
+        self, layers: Sequence[tuple[Float32Array, Float32Array, Float32Array, Float32Array]], kernel: str
+    ) -> None: ...
+    @property
+    def kernel(self) -> str: ...
+    def actor(
+        self,
+        log_std: Float32Array,
+        log_std_gradient: Float32Array | None,
+        observations: Float32Array,
+        actions: Float32Array,
+        log_probs: Float32Array,
+        advantages: Float32Array,
+        rows: IntArray,
+        normalize: bool,
+        clip_range: float,
+    ) -> tuple[float, float, float]: ...
+    def critic(
+        self, observations: Float32Array, returns: Float32Array, rows: IntArray, coefficient: float
+    ) -> float: ...
+
+def kernels() -> list[str]: ...

@@ -1,0 +1,194 @@
+"""Gradients of PPO's losses: by PyTorch, which is the reference, and by a compiled kernel, which is faster.
+
+Both compute the same; the last digits differ. The kernel (packages/naosprint/cpp) passes a minibatch through a network
+in tiles that stay in the processor's cache, forward and backward. It applies to layers of any number and width.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import torch
+
+from naosprint.rl.networks import linear_layers, run_network
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from stable_baselines3.common.policies import ActorCriticPolicy
+    from torch import Tensor
+
+_HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The N samples of a rollout.
+
+    Attributes:
+        observations: (N, D) normalized observations.
+        actions: (N, A) actions as drawn.
+        log_probs: (N,) logarithms of their probability densities when they were drawn.
+        advantages: (N,) estimated advantages.
+        returns: (N,) estimated returns.
+    """
+
+    observations: Tensor
+    actions: Tensor
+    log_probs: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+
+class Gradients(Protocol):
+    """Fills in ``grad`` of a policy's parameters; actor and critic share nothing and may run at the same time."""
+
+    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
+        """Compute the gradient of policy loss and entropy for the samples ``chosen``, (k,) indices.
+
+        Returns:
+            Policy loss, entropy, fraction of clipped samples, and approximate KL divergence from the old policy.
+        """
+
+    def critic(self, samples: Samples, chosen: Tensor) -> float:
+        """Compute the gradient of the value loss for the samples ``chosen``, (k,) indices, and return the loss."""
+
+
+class TorchGradients:
+    """Gradients by PyTorch.
+
+    Args:
+        policy: the networks.
+        settings: PPO's settings.
+    """
+
+    def __init__(self, policy: ActorCriticPolicy, settings: Any) -> None:
+        self._log_std = policy.log_std
+        self._settings = settings
+        self._actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
+        self._critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
+
+    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
+        """Compute the actor's gradient; see :meth:`Gradients.actor`."""
+        settings, log_std = self._settings, self._log_std
+        _forget(self._actor, log_std)
+        mean = run_network(self._actor, samples.observations.index_select(0, chosen))
+        deviation = (samples.actions.index_select(0, chosen) - mean) * (-log_std).exp()
+        log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
+        advantages = samples.advantages.index_select(0, chosen)
+        if settings.advantage_normalization == "minibatch":
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        log_ratio = log_probs - samples.log_probs.index_select(0, chosen)
+        ratio = log_ratio.exp()
+        clip = settings.clip_range
+        policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
+        entropy = gaussian_entropy(log_std)
+        (policy_loss - settings.entropy_coefficient * entropy).backward()
+        with torch.no_grad():
+            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
+            kl = float(((ratio - 1.0) - log_ratio).mean())
+            clipped = float(((ratio - 1.0).abs() > clip).float().mean())
+            return float(policy_loss), float(entropy), clipped, kl
+
+    def critic(self, samples: Samples, chosen: Tensor) -> float:
+        """Compute the critic's gradient; see :meth:`Gradients.critic`."""
+        _forget(self._critic)
+        values = run_network(self._critic, samples.observations.index_select(0, chosen)).squeeze(1)
+        value_loss = (samples.returns.index_select(0, chosen) - values).square().mean()
+        (self._settings.value_coefficient * value_loss).backward()
+        return float(value_loss.detach())
+
+
+class KernelGradients:
+    """Gradients by the compiled kernel.
+
+    Args:
+        policy: the networks.
+        settings: PPO's settings.
+        projections: what the gradient of a parameter passes through, as hooks do for PyTorch's.
+        kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; the fastest that runs here by default.
+    """
+
+    def __init__(
+        self,
+        policy: ActorCriticPolicy,
+        settings: Any,
+        projections: Mapping[Tensor, Callable[[Tensor], Tensor]],
+        kernel: str = "",
+    ) -> None:
+        from naosprint.rl import _kernel
+
+        self._settings = settings
+        self._log_std = policy.log_std
+        self._gradients: dict[Tensor, Tensor] = {
+            parameter: torch.zeros_like(parameter, requires_grad=False) for parameter in policy.parameters()
+        }
+        self._projections = projections
+
+        def network(layers: tuple[torch.nn.Linear, ...]) -> _kernel.Network:
+            return _kernel.Network(
+                [
+                    (
+                        layer.weight.detach().numpy(),
+                        layer.bias.detach().numpy(),
+                        self._gradients[layer.weight].numpy(),
+                        self._gradients[layer.bias].numpy(),
+                    )
+                    for layer in layers
+                ],
+                kernel,
+            )
+
+        actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
+        critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
+        self._actor_parameters = [parameter for layer in actor for parameter in (layer.weight, layer.bias)]
+        self._critic_parameters = [parameter for layer in critic for parameter in (layer.weight, layer.bias)]
+        if policy.log_std.requires_grad:
+            self._actor_parameters.append(policy.log_std)
+        self._actor, self._critic = network(actor), network(critic)
+
+    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
+        """Compute the actor's gradient; see :meth:`Gradients.actor`."""
+        settings, log_std = self._settings, self._log_std
+        spread = self._gradients[log_std] if log_std.requires_grad else None
+        loss, clipped, kl = self._actor.actor(
+            log_std.detach().numpy(),
+            None if spread is None else spread.numpy(),
+            samples.observations.numpy(),
+            samples.actions.numpy(),
+            samples.log_probs.numpy(),
+            samples.advantages.numpy(),
+            chosen.numpy(),
+            settings.advantage_normalization == "minibatch",
+            settings.clip_range,
+        )
+        if spread is not None:
+            spread -= settings.entropy_coefficient
+        self._hand_over(self._actor_parameters)
+        return loss, float(gaussian_entropy(log_std.detach())), clipped, kl
+
+    def critic(self, samples: Samples, chosen: Tensor) -> float:
+        """Compute the critic's gradient; see :meth:`Gradients.critic`."""
+        loss: float = self._critic.critic(
+            samples.observations.numpy(), samples.returns.numpy(), chosen.numpy(), self._settings.value_coefficient
+        )
+        self._hand_over(self._critic_parameters)
+        return loss
+
+    def _hand_over(self, parameters: list[Tensor]) -> None:
+        for parameter in parameters:
+            gradient, project = self._gradients[parameter], self._projections.get(parameter)
+            # the optimizer's clipping writes to what it is given, which the kernel overwrites next time
+            parameter.grad = gradient if project is None else project(gradient)
+
+
+def gaussian_entropy(log_std: Tensor) -> Tensor:
+    """Return the entropy of a Gaussian whose spread does not depend on the state."""
+    return log_std.sum() + log_std.numel() * (0.5 + _HALF_LOG_TWO_PI)
+
+
+def _forget(layers: tuple[torch.nn.Linear, ...], *others: Tensor) -> None:
+    for parameter in (*(parameter for layer in layers for parameter in layer.parameters()), *others):
+        parameter.grad = None
