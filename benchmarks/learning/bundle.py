@@ -1,12 +1,13 @@
-"""Bundle the policy of a finished job: weights, card, replay, and its page in the docs.
+"""Bundle the policy of a finished training: weights, card, replay, and its page in the docs.
 
     naoctl submit --recipe sprint                            # train it, hours of a core
     python benchmarks/learning/bundle.py sprint --job JOB    # evaluate it, and write what is bundled
+    python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`
     python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
 
-The service is the one that naoctl talks to. The policy is one of the latest checkpoints: of those whose first headline
-result is within SLACK of the best, the one with the lowest first rate of the headline, such as that of falls. The
-results on the card come from an evaluation of their own, with another seed than the one that chose.
+The service is the one that naoctl talks to. A job's policy is one of its latest checkpoints: of those whose first
+headline result is within SLACK of the best, the one with the lowest first rate of the headline, such as that of falls.
+The results on the card come from an evaluation of their own, with another seed than the one that chose.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def main() -> int:
     parser.add_argument("names", nargs="+", metavar="NAME", help="name of the policy, as users will call it")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--job", help="finished job whose policy it is; its parents are its lineage")
+    source.add_argument("--training", type=Path, metavar="FOLDER", help="folder of a training without the service")
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
     parser.add_argument("--latest", type=int, default=5, help="choose among so many latest checkpoints (default: 5)")
@@ -59,6 +61,13 @@ def main() -> int:
             refresh(name)
         return 0
     (name,) = options.names
+    if options.training:
+        checkpoint = max(options.training.glob("step-*"), key=lambda path: read_manifest(path).steps)
+        rows = read_metrics(options.training / "metrics.jsonl")
+        put_in_place(name, checkpoint)
+        parts = stages(options.training.name, read_manifest(checkpoint).spec, rows)
+        write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
+        return 0
 
     def naoctl(*words: str) -> Any:
         done = subprocess.run([options.naoctl, *words, "--json"], check=True, capture_output=True, text=True)
@@ -70,21 +79,32 @@ def main() -> int:
         checkpoint = choose(naoctl, jobs[-1], work, options.latest)
         for job in jobs:
             naoctl("download", job["id"], "--what", "metrics", "--output", str(work / job["id"]))
-        parts = [part for job in jobs for part in stages(job, work)]
+        parts = [
+            part
+            for job in jobs
+            for part in stages(
+                job["name"], TrainingSpec.model_validate(job["spec"]), read_metrics(work / job["id"] / "metrics.jsonl")
+            )
+        ]
         # the last job may have continued beyond the checkpoint that was chosen
         manifest = read_manifest(checkpoint)
         before = sum(part["steps"] for part in parts if part["job"].startswith(jobs[-1]["name"])) - parts[-1]["steps"]
         parts[-1] |= {"steps": manifest.steps - before}
-        target = BUNDLED / name
-        shutil.rmtree(target, ignore_errors=True)
-        target.mkdir(parents=True)
-        # as it was written: the specification's digest counts every field that there was then
-        slim = json.loads((checkpoint / MANIFEST).read_text())
-        slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
-        (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
-        shutil.copy(checkpoint / POLICY, target / POLICY)
+        put_in_place(name, checkpoint)
     write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
     return 0
+
+
+def put_in_place(name: str, checkpoint: Path) -> None:
+    """Copy what a policy needs of its checkpoint."""
+    target = BUNDLED / name
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir(parents=True)
+    # as it was written: the specification's digest counts every field that there was then
+    slim = json.loads((checkpoint / MANIFEST).read_text())
+    slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
+    (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
+    shutil.copy(checkpoint / POLICY, target / POLICY)
 
 
 def refresh(name: str) -> None:
@@ -127,10 +147,8 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
     return min(close, key=lambda one: (one[1], -one[0]))[2]
 
 
-def stages(job: dict[str, Any], work: Path) -> list[dict[str, Any]]:
+def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Describe each stage of a job of the lineage, or the whole job if it has none."""
-    spec = TrainingSpec.model_validate(job["spec"])
-    rows = read_metrics(work / job["id"] / "metrics.jsonl")
     found, steps, time_s = [], 0.0, 0.0
     for number, stage in enumerate(spec.stage_specs, start=1):
         mine = [row for row in rows if row.get("stage", 1.0) == number]
@@ -142,7 +160,7 @@ def stages(job: dict[str, Any], work: Path) -> list[dict[str, Any]]:
         curve = {name: [round(row[name] - (steps if name == "step" else 0.0), 4) for row in complete] for name in names}
         found.append(
             {
-                "job": job["name"] + (f", stage {number}" if spec.stages else ""),
+                "job": job + (f", stage {number}" if spec.stages else ""),
                 "task": spec.task.name,
                 "robot": stage.robot.name,
                 "preset": spec.algorithm.preset,
