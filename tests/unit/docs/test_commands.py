@@ -169,3 +169,20 @@ def test_python_in_the_documents_runs(name: str, tmp_path: Path) -> None:
         path = tmp_path / f"example_{number}.py"
         path.write_text(text)
         runpy.run_path(str(path))
+
+
+def test_source_files_that_documents_name_exist() -> None:
+    """Such as ``naosprint/rl/ppo.py``, below any folder of the repository."""
+    named = re.compile(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|yaml|cpp|hpp|js|sh))`")
+    sources = [
+        str(path.relative_to(ROOT))
+        for part in ("packages", "services", "docs", "benchmarks", "deploy", "tests")
+        for path in (ROOT / part).rglob("*.*")
+    ]
+    missing = [
+        f"{document.relative_to(ROOT)}: {name}"
+        for document in [*documents.DOCUMENTS, *sorted((ROOT / "benchmarks").rglob("*.md"))]
+        for name in named.findall(document.read_text())
+        if not any(path == name or path.endswith(f"/{name}") for path in sources)
+    ]
+    assert not missing, missing
