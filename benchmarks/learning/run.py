@@ -51,8 +51,8 @@ STEPS = 10_000_000
 LONG_STEPS = 50_000_000
 EPISODES = 1000
 OTHER_ROBOTS = ("t1", "k1")
-CURVE_EPISODES = 200
-"""Episodes behind each point of a curve of evaluations."""
+CURVE_EPISODES = {"nao": 200, "booster": 50}
+"""Episodes behind each point of a curve of evaluations, by robot family."""
 
 MEASURE_S = 20.0
 """Seconds that each throughput is measured."""
@@ -176,7 +176,8 @@ def digest(folder: Path, spec: TrainingSpec, *, steps: int) -> dict[str, Any]:
     for checkpoint in sorted(folder.glob("step-*")):
         at = read_manifest(checkpoint).steps
         if 0 < at < steps:
-            curve.append({"step": at, **_short(evaluated(checkpoint, CURVE_EPISODES))})
+            episodes = CURVE_EPISODES[spec.robot_description.family]
+            curve.append({"step": at, **_short(evaluated(checkpoint, episodes))})
     final_checkpoint = max(
         (path for path in folder.glob("step-*") if read_manifest(path).steps <= steps + spec.rollout_steps),
         key=lambda path: read_manifest(path).steps,
