@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,8 @@ from naoctl import __version__
 from naoctl.cli import build_app, main
 from naoctl.config import Config
 from naoctl.errors import ExitCode
+from naoctl.render import Curve, live_view
+from rich.console import Console
 
 Jobs = Callable[..., dict[str, Any]]
 
@@ -93,6 +96,8 @@ def test_a_sweep_is_one_request(server: Any, naoctl: Callable[..., Ran], job: Jo
         (["submit", "--n-envs", "0"], "--n-envs"),
         (["submit", "--task", "sprint9"], "sprint1, sprint1-erect, sprint2"),
         (["submit", "missing.yaml"], "missing.yaml"),
+        (["submit", "--name", "last"], "newest job"),
+        (["submit", "--seed", "3", "--seeds", "0-1"], "--seeds and --seed contradict"),
         (["submit", "--seeds", "0-1", "--watch"], "--watch"),
         (["list", "--state", "dead"], "queued, starting"),
         (["compare", "a"], "two jobs"),
@@ -121,6 +126,26 @@ def test_errors_are_one_line_for_people_and_json_for_programs(server: Any, naoct
     ran = naoctl("list", "--json")
     assert ran.code == ExitCode.DENIED
     assert json.loads(ran.err)["code"] == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["list", "--limit", "many"], "--limit"),
+        (["list", "--nope"], "--nope"),
+        (["lst"], "lst"),
+        (["compare"], "JOB"),
+        (["submit", "--n-envs", "0"], "--n-envs"),
+    ],
+)
+def test_usage_errors_are_one_line_and_obey_json(naoctl: Callable[..., Ran], words: list[str], said: str) -> None:
+    ran = naoctl(*words)
+    assert (ran.code, ran.out, ran.err.count("\n")) == (ExitCode.USAGE, "", 1)
+    assert ran.err.startswith("naoctl: ") and said in ran.err
+    ran = naoctl(*words, "--json")
+    assert (ran.code, ran.out) == (ExitCode.USAGE, "")
+    error = json.loads(ran.err)
+    assert said in error["error"] and error["code"] == ExitCode.USAGE
 
 
 def test_list_filters_and_prints(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
@@ -179,6 +204,27 @@ def test_status_shows_why_a_job_waits(server: Any, naoctl: Callable[..., Ran], j
     waiting = job(state="queued", waiting_reason="no worker has task 'sprint9' version 2")
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(waiting))
     assert "no worker has task 'sprint9' version 2" in naoctl("status", job()["id"]).out
+
+
+def test_watch_shows_why_a_job_waits(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str]
+) -> None:
+    reason = "no worker has simulator 'server'"
+    path = f"/jobs/{job()['id']}"
+    server.on("GET", path)(lambda request: request.json(job()))
+    server.on("GET", f"{path}/stream")(
+        lambda request: request.stream(
+            event("state", job(state="queued", waiting_reason=reason)),
+            event("state", job(state="queued", waiting_reason=reason)),
+            event("state", job(state="cancelled")),
+        )
+    )
+    out = naoctl("watch", job()["id"]).out
+    assert out.count(f"Waiting: {reason}") == 1
+    console = Console(width=80, file=io.StringIO(), force_terminal=True)
+    waiting = job(state="queued", waiting_reason=reason)
+    console.print(live_view(waiting, Curve(), [], width=80, ascii_only=False))
+    assert reason in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("state", "code"), [("succeeded", 0), ("failed", 10), ("cancelled", 11), ("paused", 12)])
@@ -294,6 +340,36 @@ def test_evaluate_waits_for_the_results(
     body = server.received[1].body
     assert (body["spec"]["episodes"], body["spec"]["seed"], body["spec"]["task"]) == (10, 5, None)
     assert naoctl("eval", job()["id"], "--episodes", "0").code == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(("answer", "cancelled"), [("y\n", True), ("\n", False), (None, False)])
+def test_ctrl_c_on_eval_offers_to_cancel_it(
+    server: Any,
+    naoctl: Callable[..., Ran],
+    job: Jobs,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: str | None,
+    cancelled: bool,
+) -> None:
+    """Ctrl-C comes while the evaluation runs, as a signal to the waiting process."""
+    name = "eval_01m7y0yae5d2d9p46g58mkcxxh"
+    running = {"id": name, "job_id": job()["id"], "state": "running", "spec": {"episodes": 10, "seed": 5}}
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(running, 202))
+
+    @server.on("GET", f"/evaluations/{name}")
+    def look(request: Any) -> None:
+        request.json(running)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    server.on("POST", f"/evaluations/{name}/cancel")(lambda request: request.json(running))
+    monkeypatch.setattr("naoctl.commands.artifacts.stdin_is_terminal", lambda: answer is not None)
+    monkeypatch.setattr("sys.stdin", io.StringIO(answer or ""))
+    ran = naoctl("eval", job()["id"])
+    assert ran.code == ExitCode.INTERRUPTED
+    asked = [received.path for received in server.received if received.method == "POST"]
+    assert (f"/evaluations/{name}/cancel" in asked) == cancelled
+    assert (f"`naoctl cancel {name}` cancels it" in ran.err) == (not cancelled)
 
 
 def test_the_report_is_the_one_that_the_service_has_drawn(
@@ -412,6 +488,21 @@ def test_shell_completes_commands() -> None:
     program = Path(sys.executable).parent / "naoctl"
     ran = subprocess.run([program], env=os.environ | question, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["submit"]
+
+
+def test_shell_completes_names_of_jobs(server: Any, job: Jobs) -> None:
+    jobs = [job(), job(id="job_" + "2" * 26, name="firework")]
+    server.on("GET", "/jobs")(lambda request: request.json({"items": jobs, "next_cursor": None}))
+    program = Path(sys.executable).parent / "naoctl"
+
+    def completed(words: str) -> list[str]:
+        question = {"_NAOCTL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
+        environment = os.environ | question | {"NAOCTL_URL": server.url, "NAOCTL_TOKEN": "nao_test"}
+        return subprocess.run([program], env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("naoctl status fir") == ["first", "firework"]
+    assert completed("naoctl watch la") == ["last"]
+    assert completed("naoctl cancel job_22") == ["job_" + "2" * 26]
 
 
 def test_the_client_needs_neither_torch_nor_the_service() -> None:

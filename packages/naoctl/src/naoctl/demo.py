@@ -169,7 +169,7 @@ class Demo:
         self.context.say("Results", str(self.output))
         if keep:
             self.context.say("Dashboard", stack.sign_in_url)
-            self.context.say("Stop", f"naoctl down --data-dir {self.layout.root}")
+            self.context.say("Stop", self.layout.stop_command)
         else:
             self.context.say(
                 "Again", f"naoctl up --data-dir {self.layout.root}   (the job, its curves and its policy are kept)"

@@ -298,6 +298,8 @@ def live_view(
             sparkline(values, max(10, min(60, width - 44)), ascii_only=ascii_only),
         )
     parts: list[RenderableType] = [head, line]
+    if job.get("waiting_reason"):
+        parts += ["", Text(f"Waiting: {plain(job['waiting_reason'])}", style="yellow")]
     if curve.series:
         parts += ["", table]
     if note:

@@ -13,6 +13,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from naojobs.ids import PATTERN
 from naojobs.tokens import Principal, Scope, verify
 
+from naosprint_api.patterns import KEY
 from naosprint_api.problems import FieldError, ProblemError
 from naosprint_api.service import Service
 
@@ -26,9 +27,6 @@ _bearer = HTTPBearer(
 
 #: The largest number that the database can hold in the columns that callers ask for.
 MAX_BIGINT = 2**63 - 1
-
-#: Text in a query: no control characters, which Postgres would refuse or nobody could have meant.
-PLAIN = r"^[^\x00-\x1f\x7f]*$"
 
 
 def service_of(request: Request) -> Service:
@@ -89,13 +87,13 @@ def _limit(service: Service, caller: str) -> None:
 
 
 def require(scope: Scope, principal: Principal, service: Service) -> Principal:
-    """Return `principal`, or refuse it if its token has not `scope`."""
+    """Return `principal`. Raises ProblemError if its token does not have `scope`."""
     if scope not in principal.scopes:
         _log.warning("refused %s (%s): no scope %s", principal.owner, principal.token_id, scope)
         service.telemetry.refused.labels("scope").inc()
         raise ProblemError(
             403,
-            f"this token has not the scope {scope}; ask for one that has",
+            f"this token does not have scope {scope}; use one that does",
             [FieldError(field="Authorization", message=f"scope {scope} is needed")],
         )
     return principal
@@ -131,7 +129,7 @@ IdempotencyKey = Annotated[
     str | None,
     Header(
         alias="Idempotency-Key",
-        pattern=r"^[\x21-\x7e]{1,150}$",
+        pattern=KEY,
         description="Any text of your own; the same key with the same body makes one job, however often it is sent.",
     ),
 ]

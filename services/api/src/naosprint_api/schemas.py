@@ -5,19 +5,32 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-from naojobs.ids import PATTERN
 from naojobs.models import DEFAULT_TIME_LIMIT_S
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
+from naosprint_api.patterns import ID, NAME, PLAIN, TAG
+
+Tag = Annotated[str, StringConstraints(pattern=TAG)]
+#: Words that refer to a job in commands, which no job can have as its name.
+RESERVED_NAMES = frozenset({"last"})
+
+
+def _not_reserved(name: str) -> str:
+    if name in RESERVED_NAMES:
+        raise ValueError(f"{name!r} refers to the newest job in commands; use another name")
+    return name
+
+
 Name = Annotated[
-    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]*$")
+    str,
+    StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=NAME),
+    AfterValidator(_not_reserved),
 ]
-Id = Annotated[str, StringConstraints(pattern=PATTERN)]
+Id = Annotated[str, StringConstraints(pattern=ID)]
 
 EvaluationState = Literal["queued", "starting", "running", "succeeded", "failed", "cancelled"]
 
@@ -33,7 +46,10 @@ class _Public(BaseModel):
 class JobCreate(_Request):
     """Job to submit."""
 
-    name: Name | None = Field(None, description="What to call it; left out, task, preset and seed name it.")
+    name: Name | None = Field(
+        None,
+        description="Name; left out: made of task, preset and seed. A number is added if the owner has such a job.",
+    )
     tags: list[Tag] = Field(
         default_factory=list,
         max_length=20,
@@ -245,12 +261,10 @@ class EvaluationCreate(_Request):
 class TokenCreate(_Request):
     """Token to make."""
 
-    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
+    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=PLAIN)] = Field(
         description="Whose jobs it opens."
     )
-    name: Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
-        "", description="What it is for."
-    )
+    name: Annotated[str, StringConstraints(max_length=200, pattern=PLAIN)] = Field("", description="What it is for.")
     scopes: list[Scope] = Field(
         default_factory=lambda: [Scope.SUBMIT],
         min_length=1,

@@ -207,7 +207,9 @@ def _stack(layout: Layout) -> Iterator[Finding]:
         left = marked_processes(state.stack_id) if state else []
         if left:
             pids = ", ".join(str(process.pid) for process in left)
-            yield Finding("Stack", "warning", f"not running, but processes {pids} are left", "Clear them: naoctl down")
+            yield Finding(
+                "Stack", "warning", f"not running, but processes {pids} still run", f"Stop them: {layout.stop_command}"
+            )
         else:
             yield Finding("Stack", "ok", f"not running on {layout.root}")
         port = (state.api_port if state else None) or API_PORTS[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,12 @@ class Layout:
     def at(cls, folder: Path | None) -> Layout:
         """Return the layout of a folder, or of the default one."""
         return cls((folder or default_data_dir()).expanduser().resolve())
+
+    @property
+    def stop_command(self) -> str:
+        """Command that stops the stack, whatever ``NAOCTL_DATA_DIR`` is in the shell that it is typed in."""
+        usual = platformdirs.user_data_path("naosprint", appauthor=False).resolve()
+        return "naoctl down" if self.root == usual else f"naoctl down --data-dir {shlex.quote(str(self.root))}"
 
     @property
     def lock(self) -> Path:

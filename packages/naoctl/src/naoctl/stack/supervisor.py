@@ -445,7 +445,7 @@ def running_already(layout: Layout) -> StackError:
     who = f" (process {state.supervisor.pid})" if state and state.supervisor else ""
     return StackError(
         f"A stack is running on {layout.root}{where}{who}",
-        fix="Use it as it is, stop it with `naoctl down`, or name another --data-dir.",
+        fix=f"Use it, stop it with `{layout.stop_command}`, or use another --data-dir.",
     )
 
 

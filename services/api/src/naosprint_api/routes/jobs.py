@@ -15,7 +15,6 @@ from naojobs.tokens import Principal
 from naosprint_api import queries
 from naosprint_api.dependencies import (
     MAX_BIGINT,
-    PLAIN,
     After,
     IdempotencyKey,
     JobId,
@@ -24,6 +23,7 @@ from naosprint_api.dependencies import (
     ServiceDep,
     Submitter,
 )
+from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import (
     EventPage,

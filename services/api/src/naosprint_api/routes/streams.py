@@ -17,7 +17,8 @@ from naojobs.models import Job
 from naojobs.states import ENDED, WorkState
 
 from naosprint_api import queries
-from naosprint_api.dependencies import MAX_BIGINT, PLAIN, Follower, JobId, ServiceDep
+from naosprint_api.dependencies import MAX_BIGINT, Follower, JobId, ServiceDep
+from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
 from naosprint_api.routes.jobs import job_filter
