@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,6 +23,19 @@ Jobs = Callable[..., dict[str, Any]]
 
 #: One result of an evaluation as it describes itself.
 RESULT = {"name": "height_m", "title": "Jump height", "unit": "m", "digits": 2, "value": 3.5, "interval": [3.0, 4.0]}
+
+
+#: A job's evaluation as the service shows it with the job; the live metric beside it includes exploration.
+EVALUATED = {
+    "evaluation_id": "eval_01m7y0yae5d2d9p46g58mkcxxh",
+    "checkpoint_id": "ckpt_1",
+    "step": 1000,
+    "episodes": 1000,
+    "finished_at": "2026-01-02T03:05:05Z",
+    "results": [
+        {"name": "distance_m", "title": "Distance", "unit": "m", "digits": 2, "value": 27.9, "interval": [27.8, 28.0]}
+    ],
+}
 
 
 class Ran:
@@ -204,6 +218,61 @@ def test_status_shows_why_a_job_waits(server: Any, naoctl: Callable[..., Ran], j
     waiting = job(state="queued", waiting_reason="no worker has task 'sprint9' version 2")
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(waiting))
     assert "no worker has task 'sprint9' version 2" in naoctl("status", job()["id"]).out
+
+
+def test_a_finished_job_shows_its_evaluation(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str]
+) -> None:
+    done = job(state="succeeded", progress_step=1000, result=EVALUATED)
+    running = job(id="job_" + "2" * 26, name="second", result=EVALUATED)
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [done, running], "next_cursor": None}))
+    listed = naoctl("list")
+    rows = {line.split()[1]: line for line in listed.out.splitlines()}
+    assert "27.90 m" in rows["first"] and "*" not in rows["first"]
+    assert "2.25 m*" in rows["second"], "a running job shows training, marked"
+    assert listed.err == "* during training, with exploration\n"
+
+    path = f"/jobs/{done['id']}"
+    server.on("GET", path)(lambda request: request.json(done))
+    shown = naoctl("status", done["id"]).out
+    assert "1,000 episodes at step 1,000 (eval_01m7y0yae5d2d9p46g58mkcxxh)" in shown
+    assert "27.90 m [27.80, 28.00]" in shown
+    assert re.search(r"In training .*distance 2\.25 m \(latest episodes, with exploration\)", shown)
+
+    server.on("GET", f"{path}/stream")(lambda request: request.stream(event("state", done)))
+    last = naoctl("watch", done["id"]).out.splitlines()[-1]
+    assert "Evaluation, 1,000 episodes at step 1,000" in last and "distance 27.90 m" in last
+    unevaluated = {**done, "result": None}
+    server.on("GET", f"{path}/stream")(lambda request: request.stream(event("state", unevaluated)))
+    assert "In training: distance 2.25 m" in naoctl("watch", done["id"]).out.splitlines()[-1]
+
+
+def test_compare_and_download_use_the_newest_evaluation_with_the_most_episodes(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path
+) -> None:
+    def evaluation(number: int, episodes: int, minute: int, state: str = "succeeded") -> dict[str, Any]:
+        summary = {"episodes": episodes, "results": [{**RESULT, "value": float(number)}], "headline": ["height_m"]}
+        return {
+            "id": f"eval_{number}",
+            "state": state,
+            "summary": summary if state == "succeeded" else None,
+            "finished_at": f"2026-01-02T03:{minute:02}:05Z",
+            "files": [],
+        }
+
+    made = [evaluation(5, 2000, 5, "failed"), evaluation(4, 10, 4), evaluation(3, 1000, 3), evaluation(2, 1000, 2)]
+    other = job(id="job_" + "2" * 26, name="other")
+    for one, evaluations in ((job(), made), (other, [])):
+        server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request, found=evaluations: request.json(found))
+    out = naoctl("compare", job()["id"], other["id"]).out
+    lines = [line.split() for line in out.splitlines()]
+    assert ["Evaluation", "eval_3", "-"] in lines
+    assert ["Episodes", "1,000", "-"] in lines
+    assert "3.00 m" in out and "4.00 m" not in out
+    assert out.index("In training") > out.index("Jump height")
+    ran = naoctl("download", job()["id"], "--what", "evaluation", "-o", str(tmp_path), "--json")
+    assert json.loads(ran.out)[0]["id"] == "eval_3"
 
 
 def test_watch_shows_why_a_job_waits(

@@ -104,6 +104,6 @@ class Feed:
         for event in news.events:
             add("event", event_view(event).model_dump_json(), events=event.id)
         job = news.job
-        shown = job_view(job, news.waiting_reason).model_dump_json()
+        shown = job_view(job, news.waiting_reason, news.result).model_dump_json()
         state = format_sse_event(event="state", data_str=shown, id=str(seen))
         return Batch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)

@@ -15,7 +15,8 @@ from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import Select, func, select
 
-from naosprint_api.schemas import MetricsPublic
+from naosprint_api.results import results_of
+from naosprint_api.schemas import JobResult, MetricsPublic
 
 _log = logging.getLogger(__name__)
 
@@ -231,6 +232,8 @@ class News:
     job: Job | None
     #: Why no worker can take the job, if it is queued.
     waiting_reason: str | None = None
+    #: Its evaluation, if one has finished.
+    result: JobResult | None = None
     metrics: list[Metric] = field(default_factory=list)
     logs: list[Log] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
@@ -250,6 +253,7 @@ def news_of(
         if news.job is None:
             return news
         news.waiting_reason = waiting_reasons(session, [news.job], stale_s=stale_s).get(job_id)
+        news.result = results_of(session, [news.job]).get(job_id)
         if "metrics" in kinds:
             news.metrics = list(
                 session.scalars(

@@ -101,6 +101,29 @@ class GroupCreate(_Request):
         return GroupRequest(self.job.request(), self.seeds, self.grid)
 
 
+class ResultPublic(BaseModel):
+    """One result of an evaluation: a metric over all episodes."""
+
+    name: str
+    title: str
+    unit: str = ""
+    digits: int = Field(2, description="Decimals to show.")
+    value: float | None = Field(None, description="Null if no episode counts.")
+    interval: tuple[float, float] | None = Field(None, description="Confidence interval.")
+    sd: float | None = Field(None, description="Standard deviation over the episodes.")
+
+
+class JobResult(BaseModel):
+    """Result of a job: of its finished evaluations, the newest of those with the most episodes."""
+
+    evaluation_id: str
+    checkpoint_id: str
+    step: int = Field(description="Environment steps of the checkpoint.")
+    episodes: int
+    finished_at: datetime
+    results: list[ResultPublic] = Field(description="The task's main results, then others that training reports too.")
+
+
 class JobPublic(_Public):
     """Job."""
 
@@ -128,7 +151,10 @@ class JobPublic(_Public):
     group_id: str | None
     progress_step: int = Field(description="Environment steps done.")
     total_steps: int = Field(description="Environment steps to do: whole rollouts.")
-    latest_metrics: dict[str, float] = Field(description="The newest row of metrics.")
+    latest_metrics: dict[str, float] = Field(
+        description="The newest row of training metrics: of the latest episodes, with exploration."
+    )
+    result: JobResult | None = Field(None, description="Its evaluation; null until one has finished.")
     error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
     created_at: datetime
     queued_at: datetime | None

@@ -31,22 +31,22 @@ from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode
-from naoctl.evaluations import headline, newest_evaluation
+from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
 from naoctl.render import ago, cell, pairs, size, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
-#: The page of a report, beside the evaluation's files if a worker has drawn it.
+#: Name of a report's page.
 REPORT_PAGE = "report.html"
-#: Most rows of metrics that the service gives at once.
+#: Maximum number of rows of metrics in one response.
 MAX_POINTS = 5_000
 #: Exit codes for states of an evaluation.
 EXIT_CODES = {"failed": ExitCode.JOB_FAILED, "cancelled": ExitCode.JOB_CANCELLED}
 CHECKPOINT_HELP = "Checkpoint to use (default: the newest)."
 OUTPUT_HELP = "Output folder (default: named after the job)."
-#: Seconds between two looks at an evaluation that runs.
+#: Seconds between two requests for a running evaluation.
 POLL_S = 0.5
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
@@ -90,7 +90,7 @@ def download(
             point = choose_checkpoint(client, found, checkpoint)
             chosen.append(("checkpoint", folder / f"checkpoint-{point['step']:012d}", point))
         if what in (What.ALL, What.EVALUATION):
-            evaluated = newest_evaluation(client, found["id"])
+            evaluated = job_evaluation(client, found["id"])
             if evaluated:
                 chosen.append(("evaluation", folder / "evaluation", evaluated))
             elif what is What.EVALUATION:
@@ -181,7 +181,7 @@ def report(
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
-        evaluated = newest_evaluation(client, found["id"])
+        evaluated = job_evaluation(client, found["id"])
         if evaluated is None:
             raise CliError(
                 f"Job {found['id']} has no finished evaluation",

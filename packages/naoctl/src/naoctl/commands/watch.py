@@ -13,6 +13,7 @@ from naoctl.client import Client
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.descriptions import Descriptions, value_text
 from naoctl.errors import CliError, ExitCode
+from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
 from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line
 
@@ -71,8 +72,12 @@ def say_result(context: Context, job: dict[str, Any], descriptions: Descriptions
     text = f"Job {job['id']} {job['state']} at {job['progress_step']:,} steps"
     if job["state"] == "failed" and job.get("error"):
         text += f": {plain(job['error'])}"
+    elif result := shown_result(job):
+        values = ", ".join(f"{title.lower()} {value}" for title, value in headline(result).items())
+        text += f". Evaluation, {evaluated(result)}: {values}"
     elif listed:
-        text += ": " + ", ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in listed)
+        values = ", ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in listed)
+        text += f". In training: {values}"
     context.out.print(text, style=style, markup=False, soft_wrap=True)
     if job["state"] == "failed":
         context.note(f"`naoctl logs {job['id']}` shows why; `naoctl retry {job['id']}` queues it again.")
