@@ -17,7 +17,7 @@ from naoctl.config import Target, resolve_target
 from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.render import make_console, print_json
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of text for people.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 #: Reference to the newest job; no job can have this name.
 NEWEST = "last"
 DataDir = Annotated[
@@ -73,7 +73,7 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
     """
     text = reference.strip()
     if not text:
-        raise InvalidInput("JOB is empty", fix="Give a job's id or name; `naoctl list` shows them.")
+        raise InvalidInput("JOB is empty", fix="Use a job's id or name; `naoctl list` shows them.")
     if text == NEWEST:
         newest = list(client.pages("/jobs", limit=1))
         if not newest:
@@ -90,9 +90,7 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
             begun.append(job)
     matches = named or begun
     if not matches:
-        raise CliError(
-            f"There is no job {text!r}", fix="`naoctl list` shows the jobs there are.", code=ExitCode.NOT_FOUND
-        )
+        raise CliError(f"There is no job {text!r}", fix="`naoctl list` shows all jobs.", code=ExitCode.NOT_FOUND)
     if len(matches) > 1:
         ids = ", ".join(job["id"] for job in matches[:4]) + (", …" if len(matches) > 4 else "")
         raise CliError(

@@ -1,4 +1,4 @@
-"""The commands that run the service on this machine: up, down, doctor, demo."""
+"""Commands for the service on this machine: up, down, doctor, demo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from naoctl.config import Config
 from naoctl.context import Context, DataDir, JsonFlag, context_of
 from naoctl.errors import ExitCode, StackError
 
-#: Port, workers and queues of `naoctl up`.
+#: Port of `naoctl up`.
 PortOption = Annotated[
     int | None,
     typer.Option(
@@ -116,7 +116,7 @@ def _announce(context: Context, root: Path, stack: object, *, as_json: bool, det
 def down(
     ctx: typer.Context,
     data_dir: DataDir = None,
-    now: Annotated[bool, typer.Option("--now", help="Kill instead of waiting for a running job's checkpoint.")] = False,
+    now: Annotated[bool, typer.Option("--now", help="Stop at once, without a checkpoint of the running job.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Stop the service on this machine. Also cleans up after a service that was killed."""
@@ -132,7 +132,8 @@ def down(
         context.json({"data_dir": str(layout.root), "stopped": done})
     else:
         context.say(
-            "Stopped" if done else "Idle", "nothing is left running" if done else f"no stack runs on {layout.root}"
+            "Stopped" if done else "Idle",
+            "nothing is left running" if done else f"no stack is running on {layout.root}",
         )
 
 
