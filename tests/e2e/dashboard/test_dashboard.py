@@ -464,7 +464,7 @@ def test_the_list_is_live_and_filters(browser: Browser, token: str, client: http
     browser.find("input[type=search]").send_keys("alph")
     browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
     browser.find("input[type=search]").send_keys("xyz")
-    browser.shows("No job fits")
+    browser.shows("No matching jobs")
     client.delete(f"/jobs/{second}")
     browser.open("/")
     browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
@@ -795,7 +795,7 @@ def test_the_log_follows_its_end_and_filters(browser: Browser, stack: Stack, tok
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}/log")
     browser.shows("line 1499", ".log")
-    assert "Earlier lines are left out" in browser.text(".log .mark")
+    assert "Earlier lines are not shown" in browser.text(".log .mark")
     say("<b>not bold</b>", level="warning")
     browser.shows("<b>not bold</b>", ".log")
     at_end = "const b = document.querySelector('.log'); return b.scrollHeight - b.scrollTop - b.clientHeight < 4"

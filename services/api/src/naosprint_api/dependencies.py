@@ -1,4 +1,4 @@
-"""What routes ask for: the service, and who the caller is."""
+"""Dependencies of routes: the service and the caller."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _bearer = HTTPBearer(
     description="A token made by `POST /tokens`, or the first one by `python -m naojobs token create`.",
 )
 
-#: The largest number that the database can hold in the columns that callers ask for.
+#: Largest value of the database's integer columns.
 MAX_BIGINT = 2**63 - 1
 
 
@@ -50,7 +50,7 @@ Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 
 
 def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
-    """Return who the token belongs to, and count the request against their rate."""
+    """Return the owner of the token, and count the request against the rate limit."""
     if credentials is None:
         _limit(service, f"address {_caller(request)}")
         raise ProblemError(
@@ -66,7 +66,7 @@ def authenticate(request: Request, service: ServiceDep, credentials: Credentials
         _limit(service, f"address {_caller(request)}")
         raise ProblemError(
             401,
-            "the token is unknown, expired or revoked; ask for a new one",
+            "the token is unknown, expired or revoked; use another one",
             [FieldError(field="Authorization", message="unknown, expired or revoked token")],
             {"WWW-Authenticate": 'Bearer error="invalid_token"'},
         )
@@ -109,7 +109,7 @@ def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
 
 
 async def follower(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
-    """Return who wants to follow, looked up where followers wait for each other: many may come at once."""
+    """Return the owner of the token, looked up in the threads for followers: many may connect at once."""
     principal = await service.feed.in_thread(partial(authenticate, request, service, credentials))
     return require(Scope.READ, principal, service)
 
@@ -123,13 +123,13 @@ JobId = Annotated[str, Path(pattern=PATTERN, description="Id of the job.")]
 CheckpointId = Annotated[str, Path(pattern=PATTERN, description="Id of the checkpoint.")]
 EvaluationId = Annotated[str, Path(pattern=PATTERN, description="Id of the evaluation.")]
 FileName = Annotated[str, Path(max_length=900, description="Name of the file as its list gives it.")]
-After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only what comes behind this id.")]
-Limit = Annotated[int, Query(ge=1, le=1000, description="At most so many.")]
+After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only items after this id.")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="Maximum number of items.")]
 IdempotencyKey = Annotated[
     str | None,
     Header(
         alias="Idempotency-Key",
         pattern=KEY,
-        description="Any text of your own; the same key with the same body makes one job, however often it is sent.",
+        description="Key chosen by the client; requests with the same key and body create one job.",
     ),
 ]

@@ -133,7 +133,7 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
             headers["Allow"] = ", ".join(sorted(allowed_methods(routers, request.url.path))) or "GET"
             detail = f"this address accepts {headers['Allow']}"
         elif error.status_code == HTTPStatus.BAD_REQUEST and error.detail == "There was an error parsing the body":
-            message = "this is not JSON that can be read; it may be nested too deeply"
+            message = "the body is not valid JSON, or is nested too deeply"
             return problem_response(422, message, [FieldError(field="body", message=message)])
         elif error.status_code == HTTPStatus.NOT_FOUND and error.detail == "Not Found":
             detail = "no such address; /openapi.json lists all addresses"
@@ -165,17 +165,19 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
 
     async def store(_request: Request, error: Exception) -> JSONResponse:
         _log.error("the store failed: %s", error)
-        return problem_response(503, "the artifact store does not answer; try again soon", headers={"Retry-After": "5"})
+        return problem_response(
+            503, "the artifact store does not answer; try again later", headers={"Retry-After": "5"}
+        )
 
     async def database(_request: Request, error: Exception) -> JSONResponse:
         if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
             raise error
         _log.error("the database failed: %s", error)
-        return problem_response(503, "the database does not answer; try again soon", headers={"Retry-After": "2"})
+        return problem_response(503, "the database does not answer; try again later", headers={"Retry-After": "2"})
 
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:
-        # Starlette logs the traceback; the caller gets to know nothing of our insides.
-        return problem_response(500, "something went wrong here; the service's log says what")
+        # Starlette logs the traceback; the response has no internal details.
+        return problem_response(500, "internal error; see the service's log")
 
     app.add_exception_handler(RequestValidationError, invalid)
     app.add_exception_handler(HTTPException, http)

@@ -53,7 +53,7 @@ class JobCreate(_Request):
     tags: list[Tag] = Field(
         default_factory=list,
         max_length=20,
-        description="Words to find it by: letters, digits and ._:/=- (at most 50 characters each).",
+        description="Tags: letters, digits and ._:/=- (at most 50 characters each).",
     )
     spec: TrainingSpec = Field(
         default_factory=TrainingSpec,
@@ -85,7 +85,7 @@ class JobCreate(_Request):
 class GroupCreate(_Request):
     """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
 
-    job: JobCreate = Field(description="What all of them share.")
+    job: JobCreate = Field(description="What all jobs have in common.")
     seeds: list[int] = Field(default_factory=list, max_length=MAX_GROUP_SIZE, description="One job for each seed.")
     grid: dict[str, Annotated[list[Any], Field(min_length=1, max_length=MAX_GROUP_SIZE)]] = Field(
         default_factory=dict,
@@ -201,7 +201,7 @@ class EventPage(BaseModel):
     """Page of events, oldest first."""
 
     items: list[EventPublic]
-    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+    next_after: int | None = Field(description="Value of `after` for the next page; null if the page is empty.")
 
 
 class LogPublic(_Public):
@@ -218,7 +218,7 @@ class LogPage(BaseModel):
     """Page of log lines, oldest first."""
 
     items: list[LogPublic]
-    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+    next_after: int | None = Field(description="Value of `after` for the next page; null if the page is empty.")
 
 
 class FilePublic(BaseModel):
@@ -288,9 +288,11 @@ class TokenCreate(_Request):
     """Token to make."""
 
     owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=PLAIN)] = Field(
-        description="Whose jobs it opens."
+        description="User whose jobs the token gives access to."
     )
-    name: Annotated[str, StringConstraints(max_length=200, pattern=PLAIN)] = Field("", description="What it is for.")
+    name: Annotated[str, StringConstraints(max_length=200, pattern=PLAIN)] = Field(
+        "", description="Purpose of the token."
+    )
     scopes: list[Scope] = Field(
         default_factory=lambda: [Scope.SUBMIT],
         min_length=1,

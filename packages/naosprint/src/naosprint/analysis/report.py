@@ -1,4 +1,4 @@
-"""Reports: what was trained, how it learned, how it runs.
+"""Reports of trainings: specification, learning curves, evaluation, film.
 
 The page is one HTML file that needs nothing else. Beside it are the plots as SVG and PNG, their data as CSV and JSON,
 and the film as MP4 and GIF. Everything shown comes from the evaluation's document and the task's presentation.

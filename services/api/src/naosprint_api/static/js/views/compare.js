@@ -1,4 +1,4 @@
-/** Several jobs over each other: curves, groups with mean and band, results of their evaluations. */
+/** Comparison of jobs: curves, groups with mean and band, results of their evaluations. */
 
 import { call, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
@@ -199,7 +199,7 @@ class CompareView {
     const heading = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
     const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job))))),
       h("td", null, stateBadge(item.job.state, stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`))), cells(item).map((c) => h("td", { class: "num" }, c)),
-      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Take ${item.job.name} out of the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
+      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Remove ${item.job.name} from the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
     const th = (t) => h("th", { scope: "col", class: "num" }, t);
     fill(this.rows, h("table", null,
       h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: metrics.length + 2, scope: "colgroup", class: "group" }, "Training, latest episodes with exploration"), results.length ? h("th", { colspan: results.length + 1, scope: "colgroup", class: "group" }, "Evaluation") : null, h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),

@@ -92,13 +92,13 @@ export class EvaluationTab {
   async show(evaluation) {
     const { summary } = evaluation, level = levelOf(evaluation.spec);
     const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
-    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
+    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Run an evaluation with trajectories to see them."));
     fill(this.body,
       hasResults(summary) ? [
         h("div", { class: "stats" }, headlineStats(summary)),
         tableCards(summary, level, (draw) => this.figure(draw)),
         h("details", { class: "card" }, h("summary", null, "All results"), scroller("All results", resultsTable(summary, level))),
-      ] : notice("info", "An earlier version made this evaluation.", "Evaluate the checkpoint again to see its results here."),
+      ] : notice("info", "This evaluation is from an earlier version.", "Evaluate the checkpoint again to see its results here."),
       this.pathBox,
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Files")), h("ul", { class: "list" }, evaluation.files.map((x) => {
         const get = h("button", { class: "small", onclick: () => fetchInto(get, x.url, x.name) }, icon("download"), "Download");

@@ -195,7 +195,7 @@ class JobsView {
     if (!this.rows.size) {
       const filtered = this.filter.state || this.filter.tag || this.filter.q;
       fill(this.box, filtered
-        ? h("div", { class: "empty" }, h("h2", null, "No job fits"), h("p", null, "Nothing matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
+        ? h("div", { class: "empty" }, h("h2", null, "No matching jobs"), h("p", null, "No job matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
         : h("div", { class: "empty" }, h("h2", null, "No jobs yet"), h("p", null, "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores."),
           h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")), h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast"))));
       this.head = null;
