@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 import typer.main
 from naoctl.cli import EPILOG, build_app
+from naoctl.help import reveal
 from naojobs.events import EVENT_KINDS
 from naojobs.settings import ServiceSettings
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
@@ -86,6 +87,7 @@ def _click_commands(group: click.Command, path: str, level: int) -> Iterator[str
 
 
 def _click_options(command: click.Command, path: str) -> Iterator[str]:
+    reveal(command)
     context = click.Context(command, info_name=path)
     usage = " ".join(command.collect_usage_pieces(context))
     yield f"```\n{path} {usage}\n```\n"
@@ -499,7 +501,7 @@ def _cell(text: str) -> str:
 
 def _text(text: str | None) -> str:
     """Return text without the marks of rich and with angle brackets and the like as they are, outside of code."""
-    plain = re.sub(r"\[/?(?:bold|dim|italic|cyan|green|red|yellow|b|i)\]", "", text or "").replace("\\[", "[").strip()
+    plain = re.sub(r"\[/?(?:bold|dim|italic|cyan|green|red|yellow|b|i)\]", "", text or "").strip()
     parts = re.split(r"(`[^`]*`)", plain.replace("``", "`"))
     return "".join(part if part.startswith("`") else html.escape(part, quote=False) for part in parts)
 

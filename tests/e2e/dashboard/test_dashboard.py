@@ -464,7 +464,7 @@ def test_the_list_is_live_and_filters(browser: Browser, token: str, client: http
     browser.find("input[type=search]").send_keys("alph")
     browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
     browser.find("input[type=search]").send_keys("xyz")
-    browser.shows("No job fits")
+    browser.shows("No matching jobs")
     client.delete(f"/jobs/{second}")
     browser.open("/")
     browser.until(lambda: [r.get_attribute("data-job") for r in browser.all("tbody tr")] == [first])
@@ -570,6 +570,45 @@ def test_the_evaluation_shows_the_service_s_numbers(
     choose(browser, "select[aria-label=Episode]", "3")
     browser.until(lambda: browser.all("svg g[data-episode='3'] path[stroke-width='2.25']"))
     browser.until(lambda: painted(browser, "[data-chart='Torso height'] canvas") > 200)
+
+
+def test_a_finished_job_shows_its_evaluation_in_list_and_tiles(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    with stack.client(token) as client:
+        result = client.get(f"/jobs/{job['id']}").json()["result"]
+    values = {item["name"]: item for item in result["results"]}
+    browser.sign_in(token)
+    cells = f"tr[data-job='{job['id']}'] td[data-label='Distance']"
+    browser.until(lambda: browser.text(cells).startswith(number(values["distance_m"]["value"])))
+    assert "training" not in browser.text(cells)
+    assert browser.find(cells).get_attribute("title") == "Evaluation of 12 episodes"
+    browser.open(f"/jobs/{job['id']}")
+    browser.shows("12 episodes", ".stats")
+    assert number(values["distance_m"]["value"]) in browser.text(".stats")
+    assert "in training" not in browser.text(".stats")
+    browser.open(f"/jobs/{job['id']}/evaluation")
+    browser.shows("All results")
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+    score = values.get("run_challenge_score") or {"value": None}
+    with stack.client(token) as client:
+        (evaluation,) = client.get(f"/jobs/{job['id']}/evaluations").json()
+    explained = [r["description"] for r in evaluation["summary"]["results"] if r["value"] == 0 and r["description"]]
+    assert explained or score["value"]
+    for description in explained:
+        browser.shows(description, "[data-part=results]")
+
+
+def test_a_job_that_no_worker_can_run_says_why(browser: Browser, token: str, client: httpx.Client) -> None:
+    job_id = park(client, "impossible")
+    reason = client.get(f"/jobs/{job_id}").json()["waiting_reason"]
+    assert "server" in reason
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.shows(reason[1:], "[data-part=waiting]")
+    client.post(f"/jobs/{job_id}/cancel")
+    browser.until(lambda: not browser.all("[data-part=waiting]"), message="the reason stays after the job has ended")
 
 
 def test_the_replay_plays_a_recorded_episode(
@@ -756,7 +795,7 @@ def test_the_log_follows_its_end_and_filters(browser: Browser, stack: Stack, tok
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}/log")
     browser.shows("line 1499", ".log")
-    assert "Earlier lines are left out" in browser.text(".log .mark")
+    assert "Earlier lines are not shown" in browser.text(".log .mark")
     say("<b>not bold</b>", level="warning")
     browser.shows("<b>not bold</b>", ".log")
     at_end = "const b = document.querySelector('.log'); return b.scrollHeight - b.scrollTop - b.clientHeight < 4"

@@ -342,3 +342,40 @@ def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
         [["Height m", ["Height m"], []]],
         ["Height"],
     ]
+
+
+def test_the_evaluation_that_stands_for_a_job(page: Browser) -> None:
+    """The command line and the service choose the same one: most episodes, then newest."""
+    chosen = page.module(
+        """
+        const { representative } = await import("/ui/js/evaluation.js");
+        const made = (id, state, episodes, finished_at) => ({ id, state, finished_at, summary: state === "succeeded" ? { episodes } : null });
+        const all = [made("e", "failed", 5000, "2026-01-05"), made("d", "succeeded", 10, "2026-01-04"), made("c", "succeeded", 1000, "2026-01-03"), made("b", "succeeded", 1000, "2026-01-02")];
+        return [representative(all).id, representative(all.slice(0, 1))];
+        """  # noqa: E501
+    )
+    assert chosen == ["c", None]
+
+
+def test_a_running_job_shows_training_and_an_ended_one_its_evaluation(page: Browser) -> None:
+    shown = page.module(
+        """
+        const { shownMetric } = await import("/ui/js/jobs.js");
+        const job = (state) => ({ state, latest_metrics: { speed_mps: 1 }, result: { results: [{ name: "speed_mps", value: 2, interval: [1, 3] }] } });
+        return [shownMetric(job("running"), { name: "speed_mps" }), shownMetric(job("succeeded"), { name: "speed_mps" })];
+        """  # noqa: E501
+    )
+    assert shown == [
+        {"value": 1, "interval": None, "training": True},
+        {"value": 2, "interval": [1, 3], "training": False},
+    ]
+
+
+def test_the_gait_of_a_fallen_episode_says_so(page: Browser) -> None:
+    notes = page.module(
+        """
+        const { fallNote } = await import("/ui/js/evaluation.js");
+        return [fallNote({ failed: true }, "1.25"), fallNote({ failed: false }, "8.00")];
+        """
+    )
+    assert notes == ["ended in a fall after 1.25 s; the values below include the fall", None]

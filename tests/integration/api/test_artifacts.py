@@ -9,6 +9,7 @@ import tarfile
 from collections.abc import Callable
 from contextlib import closing
 from http.client import HTTPConnection
+from typing import Any
 
 import httpx
 import pytest
@@ -18,6 +19,7 @@ from naojobs.models import Evaluation
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec
+from naosprint.tasks.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
 
 CONTENT = {
@@ -213,6 +215,52 @@ def test_an_evaluation_from_request_to_report(
     assert report.headers["content-type"] == "application/octet-stream", "no page of a user may run here"
     assert client.get(done["archive_url"]).status_code == 200
     assert [item["id"] for item in client.get(f"/jobs/{lease.job_id}/evaluations").json()] == [evaluation["id"]]
+
+
+def test_a_jobs_result_is_its_newest_evaluation_with_the_most_episodes(
+    client: httpx.Client,
+    lease: Lease,
+    save_checkpoint: Callable[..., str],
+    sessions: sessionmaker[Session],
+    follow: Callable[..., Any],
+) -> None:
+    def evaluate(step: int, episodes: int, height: float) -> str:
+        results = [Result(Metric(name, name.upper(), "m"), height, interval=(0.0, 9.0)) for name in ("b", "a", "c")]
+        return records.record_evaluation(
+            sessions,
+            lease,
+            checkpoint_id=save_checkpoint(lease, step, {"policy.npz": b"x"}),
+            spec=EvaluationSpec(episodes=episodes),
+            summary={
+                "episodes": episodes,
+                "checkpoint": {"step": step},
+                "results": [result.to_json() for result in results],
+                "headline": ["a"],
+                "tables": ["not for lists"],
+            },
+            key=f"jobs/{lease.job_id}/evaluations/{step}",
+            manifest={"files": []},
+        )
+
+    path = f"/jobs/{lease.job_id}"
+    first = client.get(path)
+    assert first.status_code == 200, first.text
+    assert first.json()["result"] is None
+    evaluate(100, 500, 1.0)
+    chosen = [evaluate(step, 1000, height) for step, height in ((200, 2.0), (300, 3.0))][-1]
+    evaluate(400, 10, 4.0)
+    records.append_metrics(sessions, lease, [{"step": 400, "c": 0.5}])
+    result = client.get(path).json()["result"]
+    assert (result["evaluation_id"], result["step"], result["episodes"]) == (chosen, 300, 1000)
+    assert [item["name"] for item in result["results"]] == ["a", "c"], "the headline, then what training reports too"
+    assert result["results"][0] == {
+        "name": "a", "title": "A", "unit": "m", "digits": 2, "value": 3.0, "interval": [0.0, 9.0], "sd": None
+    }  # fmt: skip
+    (listed,) = client.get("/jobs", params={"q": lease.job_id}).json()["items"]
+    assert listed["result"] == result
+    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    with follow(client, f"{path}/stream", only=["state"]) as messages:
+        assert next(message.data for message in messages if message.event == "state")["result"] == result
 
 
 def test_an_evaluation_of_what_is_not_there_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import httpx
@@ -56,6 +57,26 @@ def test_an_empty_object_is_a_job_of_defaults(client: httpx.Client) -> None:
     assert (job["name"], job["spec"]["algorithm"]["preset"], job["priority"]) == ("sprint1-fast-0", "fast", 5)
 
 
+def test_a_name_that_is_taken_is_numbered(make_client: Callable[..., httpx.Client]) -> None:
+    alice, bob = make_client("alice", "submit"), make_client("bob", "submit")
+    names = [submit(alice, name="first")["name"] for _ in range(3)]
+    assert names == ["first", "first-2", "first-3"]
+    assert submit(alice, name="first-2")["name"] == "first-2-2"
+    assert submit(bob, name="first")["name"] == "first", "names are an owner's own"
+    long = "x" * 200
+    assert [submit(alice, name=long)["name"] for _ in range(2)] == [long, f"{long[:190]}-2"]
+    group = alice.post("/groups", json={"job": {"name": "g"}, "seeds": [1]}).json()
+    again = alice.post("/groups", json={"job": {"name": "g"}, "seeds": [1]}).json()
+    assert [item["jobs"][0]["name"] for item in (group, again)] == ["g-seed-1", "g-seed-1-2"]
+
+
+def test_jobs_submitted_at_once_have_different_names(make_client: Callable[..., httpx.Client]) -> None:
+    client = make_client("carol", "submit")
+    with ThreadPoolExecutor(8) as pool:
+        names = list(pool.map(lambda _: submit(client, name="same")["name"], range(8)))
+    assert sorted(names) == sorted(["same", *(f"same-{number}" for number in range(2, 9))])
+
+
 def test_a_job_without_evaluation(client: httpx.Client) -> None:
     assert submit(client, evaluation=None)["evaluation"] is None
 
@@ -90,14 +111,15 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
         ({"spec": {"stages": [{"steps": 0}]}}, "spec.stages.0.steps", "greater than or equal to 1"),
         ({"spec": {"stages": [{"steps": 9, "algorithm": {"gamma": 2}}]}}, "spec.stages.0.algorithm.gamma", "less than"),
         ({"evaluation": {"episodes": 0}}, "evaluation.episodes", "greater than or equal to 1"),
-        ({"tags": ["ok", "not ok"]}, "tags.1", "pattern"),
+        ({"tags": ["ok", "not ok"]}, "tags.1", "letters, digits and ._:/=-"),
         ({"tags": ["a"] * 21}, "tags", "at most 20"),
-        ({"name": "a\u0000b"}, "name", "pattern"),
+        ({"name": "a\u0000b"}, "name", "without control characters"),
         ({"name": " "}, "name", "at least 1 character"),
+        ({"name": "last"}, "name", "refers to the newest job"),
         ({"priority": 10}, "priority", "less than or equal to 9"),
         ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id", "give the job"),
         ({"parent_job_id": UNKNOWN}, "parent_job_id", "a job of yours"),
-        ({"parent_job_id": "../../etc/passwd"}, "parent_job_id", "pattern"),
+        ({"parent_job_id": "../../etc/passwd"}, "parent_job_id", "expected an id"),
         ([], "body", "JSON object"),
         ("text", "body", "JSON object"),
     ],

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import stat
@@ -307,7 +308,12 @@ def test_the_next_start_finds_everything_again(naoctl: Shell, stack: dict[str, A
 def test_down_is_sure_and_can_be_repeated(naoctl: Shell, stack: dict[str, Any]) -> None:
     naoctl("up", "--detach")
     state, processes = naoctl.state(), naoctl.processes()
-    assert naoctl.json("down") == {"data_dir": str(naoctl.layout.root), "stopped": True}
+    # Typed as `naoctl up` printed it, in a shell that does not know the data folder.
+    command = shlex.split(naoctl.layout.stop_command)
+    del naoctl.environment["NAOCTL_DATA_DIR"]
+    assert command[0] == "naoctl"
+    assert naoctl.json(*command[1:]) == {"data_dir": str(naoctl.layout.root), "stopped": True}
+    naoctl.environment["NAOCTL_DATA_DIR"] = str(naoctl.layout.root)
     assert not any(process.is_running() for process in processes)
     assert state.supervisor is not None
     assert state.supervisor.process() is None

@@ -37,7 +37,7 @@ class Request(BaseHTTPRequestHandler):
         self.server.received.append(record)
         handler = self.server.routes.get((self.command, parts.path))
         if handler is None:
-            self.problem(404, "there is nothing at this address")
+            self.problem(404, "no such address")
         else:
             handler(self)
 

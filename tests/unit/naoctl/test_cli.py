@@ -3,6 +3,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,11 +16,26 @@ from naoctl import __version__
 from naoctl.cli import build_app, main
 from naoctl.config import Config
 from naoctl.errors import ExitCode
+from naoctl.render import Curve, live_view
+from rich.console import Console
 
 Jobs = Callable[..., dict[str, Any]]
 
 #: One result of an evaluation as it describes itself.
 RESULT = {"name": "height_m", "title": "Jump height", "unit": "m", "digits": 2, "value": 3.5, "interval": [3.0, 4.0]}
+
+
+#: A job's evaluation as the service shows it with the job; the live metric beside it includes exploration.
+EVALUATED = {
+    "evaluation_id": "eval_01m7y0yae5d2d9p46g58mkcxxh",
+    "checkpoint_id": "ckpt_1",
+    "step": 1000,
+    "episodes": 1000,
+    "finished_at": "2026-01-02T03:05:05Z",
+    "results": [
+        {"name": "distance_m", "title": "Distance", "unit": "m", "digits": 2, "value": 27.9, "interval": [27.8, 28.0]}
+    ],
+}
 
 
 class Ran:
@@ -93,6 +110,8 @@ def test_a_sweep_is_one_request(server: Any, naoctl: Callable[..., Ran], job: Jo
         (["submit", "--n-envs", "0"], "--n-envs"),
         (["submit", "--task", "sprint9"], "sprint1, sprint1-erect, sprint2"),
         (["submit", "missing.yaml"], "missing.yaml"),
+        (["submit", "--name", "last"], "newest job"),
+        (["submit", "--seed", "3", "--seeds", "0-1"], "--seeds and --seed contradict"),
         (["submit", "--seeds", "0-1", "--watch"], "--watch"),
         (["list", "--state", "dead"], "queued, starting"),
         (["compare", "a"], "two jobs"),
@@ -121,6 +140,26 @@ def test_errors_are_one_line_for_people_and_json_for_programs(server: Any, naoct
     ran = naoctl("list", "--json")
     assert ran.code == ExitCode.DENIED
     assert json.loads(ran.err)["code"] == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["list", "--limit", "many"], "--limit"),
+        (["list", "--nope"], "--nope"),
+        (["lst"], "lst"),
+        (["compare"], "JOB"),
+        (["submit", "--n-envs", "0"], "--n-envs"),
+    ],
+)
+def test_usage_errors_are_one_line_and_obey_json(naoctl: Callable[..., Ran], words: list[str], said: str) -> None:
+    ran = naoctl(*words)
+    assert (ran.code, ran.out, ran.err.count("\n")) == (ExitCode.USAGE, "", 1)
+    assert ran.err.startswith("naoctl: ") and said in ran.err
+    ran = naoctl(*words, "--json")
+    assert (ran.code, ran.out) == (ExitCode.USAGE, "")
+    error = json.loads(ran.err)
+    assert said in error["error"] and error["code"] == ExitCode.USAGE
 
 
 def test_list_filters_and_prints(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
@@ -179,6 +218,82 @@ def test_status_shows_why_a_job_waits(server: Any, naoctl: Callable[..., Ran], j
     waiting = job(state="queued", waiting_reason="no worker has task 'sprint9' version 2")
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(waiting))
     assert "no worker has task 'sprint9' version 2" in naoctl("status", job()["id"]).out
+
+
+def test_a_finished_job_shows_its_evaluation(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str]
+) -> None:
+    done = job(state="succeeded", progress_step=1000, result=EVALUATED)
+    running = job(id="job_" + "2" * 26, name="second", result=EVALUATED)
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [done, running], "next_cursor": None}))
+    listed = naoctl("list")
+    rows = {line.split()[1]: line for line in listed.out.splitlines()}
+    assert "27.90 m" in rows["first"] and "*" not in rows["first"]
+    assert "2.25 m*" in rows["second"], "a running job shows training, marked"
+    assert listed.err == "* during training, with exploration\n"
+
+    path = f"/jobs/{done['id']}"
+    server.on("GET", path)(lambda request: request.json(done))
+    shown = naoctl("status", done["id"]).out
+    assert "1,000 episodes at step 1,000 (eval_01m7y0yae5d2d9p46g58mkcxxh)" in shown
+    assert "27.90 m [27.80, 28.00]" in shown
+    assert re.search(r"In training .*distance 2\.25 m \(latest episodes, with exploration\)", shown)
+
+    server.on("GET", f"{path}/stream")(lambda request: request.stream(event("state", done)))
+    last = naoctl("watch", done["id"]).out.splitlines()[-1]
+    assert "Evaluation, 1,000 episodes at step 1,000" in last and "distance 27.90 m" in last
+    unevaluated = {**done, "result": None}
+    server.on("GET", f"{path}/stream")(lambda request: request.stream(event("state", unevaluated)))
+    assert "In training: distance 2.25 m" in naoctl("watch", done["id"]).out.splitlines()[-1]
+
+
+def test_compare_and_download_use_the_newest_evaluation_with_the_most_episodes(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path
+) -> None:
+    def evaluation(number: int, episodes: int, minute: int, state: str = "succeeded") -> dict[str, Any]:
+        summary = {"episodes": episodes, "results": [{**RESULT, "value": float(number)}], "headline": ["height_m"]}
+        return {
+            "id": f"eval_{number}",
+            "state": state,
+            "summary": summary if state == "succeeded" else None,
+            "finished_at": f"2026-01-02T03:{minute:02}:05Z",
+            "files": [],
+        }
+
+    made = [evaluation(5, 2000, 5, "failed"), evaluation(4, 10, 4), evaluation(3, 1000, 3), evaluation(2, 1000, 2)]
+    other = job(id="job_" + "2" * 26, name="other")
+    for one, evaluations in ((job(), made), (other, [])):
+        server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request, found=evaluations: request.json(found))
+    out = naoctl("compare", job()["id"], other["id"]).out
+    lines = [line.split() for line in out.splitlines()]
+    assert ["Evaluation", "eval_3", "-"] in lines
+    assert ["Episodes", "1,000", "-"] in lines
+    assert "3.00 m" in out and "4.00 m" not in out
+    assert out.index("In training") > out.index("Jump height")
+    ran = naoctl("download", job()["id"], "--what", "evaluation", "-o", str(tmp_path), "--json")
+    assert json.loads(ran.out)[0]["id"] == "eval_3"
+
+
+def test_watch_shows_why_a_job_waits(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs, event: Callable[..., str]
+) -> None:
+    reason = "no worker has simulator 'server'"
+    path = f"/jobs/{job()['id']}"
+    server.on("GET", path)(lambda request: request.json(job()))
+    server.on("GET", f"{path}/stream")(
+        lambda request: request.stream(
+            event("state", job(state="queued", waiting_reason=reason)),
+            event("state", job(state="queued", waiting_reason=reason)),
+            event("state", job(state="cancelled")),
+        )
+    )
+    out = naoctl("watch", job()["id"]).out
+    assert out.count(f"Waiting: {reason}") == 1
+    console = Console(width=80, file=io.StringIO(), force_terminal=True)
+    waiting = job(state="queued", waiting_reason=reason)
+    console.print(live_view(waiting, Curve(), [], width=80, ascii_only=False))
+    assert reason in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("state", "code"), [("succeeded", 0), ("failed", 10), ("cancelled", 11), ("paused", 12)])
@@ -294,6 +409,36 @@ def test_evaluate_waits_for_the_results(
     body = server.received[1].body
     assert (body["spec"]["episodes"], body["spec"]["seed"], body["spec"]["task"]) == (10, 5, None)
     assert naoctl("eval", job()["id"], "--episodes", "0").code == ExitCode.USAGE
+
+
+@pytest.mark.parametrize(("answer", "cancelled"), [("y\n", True), ("\n", False), (None, False)])
+def test_ctrl_c_on_eval_offers_to_cancel_it(
+    server: Any,
+    naoctl: Callable[..., Ran],
+    job: Jobs,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: str | None,
+    cancelled: bool,
+) -> None:
+    """Ctrl-C comes while the evaluation runs, as a signal to the waiting process."""
+    name = "eval_01m7y0yae5d2d9p46g58mkcxxh"
+    running = {"id": name, "job_id": job()["id"], "state": "running", "spec": {"episodes": 10, "seed": 5}}
+    server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
+    server.on("POST", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json(running, 202))
+
+    @server.on("GET", f"/evaluations/{name}")
+    def look(request: Any) -> None:
+        request.json(running)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    server.on("POST", f"/evaluations/{name}/cancel")(lambda request: request.json(running))
+    monkeypatch.setattr("naoctl.commands.artifacts.stdin_is_terminal", lambda: answer is not None)
+    monkeypatch.setattr("sys.stdin", io.StringIO(answer or ""))
+    ran = naoctl("eval", job()["id"])
+    assert ran.code == ExitCode.INTERRUPTED
+    asked = [received.path for received in server.received if received.method == "POST"]
+    assert (f"/evaluations/{name}/cancel" in asked) == cancelled
+    assert (f"`naoctl cancel {name}` cancels it" in ran.err) == (not cancelled)
 
 
 def test_the_report_is_the_one_that_the_service_has_drawn(
@@ -412,6 +557,21 @@ def test_shell_completes_commands() -> None:
     program = Path(sys.executable).parent / "naoctl"
     ran = subprocess.run([program], env=os.environ | question, capture_output=True, text=True, check=True)
     assert ran.stdout.split() == ["submit"]
+
+
+def test_shell_completes_names_of_jobs(server: Any, job: Jobs) -> None:
+    jobs = [job(), job(id="job_" + "2" * 26, name="firework")]
+    server.on("GET", "/jobs")(lambda request: request.json({"items": jobs, "next_cursor": None}))
+    program = Path(sys.executable).parent / "naoctl"
+
+    def completed(words: str) -> list[str]:
+        question = {"_NAOCTL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
+        environment = os.environ | question | {"NAOCTL_URL": server.url, "NAOCTL_TOKEN": "nao_test"}
+        return subprocess.run([program], env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("naoctl status fir") == ["first", "firework"]
+    assert completed("naoctl watch la") == ["last"]
+    assert completed("naoctl cancel job_22") == ["job_" + "2" * 26]
 
 
 def test_the_client_needs_neither_torch_nor_the_service() -> None:

@@ -26,9 +26,9 @@ def test_the_formats_say_the_same(tmp_path: Path, ending: str, text: str) -> Non
     [
         ("job.yaml", "spec: !!python/object/apply:os.system ['true']", "line 1"),
         ("job.yaml", "a: &x [1]\nb: *x\n", "aliases"),
-        ("job.yaml", "spec:\n  seed: 1\n  seed: 2\n", "line 3: seed stands there twice"),
+        ("job.yaml", "spec:\n  seed: 1\n  seed: 2\n", "line 3: seed is given twice"),
         ("job.yaml", "spec: [1\n", "line"),
-        ("job.yaml", "1: 2\n", "no field name"),
+        ("job.yaml", "1: 2\n", "not a field name"),
         ("job.yaml", "- 1\n", "no fields"),
         ("job.yaml", "", "no fields"),
         ("job.yaml", "a: " + "[" * 60 + "]" * 60, "nested"),
@@ -37,7 +37,7 @@ def test_the_formats_say_the_same(tmp_path: Path, ending: str, text: str) -> Non
         ("job.json", '{"a": 1, "a": 2}', "twice"),
         ("job.json", '{"a": NaN}', "NaN"),
         ("job.json", "[" * 100_000, "nested"),
-        ("job.ini", "x", "ending"),
+        ("job.ini", "x", "no known suffix"),
     ],
 )
 def test_what_is_wrong_is_refused_in_words(tmp_path: Path, name: str, text: str, words: str) -> None:

@@ -25,9 +25,9 @@ def shown(renderable: Any, width: int = 120) -> str:
     [
         (0, "0 s"),
         (59.4, "59 s"),
-        (59.6, "1:00 min"),
-        (187, "3:07 min"),
-        (3723, "1:02:03 h"),
+        (59.6, "1 min 0 s"),
+        (187, "3 min 7 s"),
+        (3723, "1 h 2 min"),
         (273600, "3 d 4 h"),
         (40 * 86400, "40 d"),
         (None, "-"),
@@ -63,8 +63,8 @@ def test_sparklines_average_what_does_not_fit() -> None:
 
 def test_times_of_the_service() -> None:
     now = datetime(2026, 1, 2, 3, 5, 5, tzinfo=UTC)
-    assert render.ago("2026-01-02T03:04:05Z", now) == "1:00 min ago"
-    assert render.ago("2026-01-02T03:04:05.123456+00:00", now) == "1:00 min ago"
+    assert render.ago("2026-01-02T03:04:05Z", now) == "1 min 0 s ago"
+    assert render.ago("2026-01-02T03:04:05.123456+00:00", now) == "1 min 0 s ago"
     assert render.ago(None) == "-"
 
 
@@ -146,7 +146,7 @@ def test_the_live_picture_shows_progress_figures_and_course(job: Callable[..., d
         render.live_view(job(), curve, METRICS, width=80, ascii_only=False, note="checkpoint at step 500"), width=80
     )
     assert "990 of 1,000 steps" in text
-    assert "1:01 min" in text
+    assert "1 min 1 s" in text
     assert "99.00" in text
     assert "▁" in text and "█" in text
     assert "checkpoint at step 500" in text
@@ -175,7 +175,7 @@ def test_curves_stay_small() -> None:
 
 def test_a_line_of_progress(job: Callable[..., dict[str, Any]]) -> None:
     line = render.progress_line(job(), {"step": 500, "reward": 1.234, "miss_rate": 0.5, "eta_s": 30.0}, METRICS)
-    assert " ".join(line.split()) == "500 of 1,000 steps 50% reward 1.23 misses 50 % ETA 30 s"
+    assert " ".join(line.split()) == "500 of 1,000 steps 50% in training: reward 1.23 misses 50 % ETA 30 s"
 
 
 def result(name: str, value: float | None, **more: Any) -> dict[str, Any]:

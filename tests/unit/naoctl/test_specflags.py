@@ -27,7 +27,7 @@ def command_with_flags() -> tuple[typer.Typer, list[dict[str, Any]]]:
         """Train."""
         seen.append(spec)
 
-    app = typer.Typer()
+    app = typer.Typer(rich_markup_mode=None)
     parameters = spec_parameters(training_settings(), panel="Training", aliases={"total_steps": ["--steps"]})
     app.command()(with_parameters(train, {"spec": parameters}))
     return app, seen
@@ -82,6 +82,13 @@ def test_only_given_flags_arrive() -> None:
         ({"sensor_digits": "null"}, {"sensor_digits": None}),
         ({"task": "none"}, {"task": "none"}),
         ({"normalize_rewards": True}, {"normalize_rewards": True}),
+        ({"total_steps": "3M"}, {"total_steps": "3000000"}),
+        ({"total_steps": "250k"}, {"total_steps": "250000"}),
+        ({"total_steps": "1.5m"}, {"total_steps": "1500000"}),
+        ({"total_steps": "10 G"}, {"total_steps": "10000000000"}),
+        ({"total_steps": "3MB"}, {"total_steps": "3MB"}),
+        ({"total_steps": "M"}, {"total_steps": "M"}),
+        ({"task": "3M"}, {"task": "3M"}),
     ],
 )
 def test_flag_values_become_field_values(flags: dict[str, Any], expected: dict[str, Any]) -> None:
@@ -99,6 +106,7 @@ def test_flags_reach_the_specification_as_numbers() -> None:
     ("flags", "words"),
     [
         ({"n_envs": "0"}, ["--n-envs", "greater than or equal to 1", "'0'"]),
+        ({"total_steps": "3.0001k"}, ["--total-steps", "3000.1"]),
         ({"n_envs": "many"}, ["--n-envs", "valid integer", "'many'"]),
         ({"clip_range": "1.5"}, ["--clip-range", "less than 1"]),
         ({"task": "sprint9"}, ["--task", "sprint9", "sprint1"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import shlex
 import signal
 import socket
 import stat
@@ -82,6 +83,17 @@ def test_a_data_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StackError, match="--data-dir"):
         Layout.at(tmp_path / "file" / "data").make()
+
+
+def test_the_stop_command_names_the_data_folder_unless_it_is_the_usual_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert Layout.at(tmp_path / "my data").stop_command == f"naoctl down --data-dir '{tmp_path}/my data'"
+    assert shlex.split(Layout.at(tmp_path / "it's").stop_command)[-1] == f"{tmp_path}/it's"
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert Layout.at(tmp_path / "naosprint").stop_command == "naoctl down"
+    monkeypatch.setenv("NAOCTL_DATA_DIR", str(tmp_path / "other"))
+    assert Layout.at(None).stop_command == f"naoctl down --data-dir {tmp_path}/other"
 
 
 def test_passwords_are_made_once_and_kept_private(layout: Layout) -> None:

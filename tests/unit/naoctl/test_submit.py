@@ -3,7 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from naoctl.commands.submit import make_body, make_group, parse_seeds, read_recipe
+from naoctl.commands.submit import expanded_job, make_body, make_group, parse_seeds, read_recipe
 from naoctl.errors import InvalidInput
 from naospec import EvaluationSpec, TrainingSpec, recipes
 
@@ -70,10 +70,10 @@ def test_evaluation_is_checked_with_its_own_flags() -> None:
         ({"seed": 1}, "seed: no such field of a job. Put it below `spec:`."),
         ({"n_envs": 1}, "n_envs: no such field of a job. Put it below `spec > algorithm:`."),
         ({"spec": {"n_envs": 1}}, "job.yaml: spec.n_envs: moved to algorithm.n_envs"),
-        ({"nme": "x"}, "nme: no such field of a job. There are name"),
+        ({"nme": "x"}, "nme: no such field of a job. Fields: name"),
         ({"spec": {"total_step": 3}}, "job.yaml: spec.total_step: no such field"),
         ({"spec": {"seed": "x"}}, "job.yaml: spec.seed"),
-        ({"spec": [1]}, "job.yaml: spec is no table"),
+        ({"spec": [1]}, "job.yaml: spec is not a mapping"),
         ({"evaluation": {"episodes": -1}}, "job.yaml: evaluation.episodes"),
     ],
 )
@@ -112,7 +112,7 @@ def test_a_sweep_is_one_request() -> None:
     [
         (["learning_rate"], "FIELD=A,B"),
         (["learning_rate="], "FIELD=A,B"),
-        (["speed=1"], "no setting"),
+        (["speed=1"], "no setting speed"),
         (["seed=1", "seed=2"], "twice"),
         (["n_envs=64,63"], "does not divide"),
         (["clip_range=2"], "clip_range"),
@@ -122,3 +122,44 @@ def test_every_combination_of_a_sweep_is_checked_first(grid: list[str], words: s
     with pytest.raises(InvalidInput) as caught:
         make_group(make_body({}, {}, {}), None, grid)
     assert words in str(caught.value)
+
+
+def test_the_expanded_job_trains_the_same_and_has_whole_rollouts() -> None:
+    body = make_body({}, {"preset": "paper", "total_steps": "3M", "seed": "4"}, {"eval_episodes": "10"})
+    job, notes = expanded_job(body)
+    spec = TrainingSpec.model_validate(body["spec"])
+    assert job["spec"]["algorithm"] == spec.algorithm.model_dump(mode="json"), "every setting of the preset is shown"
+    assert job["spec"]["total_steps"] == spec.planned_steps != 3_000_000
+    assert f"3,000,000 steps are rounded up to {spec.planned_steps:,}" in notes[0]
+    assert job["evaluation"] == EvaluationSpec(episodes=10).model_dump(mode="json")
+    again, none = expanded_job(make_body(job, {}, {}))
+    assert (again["spec"], none) == (job["spec"], [])
+
+
+@pytest.mark.parametrize("name", recipes.names())
+def test_an_expanded_recipe_is_a_job_file(name: str) -> None:
+    job, _ = expanded_job(make_body(read_recipe(name), {}, {}))
+    assert TrainingSpec.model_validate(job["spec"]).planned_steps == job["spec"]["total_steps"]
+    assert expanded_job(make_body(job, {}, {}))[0]["spec"] == job["spec"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "seeds", "grid", "words"),
+    [
+        ({"seed": "3"}, "0-1", [], "--seeds and --seed contradict"),
+        ({"learning_rate": "1e-4"}, None, ["learning_rate=1e-4,3e-4"], "--grid learning_rate and --learning-rate"),
+        ({"seed": "3"}, None, ["seed=1,2"], "--grid seed and --seed"),
+        ({}, "0-1", ["seed=1,2"], "--grid seed and --seeds"),
+    ],
+)
+def test_a_sweep_does_not_vary_what_a_flag_sets(
+    flags: dict[str, str], seeds: str | None, grid: list[str], words: str
+) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        make_group(make_body({}, flags, {}), seeds, grid, flags=flags)
+
+
+def test_numbers_of_a_grid_may_be_abbreviated() -> None:
+    group = make_group(make_body({}, {}, {}), None, ["total_steps=1M,250k"])
+    assert group is not None
+    assert group["grid"] == {"total_steps": [1_000_000, 250_000]}

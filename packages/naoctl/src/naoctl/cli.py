@@ -1,4 +1,4 @@
-"""The program ``naoctl``: its commands put together, and one place where errors become words and exit codes."""
+"""The program ``naoctl``: its commands, and the conversion of errors to messages and exit codes."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Annotated
 import typer
 
 from naoctl import __version__
-from naoctl.commands import artifacts, jobs, policies, service, submit, watch
+from naoctl.commands import artifacts, jobs, policies, service, spec, submit, watch
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
 
 EPILOG = (
     "Exit codes: 0 done, 1 failed, 2 wrong input, 3 the service does not answer, 4 token refused, 5 not found, "
-    "6 not possible in this state, 7 damaged download, 8 stack trouble; "
+    "6 not possible in this state, 7 damaged download, 8 service on this machine failed; "
     "for a followed job 0 succeeded, 10 failed, 11 cancelled, 12 paused; 130 interrupted."
 )
 
@@ -28,14 +28,14 @@ def _show_version(wanted: bool) -> None:
 
 
 def build_app() -> typer.Typer:
-    """Put all commands together."""
+    """Return the application with all commands."""
     app = typer.Typer(
         name="naoctl",
-        help="Train NAO robots to sprint: submit jobs, follow them, fetch their policies, run the whole service.",
+        help="Train simulated humanoid robots: submit jobs, watch them, download policies, run the service.",
         epilog=EPILOG,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        rich_markup_mode="rich",
+        rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
 
@@ -58,26 +58,41 @@ def build_app() -> typer.Typer:
     ) -> None:
         ctx.obj = Context(url=url)
 
-    for module in (submit, jobs, watch, artifacts, policies, service, stack_commands):
+    for module in (submit, spec, jobs, watch, artifacts, policies, service, stack_commands):
         module.register(app)
     return app
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the program and leave with its exit code."""
+    """Run the program and exit with its exit code."""
     words = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in words
     try:
-        build_app()(words, prog_name="naoctl")
+        code = build_app()(words, prog_name="naoctl", standalone_mode=False)
     except CliError as error:
-        report(error, as_json="--json" in words)
-        sys.exit(int(error.code))
+        report(error, as_json=as_json)
+        code = error.code
+    except typer.TyperException as error:
+        report(usage_error(error), as_json=as_json)
+        code = ExitCode.USAGE
+    except typer.Abort:
+        report(CliError("Nothing was changed"), as_json=as_json)
+        code = ExitCode.FAILURE
     except KeyboardInterrupt:
         sys.stderr.write("\n")
-        sys.exit(int(ExitCode.INTERRUPTED))
+        code = ExitCode.INTERRUPTED
+    sys.exit(int(code or 0))
+
+
+def usage_error(error: typer.TyperException) -> CliError:
+    """Return an error of the command line's syntax in the form of all others."""
+    context = getattr(error, "ctx", None)
+    name = context.command_path if context is not None else "naoctl"
+    return CliError(error.format_message().rstrip("."), fix=f"`{name} --help` shows the usage.", code=ExitCode.USAGE)
 
 
 def report(error: CliError, *, as_json: bool) -> None:
-    """Say on standard error what went wrong: one line for people, or one JSON document for programs."""
+    """Write an error to standard error: one line of text, or one JSON document."""
     if as_json:
         sys.stderr.write(json.dumps({"error": error.message, "fix": error.fix, "code": int(error.code)}) + "\n")
     else:

@@ -1,4 +1,4 @@
-"""A client of the HTTP API: requests, errors in words, and streams that survive a lost connection."""
+"""Client of the HTTP API: requests, errors, and streams that reconnect."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from naoctl.errors import CliError, ExitCode, Unreachable
 
 Json = dict[str, Any]
 
-#: Seconds to wait for a connection and for an answer.
+#: Timeouts of a request.
 TIMEOUT_S = httpx.Timeout(30.0, connect=5.0)
-#: Seconds without a byte after which a stream counts as lost; the service sends a comment more often than that.
+#: Seconds without data after which a stream counts as lost; the service sends comments more often.
 STREAM_SILENCE_S = 60.0
-#: Seconds between attempts to reach a stream again: doubled each time, up to the last.
+#: Seconds between attempts to reconnect: the first delay, doubled each time, and the longest.
 RECONNECT_FIRST_S, RECONNECT_LAST_S = 0.5, 10.0
 
 
 class ApiError(CliError):
-    """Report an answer of the service that is no success."""
+    """Error response of the service."""
 
     def __init__(self, message: str, *, status: int, fix: str | None, code: ExitCode, problem: Json) -> None:
         super().__init__(message, fix=fix, code=code)
@@ -37,7 +37,7 @@ class ApiError(CliError):
 
 @dataclass(frozen=True)
 class Event:
-    """Hold one server-sent event: its type, its id and its decoded JSON."""
+    """Server-sent event: its type, its id and its decoded JSON."""
 
     kind: str
     id: str
@@ -45,10 +45,10 @@ class Event:
 
 
 class Client:
-    """Talk to one service with one token.
+    """Connection to a service with a token.
 
-    A connection that cannot be made raises ``Unreachable``; an answer of 400 or above raises ``ApiError``, whose
-    message names what the service said and whose fix says what to do.
+    A failed connection raises ``Unreachable``; a status of 400 or above raises ``ApiError`` with the service's message
+    and a fix.
     """
 
     def __init__(self, target: Target, *, transport: httpx.BaseTransport | None = None) -> None:
@@ -56,7 +56,6 @@ class Client:
         headers = {"User-Agent": f"naoctl/{__version__}", "Accept": "application/json"}
         if target.token:
             headers["Authorization"] = f"Bearer {target.token}"
-        # No proxy and no netrc from the environment for loopback addresses would be guessing; httpx's rules stand.
         self._http = httpx.Client(
             base_url=target.url, headers=headers, timeout=TIMEOUT_S, transport=transport, follow_redirects=False
         )
@@ -91,12 +90,12 @@ class Client:
             return response.json()
         except ValueError:
             raise CliError(
-                f"{self.target.url} answered {method} {path} with something that is no JSON",
-                fix="Check that the address is that of a naosprint service.",
+                f"{self.target.url} answered {method} {path} with something other than JSON",
+                fix="Check that this is the address of a naosprint service.",
             ) from None
 
     def get(self, path: str, **params: Any) -> Any:
-        """GET a path; parameters that are None are left out."""
+        """GET a path; parameters that are None are omitted."""
         return self.request("GET", path, params=params)
 
     def post(self, path: str, body: Any = None, *, headers: Mapping[str, str] | None = None) -> Any:
@@ -129,18 +128,18 @@ class Client:
         on_lost: Callable[[str, float], None] | None = None,
         sleep: Callable[[float], None] = time.sleep,
     ) -> Iterator[Event]:
-        """Yield server-sent events for ever; after a lost connection continue after the last event received.
+        """Yield server-sent events; reconnect after a lost connection and continue after the last event.
 
         Args:
             path: the stream.
-            last_id: event id to start behind; empty for the stream's own beginning.
-            patience_s: seconds without any connection after which to give up.
-            on_lost: told the reason and the seconds until the next attempt, once per attempt.
-            sleep: waits between attempts.
+            last_id: id of the event to start after; empty for the beginning.
+            patience_s: seconds without a connection after which to give up.
+            on_lost: called with the reason and the seconds until the next attempt.
+            sleep: function that waits between attempts.
 
         Raises:
-            Unreachable: when the service stayed away longer than ``patience_s``.
-            ApiError: when the service answers but refuses.
+            Unreachable: if there was no connection for ``patience_s``.
+            ApiError: if the service refuses the request.
         """
         wait_s, lost_at = RECONNECT_FIRST_S, None
         while True:
@@ -156,7 +155,7 @@ class Client:
                         if message.data:
                             yield Event(message.event, message.id, json.loads(message.data))
             except ApiError as error:
-                # A service that is just starting or is restarted behind a proxy says so; everything else is final.
+                # A service that starts, or that restarts behind a proxy, answers with these; all others are final.
                 if error.status not in (429, 502, 503, 504):
                     raise
                 reason = error.message
@@ -173,12 +172,12 @@ class Client:
 
 
 def unreachable(url: str, error: httpx.TransportError) -> CliError:
-    """Put a failed connection into words."""
+    """Return the error of a failed connection."""
     return Unreachable(url, _reason(error))
 
 
 def raise_for_problem(response: httpx.Response) -> None:
-    """Raise an ``ApiError`` for an answer that is no success, in the words of its problem document if it has one."""
+    """Raise ``ApiError`` for an unsuccessful response, with the message of its problem document."""
     status = response.status_code
     if status < 300:
         return
@@ -194,9 +193,9 @@ def raise_for_problem(response: httpx.Response) -> None:
     fields = [
         f"{item.get('field')}: {item.get('message')}" for item in problem.get("errors") or () if isinstance(item, dict)
     ]
-    told_by_field = fields and status in (400, 422)
-    message = "; ".join(fields) if told_by_field else detail[:1].upper() + detail[1:].rstrip(".")
-    # What others wrote must not steer the terminal it is shown on.
+    has_fields = fields and status in (400, 422)
+    message = "; ".join(fields) if has_fields else detail[:1].upper() + detail[1:].rstrip(".")
+    # Text of other users must not contain control characters of the terminal.
     message = "".join(character if character.isprintable() else " " for character in message)
     code, fix = ExitCode.FAILURE, None
     if status in (301, 302, 303, 307, 308):
@@ -205,11 +204,11 @@ def raise_for_problem(response: httpx.Response) -> None:
     elif status == 401:
         code, fix = ExitCode.DENIED, "Sign in with `naoctl login`, or set NAOCTL_TOKEN."
         if not response.request.headers.get("Authorization"):
-            message = f"{response.request.url.copy_with(raw_path=b'/')} wants a token and none is known"
+            message = f"{response.request.url.copy_with(raw_path=b'/')} requires a token"
     elif status == 403:
-        code, fix = ExitCode.DENIED, "Use a token that has this right; an administrator creates one."
+        code, fix = ExitCode.DENIED, "Use a token with this scope; an administrator can create one."
     elif status == 404:
-        code, fix = ExitCode.NOT_FOUND, "`naoctl list` shows the jobs there are."
+        code, fix = ExitCode.NOT_FOUND, "`naoctl list` shows all jobs."
     elif status == 409:
         code, fix = ExitCode.CONFLICT, "`naoctl status JOB` shows the job's state."
     elif status in (400, 413, 415, 422):
@@ -218,8 +217,8 @@ def raise_for_problem(response: httpx.Response) -> None:
         wait = response.headers.get("retry-after")
         fix = f"Try again in {wait} s." if wait else "Try again later."
     elif status >= 500:
-        message = f"The service failed with {status}: {message}"
-        fix = "Its log says why; on this machine `naoctl doctor` shows where that is."
+        message = f"The service failed with status {status}: {message}"
+        fix = "See its log; on this machine `naoctl doctor` shows where it is."
     raise ApiError(message, status=status, fix=fix, code=code, problem=problem)
 
 

@@ -1,4 +1,4 @@
-"""Where the command line finds its service and its token: flags, then environment, then one small file.
+"""Service and token of the command line: from flags, else the environment, else a configuration file.
 
 The file (``config.toml`` in the user's configuration folder, mode 0600) holds one token per service address and which
 address is the current one. ``naoctl login`` and ``naoctl up`` write it.
@@ -22,19 +22,19 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 
 
 def normal_url(url: str) -> str:
-    """Return the address in the one form that names a service: scheme, host, port and path, without a closing slash.
+    """Return the normal form of a service's address: scheme, host, port and path, without a trailing slash.
 
     Raises:
-        InvalidInput: when it is no http or https address, or carries a user name or password.
+        InvalidInput: if it is not an http or https address, or contains a user name or password.
     """
     try:
         parsed = httpx.URL(url.strip())
     except httpx.InvalidURL as error:
-        raise InvalidInput(f"{url!r} is no address: {error}", fix=f"Write it as {DEFAULT_URL}.") from None
+        raise InvalidInput(f"{url!r} is not an address: {error}", fix=f"Write it as {DEFAULT_URL}.") from None
     if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise InvalidInput(f"{url!r} is no http address", fix=f"Write it as {DEFAULT_URL}.")
+        raise InvalidInput(f"{url!r} is not an http address", fix=f"Write it as {DEFAULT_URL}.")
     if parsed.userinfo:
-        raise InvalidInput("An address must not carry a password", fix="Sign in with `naoctl login`.")
+        raise InvalidInput("An address must not contain a password", fix="Sign in with `naoctl login`.")
     return str(parsed.copy_with(query=None, fragment=None)).rstrip("/")
 
 
@@ -48,17 +48,17 @@ def config_path() -> Path:
 
 @dataclass(frozen=True)
 class Config:
-    """Hold the tokens by service address and the address that commands use when none is named."""
+    """Tokens by service address, and the address that commands use by default."""
 
     current: str | None = None
     tokens: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: Path | None = None) -> Config:
-        """Read the file; a file that is not there is an empty configuration.
+        """Read the file; a missing file is an empty configuration.
 
         Raises:
-            InvalidInput: when the file cannot be read or is not what ``save`` writes.
+            InvalidInput: if the file cannot be read or is not in the format of ``save``.
         """
         path = path or config_path()
         try:
@@ -83,7 +83,7 @@ class Config:
         return cls(current=normal_url(current) if current else None, tokens=tokens)
 
     def save(self, path: Path | None = None) -> Path:
-        """Write the file whole or not at all, readable by its owner only, and return its path."""
+        """Write the file atomically, readable by its owner only, and return its path."""
         path = path or config_path()
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = []
@@ -96,12 +96,12 @@ class Config:
         return path
 
     def with_token(self, url: str, token: str, *, current: bool = True) -> Config:
-        """Return a copy that knows this token and, if asked, uses its service from now on."""
+        """Return a copy with this token, and with its service as the current one if requested."""
         url = normal_url(url)
         return replace(self, current=url if current else self.current, tokens={**self.tokens, url: token})
 
     def without(self, url: str) -> Config:
-        """Return a copy that has forgotten this service."""
+        """Return a copy without this service."""
         url = normal_url(url)
         tokens = {known: token for known, token in self.tokens.items() if known != url}
         return replace(self, current=None if self.current == url else self.current, tokens=tokens)
@@ -109,16 +109,16 @@ class Config:
 
 @dataclass(frozen=True)
 class Target:
-    """Name the service a command talks to and the token it shows there."""
+    """Service of a command, and the token for it."""
 
     url: str
     token: str | None
 
 
 def resolve_target(url: str | None = None, token: str | None = None, config: Config | None = None) -> Target:
-    """Choose service and token: the flag, else ``NAOCTL_URL`` / ``NAOCTL_TOKEN``, else the file, else this machine.
+    """Return service and token, from the first that has them: flag, ``NAOCTL_URL`` / ``NAOCTL_TOKEN``, file, defaults.
 
-    A token from the file is only ever shown to the service it was given by.
+    A token from the file is only sent to its own service.
     """
     config = config if config is not None else Config.load()
     chosen = normal_url(url or os.environ.get("NAOCTL_URL") or config.current or DEFAULT_URL)

@@ -1,4 +1,4 @@
-"""What every command gets: consoles, the service's address, and one way to report."""
+"""Context of every command: consoles, the service's address, and ways to print."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from naoctl.config import Target, resolve_target
 from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.render import make_console, print_json
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of text for people.")]
-JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="A job's id, the start of one, its name, or `last`.")]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+#: Reference to the newest job; no job can have this name.
+NEWEST = "last"
 DataDir = Annotated[
     Path | None,
     typer.Option("--data-dir", metavar="FOLDER", help="Folder of the one-machine stack.", envvar="NAOCTL_DATA_DIR"),
@@ -27,14 +28,14 @@ DataDir = Annotated[
 
 @dataclass
 class Context:
-    """Hold the consoles and where the service is; made once per run of the program."""
+    """Consoles and address of the service of one run of the program."""
 
     url: str | None = None
     out: Console = field(default_factory=make_console)
     err: Console = field(default_factory=lambda: make_console(stderr=True))
 
     def target(self) -> Target:
-        """Return the service and the token to show it."""
+        """Return the service's address and token."""
         return resolve_target(self.url)
 
     @contextmanager
@@ -44,36 +45,36 @@ class Context:
             yield client
 
     def json(self, value: Any) -> None:
-        """Print a result for programs."""
+        """Print a result as JSON."""
         print_json(self.out, value)
 
     def say(self, title: str, text: str) -> None:
-        """Print one line of what happens, title first."""
+        """Print a title and a text on one line."""
         self.out.print(f"[bold]{title:<12}[/bold]", end="")
         self.out.print(text, markup=False, soft_wrap=True)
 
     def note(self, text: str) -> None:
-        """Print a remark beside the result, where it cannot mix with it."""
+        """Print a note to standard error."""
         self.err.print(text, markup=False, soft_wrap=True, style="bright_black")
 
 
 def context_of(command: typer.Context) -> Context:
-    """Return the context that the program's start put into a command."""
+    """Return the context of a command."""
     found = command.obj
     assert isinstance(found, Context)
     return found
 
 
 def find_job(client: Client, reference: str) -> dict[str, Any]:
-    """Return the job that a user means: by id, by the start of an id, by name, or the newest by ``last``.
+    """Return a job by its id, the beginning of its id, its name, or ``last`` for the newest.
 
     Raises:
-        CliError: when there is no such job, or more than one.
+        CliError: if there is no such job, or more than one.
     """
     text = reference.strip()
     if not text:
-        raise InvalidInput("JOB is empty", fix="Give a job's id or name; `naoctl list` shows them.")
-    if text == "last":
+        raise InvalidInput("JOB is empty", fix="Use a job's id or name; `naoctl list` shows them.")
+    if text == NEWEST:
         newest = list(client.pages("/jobs", limit=1))
         if not newest:
             raise CliError("There is no job yet", fix="Submit one with `naoctl submit`.", code=ExitCode.NOT_FOUND)
@@ -89,12 +90,12 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
             begun.append(job)
     matches = named or begun
     if not matches:
-        raise CliError(
-            f"There is no job {text!r}", fix="`naoctl list` shows the jobs there are.", code=ExitCode.NOT_FOUND
-        )
+        raise CliError(f"There is no job {text!r}", fix="`naoctl list` shows all jobs.", code=ExitCode.NOT_FOUND)
     if len(matches) > 1:
         ids = ", ".join(job["id"] for job in matches[:4]) + (", …" if len(matches) > 4 else "")
-        raise CliError(f"{text!r} means {len(matches)} jobs", fix=f"Give one of their ids: {ids}", code=ExitCode.USAGE)
+        raise CliError(
+            f"{text!r} matches {len(matches)} jobs", fix=f"Give one of their ids: {ids}", code=ExitCode.USAGE
+        )
     return matches[0]
 
 
@@ -103,16 +104,18 @@ def _is_id(text: str) -> bool:
 
 
 def complete_job(incomplete: str) -> list[str]:
-    """Offer job ids for shell completion; silent when the service cannot be asked."""
+    """Return names and ids of jobs for shell completion: names first; nothing if the service does not answer."""
     try:
         with Client(resolve_target()) as client:
-            return [job["id"] for job in client.pages("/jobs", limit=100) if job["id"].startswith(incomplete)]
+            jobs = list(client.pages("/jobs", limit=100, q=incomplete or None))
     except CliError:
-        return []
+        jobs = []
+    words = dict.fromkeys([*(job["name"] for job in jobs), NEWEST, *(job["id"] for job in jobs)])
+    return [word for word in words if word.startswith(incomplete)]
 
 
 def stdin_is_terminal() -> bool:
-    """Tell whether somebody can be asked."""
+    """Return whether a question can be answered on standard input."""
     return os.isatty(0)
 
 

@@ -1,4 +1,4 @@
-"""Demonstration of everything: service, training, evaluation, download, check, and a bundled policy."""
+"""Demonstration: service, training, evaluation, download, check, and a bundled policy."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from naoctl.commands.watch import watch_job
 from naoctl.config import Target
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
-from naoctl.evaluations import headline, newest_evaluation
+from naoctl.evaluations import headline, job_evaluation
 from naoctl.render import duration
 from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
 
-#: Episodes of the bundled policy that runs at the end, and how much of one is filmed, seconds.
+#: Episodes of the bundled policy that runs at the end, and the length of its film in seconds.
 BUNDLED_EPISODES, BUNDLED_FILM_S = 20, 5
 
 #: By robot: steps after which it runs, and episodes of its evaluation, so that it all ends while somebody watches.
@@ -59,7 +59,7 @@ class Demo:
         self.output = output
 
     def run(self, *, robot: str, steps: int, seed: int, episodes: int, keep: bool) -> None:
-        """Do all of it; whatever happens, nothing is left running unless ``keep``.
+        """Run all steps; stop the service in any case, unless ``keep``.
 
         Raises:
             CliError: when the results of the downloaded policy are not those the service reported.
@@ -104,7 +104,7 @@ class Demo:
 
     def _show_results(self, client: Client, job: dict[str, Any]) -> dict[str, Any]:
         self._head("3. How good the policy is")
-        evaluation = newest_evaluation(client, job["id"])
+        evaluation = job_evaluation(client, job["id"])
         if evaluation is None:
             raise CliError(f"Job {job['id']} succeeded without an evaluation", fix=f"See {self.layout.log('worker')}.")
         show_evaluation(self.context, evaluation)
@@ -124,7 +124,7 @@ class Demo:
         return chosen[0][1]
 
     def _report(self, folder: Path) -> None:
-        """Write the page and the film; without them the demonstration has still shown what it should."""
+        """Write the page and the film; a failure does not end the demonstration."""
         self._head("6. A page to look at, and a film")
         try:
             page = write_report(folder, title="naosprint demo")
@@ -180,7 +180,7 @@ class Demo:
         self.context.say("Results", str(self.output))
         if keep:
             self.context.say("Dashboard", stack.sign_in_url)
-            self.context.say("Stop", f"naoctl down --data-dir {self.layout.root}")
+            self.context.say("Stop", self.layout.stop_command)
         else:
             self.context.say(
                 "Again", f"naoctl up --data-dir {self.layout.root}   (the job, its curves and its policy are kept)"

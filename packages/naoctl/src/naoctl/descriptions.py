@@ -1,4 +1,4 @@
-"""What tasks and algorithms say of their metrics: from the installed plug-ins, or else from the service."""
+"""Metrics of tasks and algorithms, from the installed plug-ins or else from the service."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Descriptions:
     """Descriptions of tasks by name.
 
     Args:
-        client: asked for tasks that are not installed here; None: those have no metrics of their own.
+        client: used for tasks that are not installed here; None: these have no metrics.
     """
 
     def __init__(self, client: Client | None = None) -> None:
@@ -68,7 +68,7 @@ class Descriptions:
 
 
 def value_text(metric: Metric, row: Mapping[str, Any]) -> str:
-    """Return what a row of metrics has of a metric, with its unit; a dash where it has nothing."""
+    """Return a metric of a row with its unit; a dash if the row does not have it."""
     value = row.get(metric.name)
     return format_value(metric, value if isinstance(value, int | float) and math.isfinite(value) else None)
 

@@ -1,4 +1,4 @@
-"""What can go wrong for a user of the command line, and the exit code each case has."""
+"""Errors of the command line and their exit codes."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """Tell a script why ``naoctl`` stopped."""
+    """Exit code of ``naoctl``."""
 
     #: Done; for ``watch``, ``logs --follow`` and ``submit --watch`` the job succeeded.
     OK = 0
-    #: Anything without a code of its own.
+    #: Any error without a code of its own.
     FAILURE = 1
     #: A flag, a file or a value is wrong: nothing was sent, or the service refused it as invalid.
     USAGE = 2
@@ -24,7 +24,7 @@ class ExitCode(IntEnum):
     CONFLICT = 6
     #: A downloaded file does not have the SHA-256 the service promised.
     CORRUPT = 7
-    #: The one-machine stack could not start or stop, or another one holds the data folder.
+    #: The service on this machine could not start or stop, or another one uses the data folder.
     STACK = 8
     #: The followed job failed.
     JOB_FAILED = 10
@@ -37,7 +37,7 @@ class ExitCode(IntEnum):
 
 
 class CliError(Exception):
-    """Stop the command with one line that says what is wrong and, after it, how to put it right."""
+    """Error that ends the command: what is wrong, and how to correct it."""
 
     def __init__(self, message: str, *, fix: str | None = None, code: ExitCode = ExitCode.FAILURE) -> None:
         super().__init__(message)
@@ -46,18 +46,20 @@ class CliError(Exception):
         self.code = code
 
     def __str__(self) -> str:
-        return f"{self.message}. {self.fix}" if self.fix else self.message
+        if not self.fix:
+            return self.message
+        return f"{self.message}{'' if self.message.endswith(('.', '?', '!')) else '.'} {self.fix}"
 
 
 class InvalidInput(CliError):
-    """Report a flag, file or value that cannot be right, before anything is sent."""
+    """Flag, file or value that is wrong; found before anything is sent."""
 
     def __init__(self, message: str, *, fix: str | None = None) -> None:
         super().__init__(message, fix=fix, code=ExitCode.USAGE)
 
 
 class Unreachable(CliError):
-    """Report that nothing answers at the service's address."""
+    """Service that does not answer."""
 
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(
@@ -68,7 +70,7 @@ class Unreachable(CliError):
 
 
 class StackError(CliError):
-    """Report that the one-machine stack cannot start, stop or be found."""
+    """Service on this machine that cannot start, stop or be found."""
 
     def __init__(self, message: str, *, fix: str | None = None) -> None:
         super().__init__(message, fix=fix, code=ExitCode.STACK)

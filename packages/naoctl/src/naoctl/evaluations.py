@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from naosprint.tasks.metrics import format_value
+from naosprint.tasks.metrics import Metric, format_value
 
 from naoctl.client import Client
-from naoctl.descriptions import metric_of
+from naoctl.descriptions import metric_of, value_text
+from naoctl.follow import ENDED
+
+#: What marks values of training, which includes exploration, among those of evaluations, and its explanation.
+TRAINING_MARK = "*"
+TRAINING_NOTE = "* during training, with exploration"
 
 
 def headline(summary: Mapping[str, Any]) -> dict[str, str]:
@@ -32,8 +37,37 @@ def result_text(result: Mapping[str, Any]) -> str:
     return text if spread is None else f"{text} (sd {format_value(metric, spread).removesuffix(metric.unit).rstrip()})"
 
 
-def newest_evaluation(client: Client, job_id: str) -> dict[str, Any] | None:
-    """Return a job's newest finished evaluation as the service shows it, or None."""
+def job_evaluation(client: Client, job_id: str) -> dict[str, Any] | None:
+    """Return a job's evaluation, or None: of the finished ones with the most episodes, the newest.
+
+    The service's ``result`` of a job and the dashboard choose the same one.
+    """
     found: list[dict[str, Any]] = client.get(f"/jobs/{job_id}/evaluations")
     finished = [evaluation for evaluation in found if evaluation["state"] == "succeeded"]
-    return max(finished, key=lambda evaluation: str(evaluation["finished_at"]), default=None)
+    return max(
+        finished,
+        key=lambda evaluation: ((evaluation.get("summary") or {}).get("episodes", 0), str(evaluation["finished_at"])),
+        default=None,
+    )
+
+
+def shown_result(job: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the result that displays show of a job: of an ended one its evaluation, of others nothing."""
+    result: Mapping[str, Any] | None = job.get("result")
+    return result if job["state"] in ENDED else None
+
+
+def evaluated(result: Mapping[str, Any]) -> str:
+    """Return which evaluation a job's result is: its episodes, checkpoint and id."""
+    return f"{result['episodes']:,} episodes at step {result['step']:,} ({result['evaluation_id']})"
+
+
+def metric_text(job: Mapping[str, Any], metric: Metric) -> str:
+    """Return a metric of a job for a list: from its evaluation, else from training with :data:`TRAINING_MARK`."""
+    result = shown_result(job)
+    if result is not None:
+        values = {item["name"]: item["value"] for item in result["results"]}
+        if metric.name in values:
+            return format_value(metric, values[metric.name])
+    text = value_text(metric, job.get("latest_metrics") or {})
+    return text if text == format_value(metric, None) else text + TRAINING_MARK

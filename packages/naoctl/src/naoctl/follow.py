@@ -1,4 +1,4 @@
-"""Follow a job from the service's stream until it ends, in whatever form the caller shows it."""
+"""Updates of a job from the service's stream until it ends."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import httpx
 from naoctl.client import Client
 from naoctl.errors import CliError, ExitCode
 
-#: States in which nothing more happens unless somebody asks for it.
+#: States in which nothing more happens unless a user requests it.
 ENDED = frozenset({"succeeded", "failed", "cancelled"})
-#: The exit code that a job's last state stands for.
+#: Exit code by final state of a job.
 RESULT = {
     "succeeded": ExitCode.OK,
     "failed": ExitCode.JOB_FAILED,
@@ -24,7 +24,7 @@ RESULT = {
 
 @dataclass(frozen=True)
 class Update:
-    """Hold one thing that the stream told, and the job as it is known after it.
+    """One message of the stream, and the job after it.
 
     ``kind`` is ``job`` (its row changed), ``metrics`` (a row of metrics), ``log`` or ``event``.
     """
@@ -43,7 +43,7 @@ def follow(
     events_after: int = 0,
     on_lost: Callable[[str, float], None] | None = None,
 ) -> Iterator[Update]:
-    """Yield what happens to a job, from its first metrics row and log line on, until it ends or is paused.
+    """Yield the updates of a job, from its first metrics row and log line, until it ends or is paused.
 
     Args:
         client: the service.
@@ -51,7 +51,7 @@ def follow(
         only: kinds of messages to ask for: metrics, log, event, state; all when empty.
         logs_after: id of the last log line that is known.
         events_after: id of the last event that is known.
-        on_lost: told when the connection is lost and when the next attempt is.
+        on_lost: called with the reason and the seconds until the next attempt when the connection is lost.
     """
     query = httpx.QueryParams({"only": list(only), "logs_after": logs_after, "events_after": events_after})
     for event in client.events(f"/jobs/{job['id']}/stream?{query}", on_lost=on_lost):
@@ -70,10 +70,10 @@ def follow(
 
 
 def is_over(job: dict[str, Any]) -> bool:
-    """Tell whether following a job makes no sense any more."""
+    """Return whether a job has ended or is paused."""
     return job["state"] in ENDED or job["state"] == "paused"
 
 
 def result_of(job: dict[str, Any]) -> ExitCode:
-    """Return the exit code for a job that was followed to its end."""
+    """Return the exit code of a followed job."""
     return RESULT.get(job["state"], ExitCode.FAILURE)

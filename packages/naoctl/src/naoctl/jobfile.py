@@ -1,4 +1,4 @@
-"""Read a job from a YAML, TOML or JSON file. The file holds what ``POST /jobs`` takes."""
+"""Job files in YAML, TOML or JSON; their content is the body of ``POST /jobs``."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import yaml
 
 from naoctl.errors import InvalidInput
 
-#: Largest job file, bytes. A job is a page of text; anything longer is a mistake or an attack.
+#: Maximum size of a job file in bytes.
 MAX_BYTES = 256 * 1024
-#: Deepest nesting of a job file.
+#: Maximum nesting of a job file.
 MAX_DEPTH = 16
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Load plain data only: no tags that build objects, no aliases (which can grow without bound), no double keys."""
+    """Loader of plain data: no tags that create objects, no aliases (they can expand without bound), no duplicates."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -32,21 +32,21 @@ class _PlainLoader(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
-                raise yaml.MarkedYAMLError(problem=f"{key!r} is no field name", problem_mark=key_node.start_mark)
+                raise yaml.MarkedYAMLError(problem=f"{key!r} is not a field name", problem_mark=key_node.start_mark)
             if key in seen:
-                raise yaml.MarkedYAMLError(problem=f"{key} stands there twice", problem_mark=key_node.start_mark)
+                raise yaml.MarkedYAMLError(problem=f"{key} is given twice", problem_mark=key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep=deep)
 
 
 def load_job_file(path: Path) -> dict[str, Any]:
-    """Read a job file; its ending (.yaml, .yml, .toml or .json) names the format.
+    """Read a job file; its suffix (.yaml, .yml, .toml or .json) decides the format.
 
     Returns:
-        The mapping the file holds, nothing of it checked yet.
+        The file's mapping, not validated.
 
     Raises:
-        InvalidInput: naming file, line where known, and what is wrong.
+        InvalidInput: with file, line if known, and what is wrong.
     """
     try:
         with path.open("rb") as file:
@@ -57,7 +57,7 @@ def load_job_file(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InvalidInput(f"Cannot read {path}: {error.strerror}", fix="Check the path.") from None
     if len(raw) > MAX_BYTES:
-        raise InvalidInput(f"{path} is longer than {MAX_BYTES // 1024} kB", fix="A job file is a page of text.")
+        raise InvalidInput(f"{path} is longer than {MAX_BYTES // 1024} kB", fix="Use a shorter file.")
     readers: dict[str, Callable[[str], Any]] = {
         ".yaml": _from_yaml,
         ".yml": _from_yaml,
@@ -66,9 +66,7 @@ def load_job_file(path: Path) -> dict[str, Any]:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise InvalidInput(
-            f"{path} has no ending that names its format", fix=f"Use one of {', '.join(sorted(readers))}."
-        )
+        raise InvalidInput(f"{path} has no known suffix", fix=f"Use one of {', '.join(sorted(readers))}.")
     try:
         data = reader(text)
     except yaml.MarkedYAMLError as error:
@@ -78,9 +76,9 @@ def load_job_file(path: Path) -> dict[str, Any]:
         reason = "too deeply nested" if isinstance(error, RecursionError) else str(error).splitlines()[0]
         raise InvalidInput(f"{path}: {reason}", fix="Correct the file.") from None
     if not isinstance(data, dict):
-        raise InvalidInput(f"{path} holds no fields", fix="Write `spec:` and the training's fields below it.")
+        raise InvalidInput(f"{path} has no fields", fix="Write `spec:` and the training's fields below it.")
     if _depth(data) > MAX_DEPTH:
-        raise InvalidInput(f"{path} is nested too deeply", fix="A job has two levels: `spec:` and its fields.")
+        raise InvalidInput(f"{path} is nested too deeply", fix="Reduce the nesting.")
     return data
 
 
@@ -92,11 +90,11 @@ def _from_json(text: str) -> Any:
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         result = dict(pairs)
         if len(result) != len(pairs):
-            raise ValueError("a field stands there twice")
+            raise ValueError("a field is given twice")
         return result
 
     def refuse(word: str) -> Any:
-        raise ValueError(f"{word} is no JSON number")
+        raise ValueError(f"{word} is not a JSON number")
 
     return json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
 

@@ -1,4 +1,4 @@
-"""How things look in a terminal: tables, curves, progress; plain lines where there is no terminal."""
+"""Terminal output: tables, curves and progress; plain lines if the output is not a terminal."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from naoctl.descriptions import Descriptions, common, section_name, value_text
+from naoctl.evaluations import evaluated, headline, metric_text, shown_result
 
 if TYPE_CHECKING:
     from naosprint.tasks.metrics import Metric
@@ -40,7 +41,7 @@ MISSING = "-"
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return a console that never wraps or colours what is not shown on a terminal."""
+    """Return a console that neither wraps nor colours text if it is not a terminal."""
     console = Console(stderr=stderr, highlight=False, soft_wrap=False)
     if not console.is_terminal:
         console = Console(stderr=stderr, highlight=False, width=200, no_color=True)
@@ -48,23 +49,23 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def print_json(console: Console, value: Any) -> None:
-    """Print JSON as it is: no colour, no wrapping."""
+    """Print JSON without colour and wrapping."""
     console.file.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
 
 
 def print_json_line(console: Console, value: Any) -> None:
-    """Print one JSON document in one line, at once."""
+    """Print a JSON document on one line and flush."""
     console.file.write(json.dumps(value, ensure_ascii=False) + "\n")
     console.file.flush()
 
 
 def sparkline(values: Sequence[float | None], width: int = 40, *, ascii_only: bool = False) -> str:
-    """Draw values as one line of bars, from the least to the greatest.
+    """Return values as one line of bars.
 
     Args:
         values: in order; None and non-finite values are left out.
         width: most characters; longer series are averaged in groups of neighbours.
-        ascii_only: use characters every terminal has.
+        ascii_only: use ASCII characters only.
     """
     known = [v for v in values if v is not None and math.isfinite(v)]
     if not known or width < 1:
@@ -80,22 +81,22 @@ def sparkline(values: Sequence[float | None], width: int = 40, *, ascii_only: bo
 
 
 def duration(seconds: float | None) -> str:
-    """Write a time span as people say it: ``42 s``, ``3:07 min``, ``1:02:03 h``, ``3 d 4 h``, ``40 d``."""
+    """Return a duration: ``42 s``, ``3 min 7 s``, ``1 h 2 min``, ``3 d 4 h``, ``40 d``."""
     if seconds is None or not math.isfinite(seconds):
         return MISSING
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
     if whole < 3600:
-        return f"{whole // 60}:{whole % 60:02d} min"
+        return f"{whole // 60} min {whole % 60} s"
     if whole < 86400:
-        return f"{whole // 3600}:{whole % 3600 // 60:02d}:{whole % 60:02d} h"
+        return f"{whole // 3600} h {whole % 3600 // 60} min"
     days, hours = whole // 86400, whole % 86400 // 3600
     return f"{days} d {hours} h" if days < 10 else f"{days} d"
 
 
 def size(count: int) -> str:
-    """Write a number of bytes: ``512 B``, ``1.5 kB``, ``31.2 MB``."""
+    """Return a number of bytes: ``512 B``, ``1.5 kB``, ``31.2 MB``."""
     amount = float(count)
     for unit in ("B", "kB", "MB", "GB"):
         if amount < 1000:
@@ -113,7 +114,7 @@ def parse_time(text: str | None) -> datetime | None:
 
 
 def ago(text: str | None, now: datetime | None = None) -> str:
-    """Write how long ago a time of the service was."""
+    """Return the time since a timestamp of the service."""
     moment = parse_time(text)
     if moment is None:
         return MISSING
@@ -121,29 +122,29 @@ def ago(text: str | None, now: datetime | None = None) -> str:
 
 
 def has_passed(text: str | None) -> bool:
-    """Tell whether a time of the service is over; one that is not set never is."""
+    """Return whether a timestamp of the service is in the past; None never is."""
     moment = parse_time(text)
     return moment is not None and moment <= datetime.now(UTC)
 
 
 def clock(text: str | None) -> str:
-    """Write a time of the service as the local wall clock shows it, without zone: hours to milliseconds."""
+    """Return a timestamp of the service in local time, hours to milliseconds."""
     moment = parse_time(text)
     return moment.astimezone().strftime("%H:%M:%S.%f")[:-3] if moment else MISSING
 
 
 def plain(text: object) -> str:
-    """Return text from the service without control characters: a log line must not steer the terminal."""
+    """Return text without control characters, which could control the terminal."""
     return "".join(c if c.isprintable() or c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
 def cell(text: object) -> Text:
-    """Return text from the service for a table: no control characters, and nothing in it is markup."""
+    """Return text for a table without control characters and without markup."""
     return Text(plain(text))
 
 
 def state_text(state: str) -> Text:
-    """Write a state in its colour."""
+    """Return a state in its colour."""
     return Text(state, style=STATE_STYLE.get(state, ""))
 
 
@@ -160,7 +161,7 @@ METRIC_WIDTHS = (78, 112, 126)
 
 
 def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
-    """Return the list of jobs, with as many columns as the width has room for; the name gives way first."""
+    """Return a table of jobs with as many columns as fit; the name is shortened first."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("ID", no_wrap=True, min_width=30)
     table.add_column("Name", no_wrap=True, overflow="ellipsis", max_width=40)
@@ -172,15 +173,14 @@ def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 20
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for job in jobs:
-        row = job.get("latest_metrics") or {}
         own = {metric.name for metric in descriptions.listed(job)}
         cells = {
             "Done": f"{percent(job):.0%}",
             "Steps": f"{job['total_steps']:,}",
             "Submitted": ago(job.get("created_at")),
-            **{metric.title: value_text(metric, row) if metric.name in own else MISSING for metric in metrics},
+            **{metric.title: metric_text(job, metric) if metric.name in own else MISSING for metric in metrics},
         }
-        # A table that is too wide shrinks all its columns; only the name can lose characters without losing sense.
+        # A table that is too wide would shrink all its columns; only the name may be shortened.
         room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in headings) - 4
         name = plain(job["name"])
         short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
@@ -199,7 +199,7 @@ def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:
 
 
 def training_text(spec: Json) -> str:
-    """Return what a stored specification trains, in one line: task, robot, preset, seed, simulator."""
+    """Return a stored specification in one line: task, robot, preset, seed, simulator."""
     algorithm = spec.get("algorithm")
     preset = algorithm.get("preset", MISSING) if isinstance(algorithm, Mapping) else MISSING
     robot, simulator = section_name(spec, "robot"), section_name(spec, "simulator")
@@ -209,7 +209,7 @@ def training_text(spec: Json) -> str:
 
 
 def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
-    """Return one job in detail, with its newest value of each of ``metrics``."""
+    """Return a table of one job, with its evaluation and the newest value of each of ``metrics``."""
     started, finished = parse_time(job.get("started_at")), parse_time(job.get("finished_at"))
     took = ((finished or datetime.now(UTC)) - started).total_seconds() if started else None
     state = state_text(job["state"])
@@ -227,7 +227,7 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
         ("Training", training_text(job["spec"])),
         ("Owner", cell(job["owner"])),
         ("Tags", cell(", ".join(job["tags"]) or MISSING)),
-        ("Attempt", f"{job['attempt']} ({job.get('failures', 0)} of at most {job['max_attempts']} lost)"),
+        ("Attempt", f"{job['attempt']} ({job.get('failures', 0)} of at most {job['max_attempts']} failed)"),
         ("Worker", cell(job.get("worker") or MISSING)),
         ("Submitted", ago(job.get("created_at"))),
         ("Took" if finished else "Running for", duration(took)),
@@ -236,17 +236,24 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
         rows.append(("Parent", job["parent_job_id"]))
     if job.get("group_id"):
         rows.append(("Group", job["group_id"]))
+    if result := shown_result(job):
+        rows.append(("Evaluation", evaluated(result)))
+        rows += headline(result).items()
     latest = job.get("latest_metrics") or {}
-    rows += [(metric.title, value_text(metric, latest)) for metric in metrics if metric.name in latest]
+    training = ", ".join(
+        f"{metric.title.lower()} {value_text(metric, latest)}" for metric in metrics if metric.name in latest
+    )
+    if training:
+        rows.append(("In training", f"{training} (latest episodes, with exploration)"))
     if job.get("error"):
         rows.append(("Error", Text(plain(job["error"]), style="red")))
     return pairs(rows)
 
 
 class Curve:
-    """Metrics of a job over time, no more points than a terminal can show."""
+    """Metrics of a job over time, limited in number."""
 
-    #: Points kept per metric; beyond it every second one is dropped.
+    #: Maximum number of points per metric; beyond it every second one is dropped.
     LIMIT = 4096
 
     def __init__(self) -> None:
@@ -268,7 +275,7 @@ class Curve:
 def live_view(
     job: Json, curve: Curve, metrics: Sequence[Metric], *, width: int, ascii_only: bool, note: str = ""
 ) -> RenderableType:
-    """Return the picture that ``watch`` keeps on the screen: progress, metrics and curves of one job."""
+    """Return the live display of ``watch``: progress, metrics and curves of one job."""
     latest = curve.latest
     step = max(int(latest.get("step", 0)), int(job.get("progress_step") or 0))
     total = job["total_steps"]
@@ -282,10 +289,10 @@ def live_view(
         f"ETA {eta}",
     )
     table = Table(box=None, pad_edge=False, header_style="bright_black")
-    table.add_column("")
+    table.add_column("In training")
     table.add_column("Now", justify="right", no_wrap=True)
     table.add_column("Best", justify="right", no_wrap=True)
-    table.add_column("Course", no_wrap=True)
+    table.add_column("Trend", no_wrap=True)
     for metric in metrics:
         values = curve.series.get(metric.name)
         if not values:
@@ -298,6 +305,8 @@ def live_view(
             sparkline(values, max(10, min(60, width - 44)), ascii_only=ascii_only),
         )
     parts: list[RenderableType] = [head, line]
+    if job.get("waiting_reason"):
+        parts += ["", Text(f"Waiting: {plain(job['waiting_reason'])}", style="yellow")]
     if curve.series:
         parts += ["", table]
     if note:
@@ -306,8 +315,8 @@ def live_view(
 
 
 def progress_line(job: Json, row: Json, metrics: Sequence[Metric]) -> str:
-    """Return one line that says how far a job is, for output that is no terminal."""
+    """Return the progress of a job as one line."""
     step, total = int(row.get("step", job.get("progress_step", 0))), job["total_steps"]
     values = "  ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in metrics if metric.name in row)
     share = min(1.0, step / total) if total else 0.0
-    return f"{step:>12,} of {total:,} steps {share:>4.0%}  {values}  ETA {duration(row.get('eta_s'))}"
+    return f"{step:>12,} of {total:,} steps {share:>4.0%}  in training: {values}  ETA {duration(row.get('eta_s'))}"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
+from decimal import Decimal
 from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -20,6 +22,9 @@ from naoctl.errors import InvalidInput
 
 #: What a user writes to set a nullable field to null.
 NULL_WORDS = frozenset({"none", "null"})
+#: Letters after a number that stand for thousands, millions and billions: ``250k``, ``3M``.
+MAGNITUDES = {"k": 10**3, "m": 10**6, "g": 10**9}
+_ABBREVIATED = re.compile(r"(\d{1,12}(?:\.\d{1,12})?) ?([kmg])", re.IGNORECASE)
 #: Headings above the flags of each section in ``--help``.
 PANELS = {
     "task": "Task",
@@ -72,6 +77,7 @@ def spec_parameters(
     prefix: str = "",
     aliases: Mapping[str, Iterable[str]] | None = None,
     flag_prefix: str | None = None,
+    shown: Container[str] | None = None,
 ) -> list[inspect.Parameter]:
     """Return one keyword parameter per setting for a Typer command; a parameter is None unless the user gave its flag.
 
@@ -81,6 +87,7 @@ def spec_parameters(
         prefix: put before names, to keep two specifications apart in one command.
         flag_prefix: the prefix that users see in flags, when it is another.
         aliases: further flags by name, for example ``{"total_steps": ["--steps"]}``.
+        shown: settings that ``--help`` shows; the others are hidden, but work. None: all.
     """
     aliases = aliases or {}
     parameters = []
@@ -89,17 +96,17 @@ def spec_parameters(
         name = flag_name(field, prefix if flag_prefix is None else flag_prefix)
         choices = setting.choices or choices_of(info)
         annotation: Any = str | None
-        declarations = [name, *aliases.get(field, ())]
-        metavar: str | None = "NAME" if setting.choices else _metavar(info, choices)
+        declarations = [*aliases.get(field, ()), name]
         if info.annotation is bool:
-            annotation, metavar = bool | None, None
+            annotation = bool | None
             declarations = [f"{name}/--no-{name[2:]}"]
         option: OptionInfo = typer.Option(
             *declarations,
             help=_help(setting),
-            metavar=metavar,
+            metavar=metavar(setting) or None,
             show_default=False,
             rich_help_panel=PANELS.get(setting.path[0], panel) if len(setting.path) > 1 else panel,
+            hidden=shown is not None and field not in shown,
             autocompletion=_completion(choices) if choices else None,
         )
         parameters.append(
@@ -139,7 +146,7 @@ def with_parameters(function: Callable[..., None], named: Mapping[str, list[insp
 
 
 def parse_flags(settings: Mapping[str, Setting], flags: Mapping[str, Any], *, prefix: str = "") -> dict[str, Any]:
-    """Turn flag values into values: ``none`` into null where the field may be null, ``64,64`` into a list."""
+    """Convert flags to values: ``none`` to null, ``64,64`` to a list, ``3M`` to 3,000,000."""
     values: dict[str, Any] = {}
     for name, raw in flags.items():
         field = name.removeprefix(prefix)
@@ -156,9 +163,18 @@ def parse_flags(settings: Mapping[str, Setting], flags: Mapping[str, Any], *, pr
             elif _literal_numbers(parts):
                 value = _number(text)
             else:
-                value = text
+                value = expanded(text) if {int, float}.intersection(parts) else text
         values[field] = value
     return values
+
+
+def expanded(text: str) -> str:
+    """Return a number with its magnitude written out: ``3M`` is ``3000000``; any other text is returned as it is."""
+    match = _ABBREVIATED.fullmatch(text)
+    if match is None:
+        return text
+    number = Decimal(match[1]) * MAGNITUDES[match[2].lower()]
+    return f"{number.normalize():f}"
 
 
 def build(
@@ -257,7 +273,13 @@ def _number(text: str) -> int | str:
         return text
 
 
-def _metavar(info: FieldInfo, choices: tuple[str, ...]) -> str:
+def metavar(setting: Setting) -> str:
+    """Return the placeholder of a setting's value: ``NAME``, ``INTEGER``, ``2|3|none``; empty for a switch."""
+    info, choices = setting.info, choices_of(setting.info)
+    if setting.choices:
+        return "NAME"
+    if info.annotation is bool:
+        return ""
     if choices:
         return "|".join(choices)
     parts = _alternatives(info.annotation)
@@ -270,25 +292,32 @@ def _metavar(info: FieldInfo, choices: tuple[str, ...]) -> str:
     return f"{word}|none" if type(None) in parts else word
 
 
+def limits_text(info: FieldInfo) -> str:
+    """Return the bounds of a numeric field in words: ``0 to 20``, ``above 0``; empty if it has none."""
+    bounds = {
+        name: getattr(item, name) for item in info.metadata for name in ("ge", "gt", "le", "lt") if hasattr(item, name)
+    }
+    signs = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+    ends = {
+        name: f"{value:,}" if isinstance(value, int) else f"{value:g}"
+        for name, value in bounds.items()
+        if value is not None
+    }
+    if ends.keys() == {"ge", "le"}:
+        return f"{ends['ge']} to {ends['le']}"
+    return " and ".join(f"{signs[name]} {end}" for name, end in ends.items())
+
+
 def _help(setting: Setting) -> str:
     info = setting.info
     text = info.description or info.title or ""
     if setting.choices:
         text += f" One of {', '.join(setting.choices)}."
-    bounds = {
-        name: getattr(item, name) for item in info.metadata for name in ("ge", "gt", "le", "lt") if hasattr(item, name)
-    }
-    signs = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
-    limits = " and ".join(
-        f"{signs[name]} {value:,}" if isinstance(value, int) else f"{signs[name]} {value:g}"
-        for name, value in bounds.items()
-        if value is not None
-    )
-    if limits:
+    if limits := limits_text(info):
         text += f" [{limits}]"
     if setting.plugins:
         text += f" ({setting.path[0]} {', '.join(setting.plugins)})"
-    return text.replace("[", "\\[")
+    return text
 
 
 def _completion(choices: tuple[str, ...]) -> Callable[[str], list[str]]:

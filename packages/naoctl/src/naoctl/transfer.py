@@ -1,4 +1,4 @@
-"""Fetch files that are whole and right: partial downloads go on where they stopped, and every SHA-256 is checked."""
+"""Downloads that resume after an interruption and check the SHA-256 of every file."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import httpx
 from naoctl.client import Client, raise_for_problem, unreachable
 from naoctl.errors import CliError, ExitCode
 
-#: Attempts to go on after a lost connection before giving up.
+#: Number of attempts to resume after a lost connection.
 ATTEMPTS = 5
 
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """Name a file of the service: where it lies, how long it is (bytes) and its SHA-256 in hexadecimal digits."""
+    """File of the service: its address, its size in bytes and its SHA-256 in hexadecimal digits."""
 
     name: str
     url: str
@@ -55,14 +55,14 @@ def fetch(
 ) -> Path:
     """Download one file into a folder and return its path.
 
-    A file that is there already and right is left alone. Bytes arrive in ``NAME.part``; a part that an interrupted
+    A complete file is not downloaded again. Bytes arrive in ``NAME.part``; a part that an interrupted
     download left behind is continued by a range request. The file takes its name only once its SHA-256 is right.
 
     Args:
         client: the service.
         remote: the file.
         folder: where to put it; made if missing.
-        progress: told the number of bytes of this file that are here, from time to time.
+        progress: called with the number of bytes of this file so far.
         sleep: waits between attempts.
 
     Raises:
@@ -116,7 +116,7 @@ def _continue(client: Client, remote: RemoteFile, part: Path, report: Callable[[
         if response.status_code == 206:
             match = re.match(r"bytes (\d+)-", response.headers.get("content-range", ""))
             if not match or int(match[1]) != have:
-                raise CliError("The service answered with another range than asked for", fix="Remove the .part file.")
+                raise CliError("The service answered with another range than requested", fix="Remove the .part file.")
         else:
             have = 0
         with part.open("ab" if have else "wb") as file:

@@ -1,4 +1,4 @@
-"""All artifacts as one tar archive: out of a store, and into another, whatever kind either is."""
+"""Export and import of all artifacts as one tar archive, for any kind of store."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, Manifest, Mis
 
 
 class DamagedArchiveError(JobError):
-    """Says that an archive does not hold what its manifests promise."""
+    """Archive that does not match its manifests."""
 
 
 def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
@@ -62,7 +62,7 @@ def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
                 else:
                     store.put_bytes(entry.name, data)
     except (tarfile.TarError, ValueError) as error:
-        raise DamagedArchiveError(f"not an archive of artifacts, or cut off: {error}") from error
+        raise DamagedArchiveError(f"not an archive of artifacts, or truncated: {error}") from error
     damaged = [key for key, data in manifests.items() if not _fits(key, data, digests)]
     for key in manifests.keys() - set(damaged):
         store.put_bytes(key, manifests[key])
@@ -76,7 +76,7 @@ def _is_manifest(key: str) -> bool:
 
 
 def _fits(key: str, manifest: bytes, digests: Mapping[str, str]) -> bool:
-    """Tell whether the SHA-256 of every file is the one that the manifest under `key` names."""
+    """Return whether the SHA-256 of every file matches the manifest under `key`."""
     folder = key.removesuffix(MANIFEST_NAME)
     try:
         files = Manifest.model_validate_json(manifest).files

@@ -1,4 +1,4 @@
-"""Identifiers that sort by time of birth."""
+"""Identifiers that sort by time of creation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 
 _ALPHABET = "0123456789abcdefghjkmnpqrstvwxyz"  # Crockford's base 32: no i, l, o, u
 
-#: What an identifier looks like, for path parameters.
+#: Pattern of an identifier, for path parameters.
 PATTERN = r"^[a-z]{2,8}_[0-9a-hjkmnp-tv-z]{26}$"
 
 
@@ -22,5 +22,5 @@ def new_id(prefix: str) -> str:
 
 
 def same_id(prefix: str, identifier: str) -> str:
-    """Return the identifier with the digits of another kind's `identifier`: for a thing that it has one of."""
+    """Return the identifier with the digits of another kind's `identifier`: for what it has once."""
     return f"{prefix}_{identifier.split('_', 1)[1]}"

@@ -12,5 +12,5 @@ class Scope(StrEnum):
     READ = "read"
     #: Submit and steer one's own jobs.
     SUBMIT = "submit"
-    #: See and steer everybody's jobs, make and revoke tokens, and read the service's own figures.
+    #: Access to all users' jobs, to tokens, and to the service's metrics.
     ADMIN = "admin"

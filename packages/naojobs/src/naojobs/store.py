@@ -36,15 +36,15 @@ _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
 
 
 class StoreError(Exception):
-    """Says that the store refused or could not be reached; the operation may be tried again."""
+    """Store that refused a request or could not be reached; the operation may be retried."""
 
 
 class MissingArtifactError(StoreError):
-    """Says that nothing lies under a key."""
+    """Key without an artifact."""
 
 
 class CorruptArtifactError(StoreError):
-    """Says that what lies under a key is not what its manifest promises."""
+    """Artifact that does not match its manifest."""
 
 
 class FileEntry(BaseModel):
@@ -76,7 +76,7 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """Is one file as the store lists it."""
+    """File in a listing of the store."""
 
     key: str
     #: Bytes.
@@ -146,7 +146,7 @@ def _cut(pieces: Iterable[Buffer], skip: int, left: int | None) -> Iterator[memo
 
 
 class ArtifactStore:
-    """Keeps artifacts under immutable keys; one instance may be shared by threads."""
+    """Store of artifacts under immutable keys; thread-safe."""
 
     def __init__(self, store: LocalStore | S3Store) -> None:
         self._store = store
@@ -287,7 +287,7 @@ class ArtifactStore:
         return manifest
 
     def exists(self, key: str) -> bool:
-        """Tell whether a file lies under `key`. Raises StoreError."""
+        """Return whether `key` has a file. Raises StoreError."""
         check_key(key)
         try:
             with _store_errors(f"head {key}"):

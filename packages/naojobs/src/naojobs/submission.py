@@ -175,7 +175,7 @@ def _submit(
         insert(Job)
         .values(
             id=new_id("job"),
-            name=request.display_name,
+            name=_free_name(session, owner, request.display_name),
             owner=owner,
             tags=list(dict.fromkeys(request.tags)),
             spec=request.spec.model_dump(mode="json"),
@@ -213,6 +213,20 @@ def _same_request(earlier: Job, digest: str | None) -> Job:
             "Idempotency-Key",
         )
     return earlier
+
+
+def _free_name(session: Session, owner: str, name: str) -> str:
+    """Return a name that no job of `owner` has: `name`, or with a number."""
+    # Two submits at once must not both see the same free name.
+    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
+    beginning = name[:190]
+    taken = set(
+        session.scalars(
+            select(Job.name).where(Job.owner == owner, Job.name.startswith(beginning, autoescape=True)),
+        ),
+    )
+    numbered = (f"{beginning}-{number}" for number in itertools.count(2))
+    return next(text for text in itertools.chain([name], numbered) if text not in taken)
 
 
 def _check_quota(session: Session, owner: str, max_open_jobs: int) -> None:

@@ -1,6 +1,6 @@
 """Bearer tokens: 256 random bits, of which the database keeps only the SHA-256.
 
-A plain hash is enough for a secret that nobody chose: there is no dictionary to try.
+A plain hash is enough for a random secret: it is in no dictionary.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _INCLUDES = {
 
 @dataclass(frozen=True, slots=True)
 class Principal:
-    """Is who a request comes from and what they may do."""
+    """Sender of a request and its scopes."""
 
     token_id: str
     owner: str
@@ -40,7 +40,7 @@ class Principal:
 
     @property
     def is_admin(self) -> bool:
-        """Tell whether everybody's jobs are open to them."""
+        """Whether it may access all users' jobs."""
         return Scope.ADMIN in self.scopes
 
 

@@ -63,7 +63,7 @@ class Fleet(ABC):
         joints: numbers in a robot's command.
         timeout_s: a server that does not answer for so long has failed.
         start_timeout_s: the same for the start of a server and its first answers.
-        max_failures: so many servers may be replaced before `replace` gives up.
+        max_failures: number of servers that may be replaced before `replace` raises.
 
     Raises:
         ValueError: an argument is out of range.
@@ -208,7 +208,7 @@ class Fleet(ABC):
                     self.step(commands, mask)
 
     def cue(self, acts: dict[int, Act], commands: Floats, among: Flags | None = None) -> Flags:
-        """Ask every act for its next commands; drop those that have ended, or whose server is lost.
+        """Request the next commands of every act; drop those that have ended or whose server is lost.
 
         Args:
             acts: by environment.

@@ -1,4 +1,4 @@
-"""Simulators whose robots run on servers, whatever the server: groups, starts in advance, lost servers."""
+"""Simulators whose robots run on servers: groups, starts prepared in advance, lost servers."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ class FleetSimulator(Simulator):
             standby.start = _NO_START
 
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
-        """Put robots into starts; standby servers prepare the ``following`` ones.
+        """Move robots to starts; standby servers prepare the ``following`` ones.
 
         Raises:
             naosim.simulator.ServerLostError: if more servers fail than are allowed, or a new one does not start.

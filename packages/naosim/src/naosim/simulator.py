@@ -165,7 +165,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
-        """Put the (k,) robots ``rows`` into the (k,) ``starts``, leaving the others alone.
+        """Move the (k,) robots ``rows`` to the (k,) ``starts``; the others do not change.
 
         Args:
             rows: (k,) robots.
@@ -300,7 +300,7 @@ class SimulatorKind(ABC):
             options: how fast and how robustly it runs.
 
         Raises:
-            ValueError: if this machine cannot run so many robots; the message says what to change.
+            ValueError: if this machine cannot run this number of robots; the message states what to change.
             FileNotFoundError: if a program is missing; the message says how to get it.
         """
 

@@ -1,4 +1,4 @@
-"""Name the array types."""
+"""Array types."""
 
 from __future__ import annotations
 

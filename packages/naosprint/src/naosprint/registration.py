@@ -11,7 +11,7 @@ logger = logging.getLogger(__name__)
 NAMESPACE = "naosprint"
 
 DEFAULT_ID = f"{NAMESPACE}/Sprint-v0"
-"""Environment of the task that specifications train by default, whatever the task's version."""
+"""Environment of the task that specifications train by default, for any version of the task."""
 
 
 def env_id(name: str, version: int) -> str:

@@ -16,7 +16,7 @@ from naosprint_api.app import create_asgi
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
-#: How long requests that are under way may take when the service is told to end.
+#: Seconds that running requests may take when the service stops.
 _GRACE_S = 10
 #: How long a thread may keep the interpreter while others wait for it. Requests hop between the loop and threads; at
 #: Python's own 5 ms each hop waits that long for whoever encodes a page of jobs.
@@ -26,7 +26,7 @@ _GARBAGE = 20_000
 
 
 class Server(uvicorn.Server):
-    """Sends followers away when it is told to end: their streams would never end by themselves."""
+    """Server that closes all streams when it stops: they would never end otherwise."""
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)

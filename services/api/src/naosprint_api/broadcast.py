@@ -12,7 +12,7 @@ from naojobs.database import CHANNEL
 
 _log = logging.getLogger(__name__)
 
-#: How often a follower looks by itself: rarely while notifications arrive, often while they cannot.
+#: How often a follower polls: rarely while notifications arrive, often while they cannot.
 _IDLE_S, _BLIND_S = 10.0, 1.0
 
 

@@ -1,4 +1,4 @@
-"""What routes ask for: the service, and who the caller is."""
+"""Dependencies of routes: the service and the caller."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from naojobs.ids import PATTERN
 from naojobs.tokens import Principal, Scope, verify
 
+from naosprint_api.patterns import KEY
 from naosprint_api.problems import FieldError, ProblemError
 from naosprint_api.service import Service
 
@@ -24,11 +25,8 @@ _bearer = HTTPBearer(
     description="A token made by `POST /tokens`, or the first one by `python -m naojobs token create`.",
 )
 
-#: The largest number that the database can hold in the columns that callers ask for.
+#: Largest value of the database's integer columns.
 MAX_BIGINT = 2**63 - 1
-
-#: Text in a query: no control characters, which Postgres would refuse or nobody could have meant.
-PLAIN = r"^[^\x00-\x1f\x7f]*$"
 
 
 def service_of(request: Request) -> Service:
@@ -52,7 +50,7 @@ Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 
 
 def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
-    """Return who the token belongs to, and count the request against their rate."""
+    """Return the owner of the token, and count the request against the rate limit."""
     if credentials is None:
         _limit(service, f"address {_caller(request)}")
         raise ProblemError(
@@ -68,7 +66,7 @@ def authenticate(request: Request, service: ServiceDep, credentials: Credentials
         _limit(service, f"address {_caller(request)}")
         raise ProblemError(
             401,
-            "the token is unknown, expired or revoked; ask for a new one",
+            "the token is unknown, expired or revoked; use another one",
             [FieldError(field="Authorization", message="unknown, expired or revoked token")],
             {"WWW-Authenticate": 'Bearer error="invalid_token"'},
         )
@@ -89,13 +87,13 @@ def _limit(service: Service, caller: str) -> None:
 
 
 def require(scope: Scope, principal: Principal, service: Service) -> Principal:
-    """Return `principal`, or refuse it if its token has not `scope`."""
+    """Return `principal`. Raises ProblemError if its token does not have `scope`."""
     if scope not in principal.scopes:
         _log.warning("refused %s (%s): no scope %s", principal.owner, principal.token_id, scope)
         service.telemetry.refused.labels("scope").inc()
         raise ProblemError(
             403,
-            f"this token has not the scope {scope}; ask for one that has",
+            f"this token does not have scope {scope}; use one that does",
             [FieldError(field="Authorization", message=f"scope {scope} is needed")],
         )
     return principal
@@ -111,7 +109,7 @@ def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
 
 
 async def follower(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
-    """Return who wants to follow, looked up where followers wait for each other: many may come at once."""
+    """Return the owner of the token, looked up in the threads for followers: many may connect at once."""
     principal = await service.feed.in_thread(partial(authenticate, request, service, credentials))
     return require(Scope.READ, principal, service)
 
@@ -125,13 +123,13 @@ JobId = Annotated[str, Path(pattern=PATTERN, description="Id of the job.")]
 CheckpointId = Annotated[str, Path(pattern=PATTERN, description="Id of the checkpoint.")]
 EvaluationId = Annotated[str, Path(pattern=PATTERN, description="Id of the evaluation.")]
 FileName = Annotated[str, Path(max_length=900, description="Name of the file as its list gives it.")]
-After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only what comes behind this id.")]
-Limit = Annotated[int, Query(ge=1, le=1000, description="At most so many.")]
+After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only items after this id.")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="Maximum number of items.")]
 IdempotencyKey = Annotated[
     str | None,
     Header(
         alias="Idempotency-Key",
-        pattern=r"^[\x21-\x7e]{1,150}$",
-        description="Any text of your own; the same key with the same body makes one job, however often it is sent.",
+        pattern=KEY,
+        description="Key chosen by the client; requests with the same key and body create one job.",
     ),
 ]

@@ -1,4 +1,4 @@
-"""Reads news for followers: those who stand at the same place share one read."""
+"""News for followers: those at the same position share one read."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ THREADS = 2
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Is what has happened to a job since a position; `state` none means that there is no such job any more."""
+    """News of a job since a position; `state` is None if the job was deleted."""
 
     #: The news as server-sent events, encoded once for all who read them.
     news: bytes
@@ -51,7 +51,7 @@ class Batch:
 
 
 class Feed:
-    """Reads and encodes news once for all followers that want the same."""
+    """Reader of news, once for all followers that request the same."""
 
     def __init__(self, sessions: Sessions, *, stale_s: float) -> None:
         self._sessions = sessions
@@ -104,6 +104,6 @@ class Feed:
         for event in news.events:
             add("event", event_view(event).model_dump_json(), events=event.id)
         job = news.job
-        shown = job_view(job, news.waiting_reason).model_dump_json()
+        shown = job_view(job, news.waiting_reason, news.result).model_dump_json()
         state = format_sse_event(event="state", data_str=shown, id=str(seen))
         return Batch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)

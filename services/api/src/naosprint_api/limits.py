@@ -11,7 +11,7 @@ _MAX_CALLERS = 10_000
 
 
 class RateLimiter:
-    """Lets each caller make `burst` requests at once and `per_s` in the long run; safe to share by threads."""
+    """Rate limit: each caller may send `burst` requests at once and `per_s` on average; thread-safe."""
 
     def __init__(self, per_s: float, burst: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._per_s = per_s

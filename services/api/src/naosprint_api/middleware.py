@@ -1,4 +1,4 @@
-"""What happens to every request: an id, security headers, a limit on its body, and figures about it."""
+"""Middleware of every request: an id, security headers, a limit of the body, metrics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from naosprint_api.problems import FieldError, ProblemError, problem_response
 from naosprint_api.telemetry import Telemetry
 
-#: Everything the pages need comes from this service itself, and nobody may frame them.
+#: Everything the pages need comes from this service itself, and they cannot be framed.
 CONTENT_SECURITY_POLICY = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'"
 )
@@ -35,7 +35,7 @@ _access = logging.getLogger("naosprint_api.access")
 
 
 class Envelope:
-    """Gives each request an id and each response its security headers, and counts both."""
+    """Middleware that adds request ids and security headers, and counts requests."""
 
     def __init__(self, app: ASGIApp, telemetry: Telemetry) -> None:
         self._app = app
@@ -83,7 +83,7 @@ class Envelope:
 
 
 def route_of(scope: Scope) -> str:
-    """Return the template of the route that a handled request took, so that figures have few labels."""
+    """Return the template of the route that a handled request took, so that metrics have few labels."""
     route = scope.get("route")
     path = getattr(route, "path", None)
     if isinstance(path, str):

@@ -18,13 +18,15 @@ from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
+from naosprint_api import patterns
+
 MEDIA_TYPE = "application/problem+json"
 
 _log = logging.getLogger(__name__)
 
 
 class FieldError(BaseModel):
-    """Names one field and what is wrong with it."""
+    """Field of a request that is wrong."""
 
     field: str = Field(
         description="Path of the field, e.g. spec.algorithm.learning_rate; `body` for the request as a whole."
@@ -33,7 +35,7 @@ class FieldError(BaseModel):
 
 
 class Problem(BaseModel):
-    """Says what went wrong with a request."""
+    """Problem document: what is wrong with a request."""
 
     type: str = Field("about:blank", description="Kind of problem.")
     title: str = Field(description="The status in words.")
@@ -43,7 +45,7 @@ class Problem(BaseModel):
 
 
 class ProblemError(HTTPException):
-    """Ends a request with a problem document."""
+    """Error that is answered with a problem document."""
 
     def __init__(
         self,
@@ -83,8 +85,10 @@ def field_errors(error: RequestValidationError) -> list[FieldError]:
         if item["type"] == "json_invalid":
             message = f"not JSON: {item.get('ctx', {}).get('error', message)} at character {path[-1] if path else 0}"
             path = []
+        elif item["type"] == "string_pattern_mismatch":
+            message = patterns.words(item["ctx"]["pattern"])
         elif item["type"] == "extra_forbidden":
-            message = "there is no such field; leave it out or correct its name"
+            message = "no such field; remove it or correct its name"
         elif item["type"] == "missing":
             message = "missing; give it a value" if path else "give a JSON body and Content-Type: application/json"
         elif item["type"] in {"model_attributes_type", "dict_type", "model_type"} and not path:
@@ -127,12 +131,12 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
         headers = dict(error.headers or {})
         if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
             headers["Allow"] = ", ".join(sorted(allowed_methods(routers, request.url.path))) or "GET"
-            detail = f"this address takes {headers['Allow']}"
+            detail = f"this address accepts {headers['Allow']}"
         elif error.status_code == HTTPStatus.BAD_REQUEST and error.detail == "There was an error parsing the body":
-            message = "this is not JSON that can be read; it may be nested too deeply"
+            message = "the body is not valid JSON, or is nested too deeply"
             return problem_response(422, message, [FieldError(field="body", message=message)])
         elif error.status_code == HTTPStatus.NOT_FOUND and error.detail == "Not Found":
-            detail = "there is nothing at this address; /openapi.json lists what there is"
+            detail = "no such address; /openapi.json lists all addresses"
         else:
             detail = str(error.detail)
         return problem_response(error.status_code, detail, headers=headers)
@@ -161,17 +165,19 @@ def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
 
     async def store(_request: Request, error: Exception) -> JSONResponse:
         _log.error("the store failed: %s", error)
-        return problem_response(503, "the artifact store does not answer; try again soon", headers={"Retry-After": "5"})
+        return problem_response(
+            503, "the artifact store does not answer; try again later", headers={"Retry-After": "5"}
+        )
 
     async def database(_request: Request, error: Exception) -> JSONResponse:
         if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
             raise error
         _log.error("the database failed: %s", error)
-        return problem_response(503, "the database does not answer; try again soon", headers={"Retry-After": "2"})
+        return problem_response(503, "the database does not answer; try again later", headers={"Retry-After": "2"})
 
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:
-        # Starlette logs the traceback; the caller gets to know nothing of our insides.
-        return problem_response(500, "something went wrong here; the service's log says what")
+        # Starlette logs the traceback; the response has no internal details.
+        return problem_response(500, "internal error; see the service's log")
 
     app.add_exception_handler(RequestValidationError, invalid)
     app.add_exception_handler(HTTPException, http)

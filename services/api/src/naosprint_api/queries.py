@@ -1,4 +1,4 @@
-"""What the API reads: pages of jobs, thinned metrics, and news for followers."""
+"""Queries of the API: pages of jobs, thinned metrics, and news for followers."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import Select, func, select
 
-from naosprint_api.schemas import MetricsPublic
+from naosprint_api.results import results_of
+from naosprint_api.schemas import JobResult, MetricsPublic
 
 _log = logging.getLogger(__name__)
 
-#: The most rows that metrics are answered with, asked or not.
+#: Maximum number of rows of metrics in one response.
 MAX_POINTS = 5_000
 
 
 @dataclass(frozen=True, slots=True)
 class JobFilter:
-    """Says which jobs to list."""
+    """Filter of a list of jobs."""
 
     states: Sequence[WorkState] = ()
     tags: Sequence[str] = ()
@@ -93,7 +94,7 @@ def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:
 
 
 def _may_see(principal: Principal, owner: str, what: str) -> bool:
-    """Tell whether something of `owner` is open to `principal`; an attempt on what is not is logged."""
+    """Return whether `principal` may see what `owner` owns; log a refusal."""
     if principal.is_admin or owner == principal.owner:
         return True
     _log.warning("refused %s (%s): %s belongs to %s", principal.owner, principal.token_id, what, owner)
@@ -205,7 +206,7 @@ def evaluations_of(sessions: Sessions, job_id: str) -> list[Evaluation]:
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Says what a follower has seen: the last metrics row, log line and event."""
+    """Position of a follower: the last metrics row, log line and event that it has seen."""
 
     metrics: int = 0
     logs: int = 0
@@ -226,15 +227,17 @@ class Position:
 
 @dataclass(slots=True)
 class News:
-    """Is what has happened to a job since a position."""
+    """News of a job since a position."""
 
     job: Job | None
     #: Why no worker can take the job, if it is queued.
     waiting_reason: str | None = None
+    #: Its evaluation, if one has finished.
+    result: JobResult | None = None
     metrics: list[Metric] = field(default_factory=list)
     logs: list[Log] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    #: Whether there is more of some kind than was asked for.
+    #: Whether there is more of some kind than the limit.
     more: bool = False
 
 
@@ -250,6 +253,7 @@ def news_of(
         if news.job is None:
             return news
         news.waiting_reason = waiting_reasons(session, [news.job], stale_s=stale_s).get(job_id)
+        news.result = results_of(session, [news.job]).get(job_id)
         if "metrics" in kinds:
             news.metrics = list(
                 session.scalars(

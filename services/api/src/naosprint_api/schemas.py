@@ -5,19 +5,32 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-from naojobs.ids import PATTERN
 from naojobs.models import DEFAULT_TIME_LIMIT_S
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$")]
+from naosprint_api.patterns import ID, NAME, PLAIN, TAG
+
+Tag = Annotated[str, StringConstraints(pattern=TAG)]
+#: Words that refer to a job in commands, which no job can have as its name.
+RESERVED_NAMES = frozenset({"last"})
+
+
+def _not_reserved(name: str) -> str:
+    if name in RESERVED_NAMES:
+        raise ValueError(f"{name!r} refers to the newest job in commands; use another name")
+    return name
+
+
 Name = Annotated[
-    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]*$")
+    str,
+    StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=NAME),
+    AfterValidator(_not_reserved),
 ]
-Id = Annotated[str, StringConstraints(pattern=PATTERN)]
+Id = Annotated[str, StringConstraints(pattern=ID)]
 
 EvaluationState = Literal["queued", "starting", "running", "succeeded", "failed", "cancelled"]
 
@@ -33,11 +46,14 @@ class _Public(BaseModel):
 class JobCreate(_Request):
     """Job to submit."""
 
-    name: Name | None = Field(None, description="What to call it; left out, task, preset and seed name it.")
+    name: Name | None = Field(
+        None,
+        description="Name; left out: made of task, preset and seed. A number is added if the owner has such a job.",
+    )
     tags: list[Tag] = Field(
         default_factory=list,
         max_length=20,
-        description="Words to find it by: letters, digits and ._:/=- (at most 50 characters each).",
+        description="Tags: letters, digits and ._:/=- (at most 50 characters each).",
     )
     spec: TrainingSpec = Field(
         default_factory=TrainingSpec,
@@ -69,7 +85,7 @@ class JobCreate(_Request):
 class GroupCreate(_Request):
     """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
 
-    job: JobCreate = Field(description="What all of them share.")
+    job: JobCreate = Field(description="What all jobs have in common.")
     seeds: list[int] = Field(default_factory=list, max_length=MAX_GROUP_SIZE, description="One job for each seed.")
     grid: dict[str, Annotated[list[Any], Field(min_length=1, max_length=MAX_GROUP_SIZE)]] = Field(
         default_factory=dict,
@@ -83,6 +99,29 @@ class GroupCreate(_Request):
     def request(self) -> GroupRequest:
         """Return the group for `naojobs.submission`."""
         return GroupRequest(self.job.request(), self.seeds, self.grid)
+
+
+class ResultPublic(BaseModel):
+    """One result of an evaluation: a metric over all episodes."""
+
+    name: str
+    title: str
+    unit: str = ""
+    digits: int = Field(2, description="Decimals to show.")
+    value: float | None = Field(None, description="Null if no episode counts.")
+    interval: tuple[float, float] | None = Field(None, description="Confidence interval.")
+    sd: float | None = Field(None, description="Standard deviation over the episodes.")
+
+
+class JobResult(BaseModel):
+    """Result of a job: of its finished evaluations, the newest of those with the most episodes."""
+
+    evaluation_id: str
+    checkpoint_id: str
+    step: int = Field(description="Environment steps of the checkpoint.")
+    episodes: int
+    finished_at: datetime
+    results: list[ResultPublic] = Field(description="The task's main results, then others that training reports too.")
 
 
 class JobPublic(_Public):
@@ -112,7 +151,10 @@ class JobPublic(_Public):
     group_id: str | None
     progress_step: int = Field(description="Environment steps done.")
     total_steps: int = Field(description="Environment steps to do: whole rollouts.")
-    latest_metrics: dict[str, float] = Field(description="The newest row of metrics.")
+    latest_metrics: dict[str, float] = Field(
+        description="The newest row of training metrics: of the latest episodes, with exploration."
+    )
+    result: JobResult | None = Field(None, description="Its evaluation; null until one has finished.")
     error: str | None = Field(description="Why it failed, or why its last attempt was lost.")
     created_at: datetime
     queued_at: datetime | None
@@ -159,7 +201,7 @@ class EventPage(BaseModel):
     """Page of events, oldest first."""
 
     items: list[EventPublic]
-    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+    next_after: int | None = Field(description="Value of `after` for the next page; null if the page is empty.")
 
 
 class LogPublic(_Public):
@@ -176,7 +218,7 @@ class LogPage(BaseModel):
     """Page of log lines, oldest first."""
 
     items: list[LogPublic]
-    next_after: int | None = Field(description="Give it as `after` to continue; null if there was nothing.")
+    next_after: int | None = Field(description="Value of `after` for the next page; null if the page is empty.")
 
 
 class FilePublic(BaseModel):
@@ -245,11 +287,11 @@ class EvaluationCreate(_Request):
 class TokenCreate(_Request):
     """Token to make."""
 
-    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
-        description="Whose jobs it opens."
+    owner: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=PLAIN)] = Field(
+        description="User whose jobs the token gives access to."
     )
-    name: Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = Field(
-        "", description="What it is for."
+    name: Annotated[str, StringConstraints(max_length=200, pattern=PLAIN)] = Field(
+        "", description="Purpose of the token."
     )
     scopes: list[Scope] = Field(
         default_factory=lambda: [Scope.SUBMIT],

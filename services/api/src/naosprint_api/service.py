@@ -20,6 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from naosprint_api.broadcast import Broadcaster
 from naosprint_api.feed import Feed
 from naosprint_api.limits import RateLimiter
+from naosprint_api.results import results_of
 from naosprint_api.schemas import EvaluationPublic, JobPublic
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
@@ -89,9 +90,11 @@ class Service:
             return  # workers poll: the others need not wait for the broker one after the other
 
     def show_jobs(self, jobs: Sequence[Job]) -> list[JobPublic]:
-        """Return jobs with the reasons why no worker can take them."""
-        reasons = self._waiting_reasons(jobs)
-        return [job_view(job, reasons.get(job.id)) for job in jobs]
+        """Return jobs with the reasons why no worker can take them, and their evaluations."""
+        with self.reads.begin() as session:
+            reasons = waiting_reasons(session, jobs, stale_s=self.settings.lease_s)
+            results = results_of(session, jobs)
+        return [job_view(job, reasons.get(job.id), results.get(job.id)) for job in jobs]
 
     def show_job(self, job: Job) -> JobPublic:
         """Return a job with the reason why no worker can take it."""
@@ -99,16 +102,13 @@ class Service:
 
     def show_evaluations(self, evaluations: Sequence[Evaluation]) -> list[EvaluationPublic]:
         """Return evaluations with the reasons why no worker can take them."""
-        reasons = self._waiting_reasons(evaluations)
+        with self.reads.begin() as session:
+            reasons = waiting_reasons(session, evaluations, stale_s=self.settings.lease_s)
         return [evaluation_view(evaluation, reasons.get(evaluation.id)) for evaluation in evaluations]
 
     def show_evaluation(self, evaluation: Evaluation) -> EvaluationPublic:
         """Return an evaluation with the reason why no worker can take it."""
         return self.show_evaluations([evaluation])[0]
-
-    def _waiting_reasons(self, work: Sequence[Job] | Sequence[Evaluation]) -> dict[str, str]:
-        with self.reads.begin() as session:
-            return waiting_reasons(session, work, stale_s=self.settings.lease_s)
 
     def discard_artifacts(self, job_id: str) -> None:
         """Delete the files of a deleted job; a store that fails keeps them until a worker sweeps."""

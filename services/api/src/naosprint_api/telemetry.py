@@ -1,4 +1,4 @@
-"""Figures about the service for Prometheus."""
+"""Metrics of the service for Prometheus."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _BUCKETS = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
 
 
 class _Rows(Collector):
-    """Counts jobs and workers in the database when it is asked."""
+    """Collector of the numbers of jobs and workers in the database."""
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
 
     def describe(self) -> list[GaugeMetricFamily]:
-        """Name the figures without asking the database."""
+        """Return the metrics' names without a database query."""
         return [GaugeMetricFamily(name, text, labels=labels) for name, text, labels in _ROWS]
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
@@ -60,7 +60,7 @@ class _Rows(Collector):
 
 
 class Telemetry:
-    """Holds the figures of one API process."""
+    """Metrics of one API process."""
 
     def __init__(self, sessions: Sessions) -> None:
         self._registry = CollectorRegistry()
@@ -97,5 +97,5 @@ class Telemetry:
         return figures
 
     def render(self) -> bytes:
-        """Return all figures in Prometheus's text format."""
+        """Return all metrics in Prometheus's text format."""
         return generate_latest(self._registry)

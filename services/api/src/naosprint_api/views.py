@@ -16,14 +16,15 @@ from naosprint_api.schemas import (
     EventPublic,
     FilePublic,
     JobPublic,
+    JobResult,
     LogPublic,
     WorkerPublic,
 )
 
 
-def job_view(job: Job, waiting_reason: str | None = None) -> JobPublic:
-    """Return a job, with the reason why no worker can take it."""
-    return JobPublic.model_validate(job).model_copy(update={"waiting_reason": waiting_reason})
+def job_view(job: Job, waiting_reason: str | None = None, result: JobResult | None = None) -> JobPublic:
+    """Return a job, with the reason why no worker can take it, and its evaluation."""
+    return JobPublic.model_validate(job).model_copy(update={"waiting_reason": waiting_reason, "result": result})
 
 
 def event_view(event: Event) -> EventPublic:

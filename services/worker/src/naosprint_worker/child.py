@@ -1,4 +1,4 @@
-"""Run a program in a session of its own, so that it and whatever it starts can be stopped as one."""
+"""Programs in a session of their own, which can be stopped together with their descendants."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Child:
         return self._process.returncode if self._exited.is_set() else None
 
     def runs(self) -> bool:
-        """Say whether the group is still there."""
+        """Return whether the group still exists."""
         return not self._exited.is_set()
 
     def wait(self, timeout_s: float | None = None) -> int | None:

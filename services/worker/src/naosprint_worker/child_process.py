@@ -36,14 +36,14 @@ _SMALLEST_BLOCK = 4096
 
 
 class StopRequestedError(Exception):
-    """Say that the child was asked to stop where it can stop at once."""
+    """Request to stop, raised where the child can stop at once."""
 
 
 class StopRequest:
     """Whether this process was asked to stop (SIGTERM, or the worker's death)."""
 
     def __init__(self) -> None:
-        """Nobody asked yet."""
+        """No request yet."""
         self._event = threading.Event()
         self._interruptible = False
         #: Whether it was the worker's death that asked.
@@ -55,12 +55,12 @@ class StopRequest:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def worker_died(self) -> None:
-        """Ask this process to stop because its worker is gone; callable from any thread."""
+        """Request a stop because the worker is gone; thread-safe."""
         self.orphaned = True
         os.kill(os.getpid(), signal.SIGTERM)
 
     def requested(self) -> bool:
-        """Say whether to stop."""
+        """Return whether to stop."""
         return self._event.is_set()
 
     @contextlib.contextmanager
@@ -158,7 +158,7 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
 
 
 def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
-    """Say what an error that ended the work in ``workdir`` means for the job."""
+    """Return the exit code and the outcome of an error that ended the work in ``workdir``."""
     from naosprint import CheckpointError, TrainingDivergedError  # loads PyTorch, which is loaded by now anyway
 
     text = "".join(traceback.format_exception(error))
@@ -181,7 +181,7 @@ def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
 
 
 def _tells_of_full_disk(error: BaseException, workdir: Path) -> bool:
-    """Say whether an error, or one behind it, is that of a full disk or an exhausted quota.
+    """Return whether an error, or its cause, is a full disk or an exhausted quota.
 
     Some errors of the system come without their number: those of NumPy's own writes, and those that ``copytree``
     gathers. What the disk says decides about them.

@@ -1,4 +1,4 @@
-"""Judge a checkpoint for a child process."""
+"""Evaluation of a checkpoint in a child process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from naosprint_worker.child_process import StopRequest, StopRequestedError
 def evaluate_into(
     folder: Path, checkpoint: Path, spec: EvaluationSpec, *, threads: int, stop: StopRequest
 ) -> dict[str, Any]:
-    """Evaluate ``checkpoint``, leave figures and trajectories in ``folder`` and return the figures.
+    """Evaluate ``checkpoint``, write results and trajectories to ``folder`` and return the results.
 
     Raises:
         StopRequestedError: this process was asked to stop meanwhile.

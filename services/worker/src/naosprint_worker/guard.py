@@ -34,6 +34,6 @@ def watch_parent(on_lost: Callable[[], None], *, grace_s: float) -> threading.Th
 
 
 def prefer_as_oom_victim(score: int = 500) -> None:
-    """Ask the kernel to end this process before others when memory runs out (Linux; no effect elsewhere)."""
+    """Make the kernel end this process before others when memory runs out (Linux; no effect elsewhere)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")

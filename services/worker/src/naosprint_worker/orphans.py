@@ -41,7 +41,7 @@ class Owner:
         return f"{self.namespace} {self.pid}@{self.started!r}"
 
     def alive(self) -> bool:
-        """Say whether that very process still runs. Ask only for an owner of this process-id namespace."""
+        """Return whether the same process still runs; valid only in the owner's process-id namespace."""
         try:
             process = psutil.Process(self.pid)
             return bool(process.status() != psutil.STATUS_ZOMBIE) and abs(process.create_time() - self.started) < 0.05

@@ -41,7 +41,7 @@ class Sink(Protocol):
         """Store all of ``batch`` in one transaction, or nothing of it."""
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
-        """Put the files of a checkpoint into the store, its manifest last."""
+        """Write the files of a checkpoint to the store, its manifest last."""
 
 
 class Recorder:
@@ -269,7 +269,7 @@ class Recorder:
         )
 
     def _warn(self, what: str, error: Exception, pause_s: float) -> None:
-        """Put a warning into the job's log, at most every ten seconds for each thing that fails."""
+        """Write a warning to the job's log, at most every ten seconds per kind of failure."""
         now = time.monotonic()
         if now - self._warned_at.get(what, -math.inf) < 10:
             return

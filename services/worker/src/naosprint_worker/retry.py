@@ -1,4 +1,4 @@
-"""Keep calling something that may fail for a while, with a bound on the while."""
+"""Retries of calls that may fail, for a limited time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class PatienceExhaustedError(RuntimeError):
-    """Say that a service kept failing for longer than we were prepared to wait."""
+    """Service that kept failing for longer than the limit."""
 
 
 def retry(

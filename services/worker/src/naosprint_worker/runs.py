@@ -158,7 +158,7 @@ class Run:
         )
 
     def _log_ending(self, ending: Ending) -> None:
-        """Put the child's last words into the job's log, which only a job's lease allows to write."""
+        """Write the child's last output to the job's log; requires the job's lease."""
         if self.kind is not WorkKind.JOB:
             return
         lines = [ending.outcome.traceback if ending.outcome else "", ending.last_output if not ending.outcome else ""]

@@ -78,7 +78,7 @@ class WorkerSettings(ServiceSettings):
     worker_report: Literal["film", "pictures", "off"] = Field(
         "off",
         description="Report stored with every evaluation: film, pictures (no film, which takes longest), or off: "
-        "whoever wants one draws it with `naoctl report`.",
+        "`naoctl report` makes one on request.",
     )
     simserver: str = Field(
         "rcssserver3d",

@@ -40,7 +40,7 @@ class JobSink:
         self._checkpoint_ids |= records.write(self._sessions, self._lease, batch)
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
-        """Put a checkpoint's files into the store, once those that need not be kept have left it."""
+        """Write a checkpoint's files to the store, after deleting those that need not be kept."""
         self.prune()
         key = checkpoint_key(self._lease.job_id, step, self._lease.attempt)
         manifest = self._store.put_directory(key, directory)

@@ -16,7 +16,7 @@ from naosprint.analysis.results import by_name
 from naosprint.arrays import FloatArray
 from naosprint.tasks.base import World
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.sprint import Sprint1, SprintSettings, _challenge, _deviation_deg, _speeds_beyond
+from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, _deviation_deg, _speeds_beyond
 
 
 def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.36, air: float = 0.0) -> Episodes:
@@ -99,6 +99,19 @@ def test_challenge_punishes_a_fall() -> None:
     _, speed, _, fell = _challenge(runs_of(steady(2.0, 10.0), fallen=(0,)), 0)
     assert fell == 1.0
     assert speed == pytest.approx((10.0 - 2.0 - 0.5) / 20.0, rel=0.01)
+
+
+@pytest.mark.parametrize("speed_mps", [-1.0, 0.0])
+def test_challenge_gives_nothing_for_running_backwards_or_jumping_on_the_spot(speed_mps: float) -> None:
+    runs = runs_of(-14.0 + speed_mps * 0.02 * np.arange(1000.0))
+    runs.airborne[0][:] = True
+    score, speed, off, fell = _challenge(runs, 0)
+    assert (score, speed, off, fell) == (0.0, 0.0, 1.0, 0.0)
+
+
+def test_the_challenge_s_rules_are_part_of_its_result() -> None:
+    for rule in ("0.5 m on", "costs 2 m", "20 s", "0 for a robot"):
+        assert rule in CHALLENGE_SCORE.description
 
 
 def test_challenge_stops_the_clock_after_twenty_seconds() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
 from naosprint.analysis.replay import ReplayError, load_replay
-from naosprint.analysis.report import FILM_STEPS, ReportError, film_caption, read_metrics, write_report
+from naosprint.analysis.report import FILM_STEPS, ReportError, film_caption, film_frames, read_metrics, write_report
 from naosprint.analysis.results import by_name, interval_text, value_text
 from naosprint.analysis.scene import Camera, robot_collection
 from naosprint.tasks.metrics import Chart, Metric, Reference
@@ -178,7 +179,33 @@ def test_film_and_caption_agree(evaluation: Path) -> None:
     seconds, distance = text.split()[0], text.split()[2]
     assert f"{distance} m from the start in {seconds} s, fall. Lines" in film_caption(short)
     assert len(replay.positions) > FILM_STEPS
-    assert "in 60.00 s, time limit. The film shows the first 20 s." in film_caption(replay)
+    assert "in 60.00 s, time limit. The film shows the first 24.98 s" in film_caption(replay)
+    assert replay.moved_m(0, FILM_STEPS - 1) == pytest.approx(_shown_distance(Film(replay), FILM_STEPS - 1), abs=0.01)
+
+
+def test_a_run_over_the_whole_course_is_filmed_to_its_end(evaluation: Path, tmp_path: Path) -> None:
+    """The film has as many pictures as the caption has time: 21.28 s at 50 pictures a second."""
+    replay = load_replay(evaluation / "replay.json")
+    steps = 1065
+    run = replace(replay, positions=replay.positions[:steps], rotations=replay.rotations[:steps], end="Arrival")
+    assert "in 21.28 s, arrival. Lines" in film_caption(run)
+    assert len(film_frames(run)) == steps
+
+
+def test_the_gait_of_a_fallen_episode_says_so(evaluation: Path, metrics: Path, tmp_path: Path) -> None:
+    replay = load_replay(evaluation / "replay.json")
+    folder = tmp_path / "fallen"
+    shutil.copytree(evaluation, folder)
+    (folder / "replay.json").write_text(replace(replay, end="Fall", failed=True).to_json())
+    page = write_report(tmp_path / "out", evaluation=folder, metrics=metrics, film=False).read_text()
+    assert f"The episode ended after {replay.duration_s:.2f} s: fall." in page
+    assert "The episode ended" not in write_report(tmp_path / "up", evaluation=evaluation, film=False).read_text()
+
+
+def _shown_distance(film: Film, frame: int) -> float:
+    film.picture(frame)
+    (text,) = [t.get_text() for t in film._axes.texts if " s " in t.get_text()]
+    return float(text.split()[2])
 
 
 def test_values_and_intervals_have_units(evaluation: Path) -> None:

@@ -1,4 +1,4 @@
-"""``naoctl download``, ``naoctl checkpoints`` and ``naoctl eval``: what training leaves behind."""
+"""Commands for the artifacts of a job: ``checkpoints``, ``download``, ``report``, ``export``, ``eval``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from naospec import EvaluationSpec
@@ -29,21 +29,24 @@ from rich.table import Table
 
 from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
-from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode
-from naoctl.evaluations import headline, newest_evaluation
+from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
+from naoctl.help import SettingsCommand
 from naoctl.render import ago, cell, pairs, size, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
-#: The page of a report, beside the evaluation's files if a worker has drawn it.
+#: Name of a report's page.
 REPORT_PAGE = "report.html"
-#: Most rows of metrics that the service gives at once.
+#: Maximum number of rows of metrics in one response.
 MAX_POINTS = 5_000
 #: Exit codes for states of an evaluation.
 EXIT_CODES = {"failed": ExitCode.JOB_FAILED, "cancelled": ExitCode.JOB_CANCELLED}
-#: Seconds between two looks at an evaluation that runs.
+CHECKPOINT_HELP = "Checkpoint to use (default: the newest)."
+OUTPUT_HELP = "Output folder (default: named after the job)."
+#: Seconds between two requests for a running evaluation.
 POLL_S = 0.5
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
@@ -51,7 +54,7 @@ Job = Annotated[
 
 
 class What(StrEnum):
-    """Choose what to download."""
+    """Artifacts to download."""
 
     #: Everything below; an evaluation that does not exist yet is no error then.
     ALL = "all"
@@ -65,16 +68,18 @@ def download(
     job: Job = "last",
     what: Annotated[What, typer.Option("--what", help="Which artifacts.")] = What.ALL,
     checkpoint: Annotated[
-        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+        str | None,
+        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Download a job's policy, its newest evaluation and its metrics; every file's SHA-256 is checked.
+    """Download a job's policy, evaluation and metrics, and check the SHA-256 of every file.
 
-    What is there already and right is not fetched again, and what an interrupted download left goes on.
+    Complete files are not downloaded again; an interrupted download resumes.
     """
     context = context_of(ctx)
     with context.client() as client:
@@ -85,13 +90,13 @@ def download(
             point = choose_checkpoint(client, found, checkpoint)
             chosen.append(("checkpoint", folder / f"checkpoint-{point['step']:012d}", point))
         if what in (What.ALL, What.EVALUATION):
-            evaluated = newest_evaluation(client, found["id"])
+            evaluated = job_evaluation(client, found["id"])
             if evaluated:
                 chosen.append(("evaluation", folder / "evaluation", evaluated))
             elif what is What.EVALUATION:
                 raise CliError(
                     f"Job {found['id']} has no finished evaluation",
-                    fix=f"Ask for one: naoctl eval {found['id']}",
+                    fix=f"Start one with `naoctl eval {found['id']}`.",
                     code=ExitCode.NOT_FOUND,
                 )
         fetched = fetch_artifacts(context, client, chosen, quiet=as_json)
@@ -156,30 +161,31 @@ def report(
     ctx: typer.Context,
     job: Job = "last",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
     ] = None,
     film: Annotated[
         bool | None,
         typer.Option(
             "--film/--no-film",
-            help="Draw it here, with the film, which takes longest, or without.",
-            show_default="the one that the service has drawn; else with",
+            help="Make the page here, with or without the film.",
+            show_default="the service's page; else with film",
         ),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Get a page with curves, results and a film about a job's policy.
+    """Write a page with curves, results and a film of a job's policy.
 
-    It is the one that a worker has drawn, if there is one; else it is drawn here, which needs PyTorch.
+    Uses the page that the service made, if there is one. Otherwise makes it here, which needs PyTorch.
     """
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
-        evaluated = newest_evaluation(client, found["id"])
+        evaluated = job_evaluation(client, found["id"])
         if evaluated is None:
             raise CliError(
                 f"Job {found['id']} has no finished evaluation",
-                fix=f"Ask for one: naoctl eval {found['id']}",
+                fix=f"Start one with `naoctl eval {found['id']}`.",
                 code=ExitCode.NOT_FOUND,
             )
         folder = output or Path(_folder_name(found))
@@ -214,14 +220,16 @@ def export(
     ctx: typer.Context,
     job: Job = "last",
     checkpoint: Annotated[
-        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+        str | None,
+        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the job.")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Write a job's policy for use elsewhere (ONNX, NumPy, JSON); needs PyTorch on this machine."""
+    """Export a job's policy as ONNX, NumPy and JSON. Needs PyTorch."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -262,10 +270,10 @@ def _advance(bar: Progress, task: TaskID) -> Callable[[int], None]:
 
 
 def choose_checkpoint(client: Client, job: dict[str, Any], wanted: str | None) -> dict[str, Any]:
-    """Return the checkpoint that a user means by id or step; the newest when they name none.
+    """Return the checkpoint with an id or step; the newest if none is given.
 
     Raises:
-        CliError: when there is none, or none like it.
+        CliError: if there is none.
     """
     points: list[dict[str, Any]] = sorted(
         client.get(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
@@ -307,18 +315,22 @@ def evaluate(
     ctx: typer.Context,
     job: Job = "last",
     checkpoint: Annotated[
-        str | None, typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Which checkpoint; else the newest.")
+        str | None,
+        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
     ] = None,
     wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the results.")] = True,
     time_limit: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", min=1, help="Longest run of the evaluation.", show_default="6 hours"),
+        typer.Option(metavar="SECONDS", min=1, help="Time limit of the evaluation.", show_default="6 hours"),
     ] = None,
-    show: Annotated[bool, typer.Option("--list", help="List the existing evaluations instead.")] = False,
+    show: Annotated[bool, typer.Option("--list", help="List the job's evaluations instead.")] = False,
     as_json: JsonFlag = False,
     evaluation: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
 ) -> None:
-    """Evaluate a job's policy: run episodes and report the task's results with confidence intervals."""
+    """Evaluate a job's policy and show the results.
+
+    Ctrl-C offers to cancel the evaluation.
+    """
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -334,13 +346,37 @@ def evaluate(
             body["spec"] = build(EvaluationSpec, values, from_flags=from_flags).model_dump(mode="json")
         asked = client.post(f"/jobs/{found['id']}/evaluations", body)
         if wait:
-            asked = await_evaluation(client, asked)
+            try:
+                asked = await_evaluation(client, asked)
+            except KeyboardInterrupt:
+                _interrupted(client, asked)
     if as_json:
         context.json(asked)
     else:
         show_evaluation(context, asked)
     if asked["state"] in EXIT_CODES:
         raise typer.Exit(EXIT_CODES[asked["state"]])
+
+
+def _interrupted(client: Client, evaluation: dict[str, Any]) -> NoReturn:
+    """Offer to cancel an evaluation that is waited for no longer.
+
+    Raises:
+        CliError: stating whether the evaluation continues.
+    """
+    name = evaluation["id"]
+    try:
+        wanted = stdin_is_terminal() and typer.confirm(f"\nCancel {name} too?", default=False, err=True)
+    except (typer.Abort, KeyboardInterrupt):
+        wanted = False
+    if wanted:
+        client.post(f"/evaluations/{name}/cancel")
+        raise CliError(f"Cancel requested for {name}", code=ExitCode.INTERRUPTED)
+    raise CliError(
+        f"Stopped waiting; {name} continues",
+        fix=f"`naoctl eval {evaluation['job_id']} --list` shows its state, `naoctl cancel {name}` cancels it.",
+        code=ExitCode.INTERRUPTED,
+    )
 
 
 def await_evaluation(client: Client, evaluation: dict[str, Any]) -> dict[str, Any]:
@@ -374,7 +410,7 @@ def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as
     if as_json:
         context.json(evaluations)
         return
-    table = Table("ID", "State", "Episodes", "Checkpoint", "Asked", box=None, pad_edge=False, header_style="bold")
+    table = Table("ID", "State", "Episodes", "Checkpoint", "Requested", box=None, pad_edge=False, header_style="bold")
     for item in evaluations:
         table.add_row(
             item["id"],
@@ -397,4 +433,4 @@ def register(app: typer.Typer) -> None:
     for function in (checkpoints, download, report, export):
         app.command(function.__name__)(function)
     parameters = spec_parameters(EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, flag_prefix="")
-    app.command("eval")(with_parameters(evaluate, {"evaluation": parameters}))
+    app.command("eval", cls=SettingsCommand)(with_parameters(evaluate, {"evaluation": parameters}))

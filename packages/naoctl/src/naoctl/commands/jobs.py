@@ -11,7 +11,7 @@ from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput
-from naoctl.evaluations import headline, newest_evaluation
+from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
 from naoctl.render import MISSING, cell, job_details, jobs_table, plain, state_text
 
@@ -49,7 +49,7 @@ def list_jobs(
     context = context_of(ctx)
     for word in state or []:
         if word not in STATES:
-            raise InvalidInput(f"--state {word!r} is no state", fix=f"Choose from {', '.join(STATES)}.")
+            raise InvalidInput(f"--state: unknown state {word!r}", fix=f"Choose from {', '.join(STATES)}.")
     with context.client() as client:
         jobs = list(
             client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
@@ -59,6 +59,8 @@ def list_jobs(
         context.json(jobs)
     elif jobs:
         context.out.print(table)
+        if any(TRAINING_MARK in str(text) for column in table.columns[3:] for text in column.cells):
+            context.note(TRAINING_NOTE)
         if len(jobs) == limit:
             context.note(f"The newest {limit}; --limit shows more.")
     else:
@@ -74,7 +76,7 @@ def status(
     ] = "last",
     as_json: JsonFlag = False,
 ) -> None:
-    """Show one job: state, progress, metrics, and why it failed if it did."""
+    """Show one job: state, progress, results, and its error."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
@@ -104,8 +106,8 @@ def _steer(
                         break
             changed.append(job)
             if not as_json:
-                asked = job["state"] not in (until or ENDED | {"paused", "queued"})
-                context.out.print(f"{job['id']}: {done if asked else job['state']}", markup=False)
+                pending = job["state"] not in (until or ENDED | {"paused", "queued"})
+                context.out.print(f"{job['id']}: {done if pending else job['state']}", markup=False)
     if as_json:
         context.json(changed)
 
@@ -156,7 +158,9 @@ def delete(
         found = [find_job(client, reference) for reference in jobs]
         if not yes:
             if not stdin_is_terminal():
-                raise InvalidInput("Deleting wants a confirmation and nobody can be asked", fix="Add --yes.")
+                raise InvalidInput(
+                    "Deleting needs a confirmation, and standard input is not a terminal", fix="Add --yes."
+                )
             typer.confirm(f"Delete {', '.join(plain(job['name']) for job in found)} and all they saved?", abort=True)
         for job in found:
             client.request("DELETE", f"/jobs/{job['id']}")
@@ -177,14 +181,15 @@ def compare(
     """Compare jobs: the settings that differ, and the results."""
     context = context_of(ctx)
     if len(jobs) < 2:
-        raise InvalidInput("compare wants two jobs or more", fix="Name another job.")
+        raise InvalidInput("compare needs two jobs or more", fix="Name another job.")
     with context.client() as client:
         found = [find_job(client, reference) for reference in jobs]
-        summaries = [(newest_evaluation(client, job["id"]) or {}).get("summary") for job in found]
+        evaluations = [job_evaluation(client, job["id"]) or {} for job in found]
+        summaries = [evaluation.get("summary") for evaluation in evaluations]
         descriptions = Descriptions(client)
         metrics = common([descriptions.shown(job) for job in found])
     if len({job["id"] for job in found}) < len(found):
-        raise InvalidInput("The same job is named twice", fix="`naoctl list` shows the ids of all.")
+        raise InvalidInput("The same job is named twice", fix="`naoctl list` shows their ids.")
     specs = [flattened(job["spec"]) for job in found]
     paths = dict.fromkeys(path for spec in specs for path in spec)
     differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
@@ -197,9 +202,10 @@ def compare(
                     "state": job["state"],
                     "spec": {path: spec.get(path) for path in differing},
                     "latest_metrics": job.get("latest_metrics") or {},
-                    "evaluation": summary,
+                    "evaluation_id": evaluation.get("id"),
+                    "evaluation": evaluation.get("summary"),
                 }
-                for job, spec, summary in zip(found, specs, summaries, strict=True)
+                for job, spec, evaluation in zip(found, specs, evaluations, strict=True)
             ]
         )
         return
@@ -212,16 +218,23 @@ def compare(
     table.add_row("Steps", *(f"{job['progress_step']:,}" for job in found))
     for path in differing:
         table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
-    for metric in metrics:
-        cells = [value_text(metric, job.get("latest_metrics") or {}) for job in found]
-        if any(text != MISSING for text in cells):
-            table.add_row(metric.title, *cells)
     results = [headline(summary or {}) for summary in summaries]
     names = dict.fromkeys(name for result in results for name in result)
     if names:
-        table.add_row("[bold]Evaluation[/bold]", *("" for _ in found))
+        table.add_row("[bold]Evaluation[/bold]", *(evaluation.get("id", MISSING) for evaluation in evaluations))
+        episodes = [(summary or {}).get("episodes") for summary in summaries]
+        table.add_row("Episodes", *(MISSING if count is None else f"{count:,}" for count in episodes))
         for name in names:
             table.add_row(name, *(result.get(name, MISSING) for result in results))
+    training = []
+    for metric in metrics:
+        cells = [value_text(metric, job.get("latest_metrics") or {}) for job in found]
+        if any(text != MISSING for text in cells):
+            training.append((metric.title, *cells))
+    if training:
+        table.add_row("[bold]In training[/bold]", *("" for _ in found))
+        for row in training:
+            table.add_row(*row)
     context.out.print(table)
 
 

@@ -22,7 +22,7 @@ from naoctl.evaluations import headline
 from naoctl.render import MISSING, pairs
 
 app = typer.Typer(
-    help="Policies that come with naosprint: list, evaluate, replay and export them.",
+    help="List, evaluate, replay and export the bundled policies.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -31,7 +31,8 @@ Name = Annotated[
     str, typer.Argument(metavar="NAME", help="A bundled policy.", autocompletion=lambda: list(naopolicies.names()))
 ]
 Output = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where to put it; else named after the policy.")
+    Path | None,
+    typer.Option("--output", "-o", metavar="FOLDER", help="Output folder (default: named after the policy)."),
 ]
 
 
@@ -86,21 +87,21 @@ def evaluate_policy(
 
 @app.command("replay")
 def replay_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
-    """Run one episode of a policy, and film it."""
+    """Run one episode of a policy and film it."""
     _write("replay", ctx, name, output or Path(f"{name}-run"), as_json=as_json)
 
 
 @app.command("export")
 def export_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
-    """Write a policy for use elsewhere: ONNX, NumPy, JSON."""
+    """Export a policy as ONNX, NumPy and JSON."""
     _write("export", ctx, name, output or Path(f"{name}-export"), as_json=as_json)
 
 
 def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
-    """Run a bundled policy as its card's evaluation does; return the results.
+    """Evaluate a bundled policy as on its card; return the results.
 
     Raises:
-        CliError: when naosprint is not installed here or fails.
+        CliError: if naosprint is not installed here or fails.
     """
     task = section_name(naopolicies.card(name)["evaluation"], "task")
     words = (
@@ -128,7 +129,7 @@ def _write(word: str, ctx: typer.Context, name: str, folder: Path, *, as_json: b
 
 
 def _known(name: str) -> None:
-    """Refuse what is no bundled policy; a checkpoint's folder is for ``python -m naosprint``."""
+    """Raise CliError unless a bundled policy has this name."""
     try:
         naopolicies.folder(name)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""The commands about the service itself: login, logout, token, workers, version."""
+"""Commands for the service: login, logout, token, workers, version."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.render import ago, cell, has_passed, plain
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
-token_app = typer.Typer(no_args_is_help=True, help="Make, list and revoke tokens; needs a token with scope admin.")
+token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")
 SCOPES = ("read", "submit", "admin")
 
 
@@ -29,9 +29,9 @@ def login(
     token_stdin: Annotated[bool, typer.Option("--token-stdin", help="Read the token from standard input.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Sign in to a service: check a token there and keep it for later commands.
+    """Sign in to a service and store its token.
 
-    The token is asked for without showing it, or read from standard input. It is kept in a file that only you can read.
+    Prompts for the token without showing it, or reads it from standard input. Only you can read the stored token.
     """
     context = context_of(ctx)
     chosen = normal_url(url) if url else resolve_target(context.url).url
@@ -40,7 +40,7 @@ def login(
     elif stdin_is_terminal():
         token = typer.prompt(f"Token for {chosen}", hide_input=True).strip()
     else:
-        raise InvalidInput("There is no terminal to ask for the token", fix="Pipe it in and add --token-stdin.")
+        raise InvalidInput("Standard input is not a terminal", fix="Pipe the token in and add --token-stdin.")
     if not token:
         raise InvalidInput("The token is empty", fix="Paste the token that an administrator gave you.")
     with Client(Target(chosen, token)) as client:
@@ -50,7 +50,7 @@ def login(
         context.json({"url": chosen, "config": str(path), **who})
     else:
         context.out.print(
-            f"Signed in to {chosen} as {plain(who['owner'])} ({', '.join(who['scopes'])}); kept in {path}",
+            f"Signed in to {chosen} as {plain(who['owner'])} ({', '.join(who['scopes'])}); token stored in {path}",
             markup=False,
             soft_wrap=True,
         )
@@ -61,7 +61,7 @@ def logout(
     url: Annotated[str | None, typer.Argument(metavar="[URL]", help="Address of the service.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Forget the token of a service."""
+    """Delete the stored token of a service."""
     context = context_of(ctx)
     chosen = normal_url(url) if url else resolve_target(context.url).url
     config = Config.load()
@@ -71,11 +71,11 @@ def logout(
     if as_json:
         context.json({"url": chosen, "forgotten": known})
     else:
-        context.out.print(f"{'Signed out of' if known else 'No token was kept for'} {chosen}", markup=False)
+        context.out.print(f"{'Signed out of' if known else 'No token is stored for'} {chosen}", markup=False)
 
 
 def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the workers and what they work on."""
+    """List the workers and their jobs."""
     context = context_of(ctx)
     with context.client() as client:
         found = client.get("/workers")
@@ -97,11 +97,11 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
             cell(worker["version"]),
             style=None if worker["alive"] else "red",
         )
-    context.out.print(table if found else "No workers. Jobs wait until one comes: `naoctl up` starts one.")
+    context.out.print(table if found else "No workers. Jobs wait until one starts; `naoctl up` starts one.")
 
 
 def version(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """Show the version of this program, of what is installed beside it, and of the service if it answers."""
+    """Show the versions of naoctl, of the installed packages, and of the service."""
     context = context_of(ctx)
     found: dict[str, Any] = {"naoctl": __version__, "python": sys.version.split()[0]}
     for package in PACKAGES:
@@ -128,8 +128,8 @@ def version(ctx: typer.Context, as_json: JsonFlag = False) -> None:
 @token_app.command("create")
 def token_create(
     ctx: typer.Context,
-    owner: Annotated[str, typer.Option(help="Whose jobs it opens.")],
-    name: Annotated[str, typer.Option(help="What it is for.")] = "",
+    owner: Annotated[str, typer.Option(help="User whose jobs the token gives access to.")],
+    name: Annotated[str, typer.Option(help="Purpose of the token.")] = "",
     scope: Annotated[
         list[str] | None,
         typer.Option(
@@ -139,11 +139,11 @@ def token_create(
     days: Annotated[float | None, typer.Option(min=0.001, help="Days until it expires.", show_default="never")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Make a token. Its secret is shown once."""
+    """Create a token. Its secret is shown once."""
     context = context_of(ctx)
     for word in scope or []:
         if word not in SCOPES:
-            raise InvalidInput(f"--scope {word!r} is no scope", fix=f"Choose from {', '.join(SCOPES)}.")
+            raise InvalidInput(f"--scope: unknown scope {word!r}", fix=f"Choose from {', '.join(SCOPES)}.")
     body = {"owner": owner, "name": name, "scopes": scope or ["submit"], "expires_in_days": days}
     with context.client() as client:
         made = client.post("/tokens", body)
@@ -156,7 +156,7 @@ def token_create(
 
 @token_app.command("list")
 def token_list(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List all tokens, without their secrets."""
+    """List all tokens without their secrets."""
     context = context_of(ctx)
     with context.client() as client:
         found = client.get("/tokens")
@@ -164,7 +164,7 @@ def token_list(ctx: typer.Context, as_json: JsonFlag = False) -> None:
         context.json(found)
         return
     table = Table(
-        "ID", "Owner", "Name", "Scopes", "Made", "Expires", "State", box=None, pad_edge=False, header_style="bold"
+        "ID", "Owner", "Name", "Scopes", "Created", "Expires", "State", box=None, pad_edge=False, header_style="bold"
     )
     for item in found:
         table.add_row(
@@ -185,7 +185,7 @@ def token_revoke(
     token_id: Annotated[str, typer.Argument(metavar="ID", help="The token's id, as `naoctl token list` shows it.")],
     as_json: JsonFlag = False,
 ) -> None:
-    """Make a token useless from now on."""
+    """Revoke a token."""
     context = context_of(ctx)
     with context.client() as client:
         try:
@@ -195,7 +195,7 @@ def token_revoke(
                 raise
             raise CliError(
                 f"There is no token {plain(token_id)}",
-                fix="`naoctl token list` shows the tokens there are.",
+                fix="`naoctl token list` shows all tokens.",
                 code=ExitCode.NOT_FOUND,
             ) from None
     if as_json:

@@ -1,4 +1,4 @@
-"""The commands that run the service on this machine: up, down, doctor, demo."""
+"""Commands for the service on this machine: up, down, doctor, demo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from naoctl.config import Config
 from naoctl.context import Context, DataDir, JsonFlag, context_of
 from naoctl.errors import CliError, ExitCode, StackError
 
-#: Port, workers and queues of `naoctl up`.
+#: Port of `naoctl up`.
 PortOption = Annotated[
     int | None,
     typer.Option(
@@ -24,7 +24,9 @@ def up(
     ctx: typer.Context,
     data_dir: DataDir = None,
     port: PortOption = None,
-    workers: Annotated[int, typer.Option("--workers", min=1, max=256, help="Jobs that run side by side.")] = 1,
+    workers: Annotated[
+        int, typer.Option("--workers", min=1, max=256, help="Number of jobs that run at the same time.")
+    ] = 1,
     queues: Annotated[
         str, typer.Option("--queues", help="Simulators that jobs may use: embedded, server.")
     ] = "embedded",
@@ -36,8 +38,8 @@ def up(
 ) -> None:
     """Run the whole service on this machine: API, dashboard, worker, Postgres, broker and artifacts.
 
-    Needs neither containers nor root; listens on 127.0.0.1 only. Everything lies in one folder, so a second start finds
-    all jobs again. Ctrl-C stops everything in order; a running job saves a checkpoint and goes on with the next start.
+    Needs neither containers nor root; listens on 127.0.0.1 only. All data is in one folder, so the next start has all
+    jobs again. Ctrl-C stops everything; a running job saves a checkpoint and resumes at the next start.
     """
     _need_stack()
     from naoctl.stack.control import ReadyPipe, start_detached
@@ -82,7 +84,8 @@ def _ready(context: Context, stack: object, root: Path, pipe: object, *, as_json
 
 
 def _announce(context: Context, root: Path, stack: object, *, as_json: bool, detached: bool) -> None:
-    """Say where the stack is and how to sign in, and make it the service that commands use."""
+    """Print the stack's address and how to sign in, and make it the service that commands use."""
+    from naoctl.stack.layout import Layout
     from naoctl.stack.supervisor import RunningStack
 
     assert isinstance(stack, RunningStack)
@@ -103,23 +106,20 @@ def _announce(context: Context, root: Path, stack: object, *, as_json: bool, det
     context.say("Dashboard", stack.url)
     context.say("Sign in", stack.sign_in_url)
     context.say("Data", str(root))
-    context.say(
-        "Submit",
-        "naoctl submit --preset fast --steps 3000000 --watch   (in another terminal)"
-        if not detached
-        else "naoctl submit --preset fast --steps 3000000 --watch",
-    )
-    context.say("Stop", "naoctl down" if detached else "Ctrl-C, or naoctl down")
+    submit = "naoctl submit --preset fast --steps 3M --watch"
+    context.say("Submit", submit if detached else f"{submit}   (in another terminal)")
+    stop = Layout(root).stop_command
+    context.say("Stop", stop if detached else f"Ctrl-C, or {stop}")
     context.out.file.flush()
 
 
 def down(
     ctx: typer.Context,
     data_dir: DataDir = None,
-    now: Annotated[bool, typer.Option("--now", help="Kill instead of waiting for a running job's checkpoint.")] = False,
+    now: Annotated[bool, typer.Option("--now", help="Stop at once, without a checkpoint of the running job.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Stop the service on this machine, however it was started; clear away what a killed one left behind."""
+    """Stop the service on this machine. Also cleans up after a service that was killed."""
     _need_stack()
     from naoctl.stack import control
     from naoctl.stack.layout import Layout
@@ -132,12 +132,13 @@ def down(
         context.json({"data_dir": str(layout.root), "stopped": done})
     else:
         context.say(
-            "Stopped" if done else "Idle", "nothing is left running" if done else f"no stack runs on {layout.root}"
+            "Stopped" if done else "Idle",
+            "nothing is left running" if done else f"no stack is running on {layout.root}",
         )
 
 
 def doctor(ctx: typer.Context, data_dir: DataDir = None, as_json: JsonFlag = False) -> None:
-    """Check what the service needs on this machine, and how the running one is."""
+    """Check what the service needs on this machine, and the state of a running service."""
     _need_stack()
     from naoctl.stack.doctor import examine
     from naoctl.stack.layout import Layout
@@ -171,11 +172,11 @@ def demo(
     ] = None,
     data_dir: DataDir = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Where the policy and its results go.")
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the policy and its results.")
     ] = None,
-    keep: Annotated[bool, typer.Option("--keep", help="Leave the service running at the end.")] = False,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep the service running at the end.")] = False,
 ) -> None:
-    """Show everything once: start the service, train a robot live, evaluate its policy, fetch and check it, stop."""
+    """Run a demonstration: start the service, train, evaluate and download a policy, check it, stop."""
     _need_stack()
     from naoctl.demo import ROBOTS, Demo
     from naoctl.stack.layout import Layout, default_data_dir
@@ -191,7 +192,7 @@ def demo(
 
 
 def _need_stack() -> None:
-    """Say how to install what the one-machine stack needs, if it is missing."""
+    """Raise StackError if a package that the stack needs is not installed."""
     import importlib.util
 
     for module, package in (("psutil", "psutil"), ("redis", "redis")):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
 import uuid
+from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,12 +16,21 @@ from pydantic import TypeAdapter
 
 from naoctl.client import Client
 from naoctl.commands.watch import watch_job
-from naoctl.context import JsonFlag, complete_job, context_of, find_job
+from naoctl.context import NEWEST, JsonFlag, complete_job, context_of, find_job
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable
+from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.jobfile import load_job_file
 from naoctl.render import plain
-from naoctl.specflags import build, parse_flags, settings_of, spec_parameters, training_settings, with_parameters
+from naoctl.specflags import (
+    build,
+    flag_name,
+    parse_flags,
+    settings_of,
+    spec_parameters,
+    training_settings,
+    with_parameters,
+)
 
 JOB_FIELDS = (
     "name",
@@ -34,9 +45,22 @@ JOB_FIELDS = (
 EVAL_PREFIX = "eval_"
 #: Settings of an evaluation that have a flag.
 EVALUATION_SETTINGS = settings_of(EvaluationSpec, leave_out=["task"])
-#: Most jobs of one sweep that are asked for without a file.
+#: Settings that ``naoctl submit --help`` shows; ``--help-all`` and ``naoctl spec`` show all.
+COMMON_SETTINGS = (
+    "task",
+    "robot",
+    "simulator",
+    "preset",
+    "total_steps",
+    "seed",
+    "learning_rate",
+    "n_envs",
+    "hidden_sizes",
+)
+COMMON_EVALUATION_SETTINGS = ("episodes",)
+#: Largest number of seeds in one range of ``--seeds``.
 MAX_SEEDS = 256
-#: Attempts to hand in a job when the answer is lost; the key keeps it from being made twice.
+#: Attempts to submit a job when the answer is lost; the idempotency key prevents a second job.
 SUBMIT_ATTEMPTS = 3
 
 
@@ -48,50 +72,65 @@ def submit(
     ctx: typer.Context,
     file: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="[FILE]", help="Job as YAML, TOML or JSON; flags override what it says.", dir_okay=False
-        ),
+        typer.Argument(metavar="FILE", help="Job as YAML, TOML or JSON; flags override its values.", dir_okay=False),
     ] = None,
     recipe: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help=f"Submit a job that is known to work: {', '.join(recipes.names()) or 'none'}; flags override it.",
+            help=f"Start from a bundled job: {', '.join(recipes.names()) or 'none'}; flags override its values.",
             autocompletion=_complete_recipe,
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option("--name", "-n", help="Name of the job.")] = None,
-    tag: Annotated[list[str] | None, typer.Option("--tag", "-t", help="Word to find it by; may be repeated.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option("--name", "-n", metavar="NAME", help="Name of the job; numbered if you have one of that name."),
+    ] = None,
+    tag: Annotated[
+        list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the job; may be repeated.")
+    ] = None,
     priority: Annotated[
-        int | None, typer.Option(min=0, max=9, help="0 to 9; higher goes first.", show_default="5")
+        int | None,
+        typer.Option(metavar="0-9", min=0, max=9, help="Jobs of higher priority start first.", show_default="5"),
     ] = None,
     parent: Annotated[
         str | None,
         typer.Option("--from", metavar="JOB", help="Start from this job's policy.", autocompletion=complete_job),
     ] = None,
     checkpoint: Annotated[
-        str | None, typer.Option("--from-checkpoint", metavar="ID", help="Which of its checkpoints; else the newest.")
+        str | None,
+        typer.Option("--from-checkpoint", metavar="ID", help="Which of its checkpoints (default: the newest)."),
     ] = None,
-    seeds: Annotated[str | None, typer.Option(metavar="0-4|1,2,3", help="Make one job per seed, as a group.")] = None,
+    seeds: Annotated[str | None, typer.Option(metavar="0-4|1,2,3", help="Submit one job per seed, as a group.")] = None,
     grid: Annotated[
         list[str] | None,
-        typer.Option(metavar="FIELD=A,B", help="Make one job per value, as a group; repeat it for all combinations."),
+        typer.Option(metavar="FIELD=A,B", help="Submit one job per value; repeat it for all combinations."),
     ] = None,
     evaluate: Annotated[
         bool | None,
         typer.Option("--evaluate/--no-evaluate", help="Evaluate the final policy.", show_default="evaluate"),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job; the exit code is its result.")] = False,
-    key: Annotated[str | None, typer.Option("--idempotency-key", help="The same key never makes a second job.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything and show what would be sent.")] = False,
+    key: Annotated[
+        str | None,
+        typer.Option(
+            "--idempotency-key", metavar="KEY", help="A second submit with the same key returns the same job."
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Check the job and print it with the preset's values; submit nothing.")
+    ] = False,
     as_json: JsonFlag = False,
+    help_all: HelpAllFlag = False,
     spec: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
     evaluation: dict[str, Any] = {},  # noqa: B006
 ) -> None:
     """Submit a training.
 
-    Without any flag this trains the default task with preset fast. Every setting of the specification has a flag.
+    Without any flag this trains the default task with preset fast. Every setting has a flag: --help-all lists them all,
+    and `naoctl spec FIELD` explains one. Numbers may be abbreviated: 250k, 3M.
     """
+    del help_all
     context = context_of(ctx)
     if file and recipe:
         raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
@@ -105,13 +144,21 @@ def submit(
     for field, value in (("name", name), ("tags", tag), ("priority", priority), ("parent_checkpoint_id", checkpoint)):
         if value is not None:
             body[field] = value
-    group = make_group(body, seeds, grid or [])
+    if body.get("name") == NEWEST:
+        raise InvalidInput(f"--name {NEWEST!r} refers to the newest job in commands", fix="Use another name.")
+    group = make_group(body, seeds, grid or [], flags=spec)
     if checkpoint and not parent and not body.get("parent_job_id"):
         raise InvalidInput("--from-checkpoint needs the job it belongs to", fix="Add --from JOB.")
     if group and watch:
         raise InvalidInput("--watch follows one job, and a sweep makes several", fix="Leave one of them out.")
     if dry_run:
-        context.json(group or body)
+        job, notes = expanded_job(body)
+        for note in notes:
+            context.note(note)
+        if group:
+            jobs = max(1, len(group["seeds"])) * math.prod(len(values) for values in group["grid"].values())
+            context.note(f"The group has {jobs} jobs.")
+        context.json({**group, "job": job} if group else job)
         return
     with context.client() as client:
         if parent:
@@ -180,7 +227,7 @@ def make_body(
             inside = field in settings or field in TrainingSpec.model_fields
             raise InvalidInput(
                 f"{where}{field}: no such field of a job",
-                fix=below if inside else f"There are {', '.join(JOB_FIELDS)}.",
+                fix=below if inside else f"Fields: {', '.join(JOB_FIELDS)}.",
             )
     body = dict(file)
     chosen = flat.nest(parse_flags(settings, spec_flags), _table(file, "spec", where))
@@ -220,14 +267,46 @@ def _only_given(checked: dict[str, Any], given: dict[str, Any]) -> dict[str, Any
     return kept
 
 
-def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict[str, Any] | None:
-    """Return the body of ``POST /groups`` for a sweep, or None when none was asked for; every combination is checked.
+def expanded_job(body: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return a job with every setting that preset, task and robot decide and whole rollouts, and notes on rounding.
+
+    The result is a job file that trains the same.
+    """
+    spec = TrainingSpec.model_validate(body["spec"])
+    content = spec.model_dump(mode="json")
+    rollout = spec.rollout_steps
+    for stage, expanded_stage in zip(content["stages"], spec.stage_specs if spec.stages else (), strict=True):
+        stage["steps"] = expanded_stage.planned_steps
+    content["total_steps"] = spec.planned_steps
+    notes = []
+    if spec.planned_steps != spec.total_steps:
+        notes.append(
+            f"{spec.total_steps:,} steps are rounded up to {spec.planned_steps:,}, whole rollouts of {rollout:,} steps."
+        )
+    evaluation = body.get("evaluation", {})
+    if evaluation is not None:
+        evaluation = EvaluationSpec.model_validate(evaluation).model_dump(mode="json")
+    return {**body, "spec": content, "evaluation": evaluation}, notes
+
+
+def make_group(
+    body: dict[str, Any], seeds: str | None, grid: list[str], *, flags: Container[str] = ()
+) -> dict[str, Any] | None:
+    """Return the body of ``POST /groups`` for a sweep, or None when none was requested; every combination is checked.
+
+    Args:
+        body: what all jobs share.
+        seeds: value of ``--seeds``.
+        grid: values of ``--grid``.
+        flags: settings that have a flag of their own on the command line; a sweep cannot vary them.
 
     Raises:
         InvalidInput: naming the flag, and the combination that cannot be trained.
     """
     if seeds is None and not grid:
         return None
+    if seeds is not None and "seed" in flags:
+        raise InvalidInput("--seeds and --seed contradict each other", fix="Use one of them.")
     numbers = parse_seeds(seeds) if seeds is not None else []
     known = training_settings()
     known = {**known, **{".".join(setting.path): setting for setting in known.values()}}
@@ -239,9 +318,14 @@ def make_group(body: dict[str, Any], seeds: str | None, grid: list[str]) -> dict
         if not sign or not items:
             raise InvalidInput(f"--grid {entry!r} is not FIELD=A,B", fix="For example --grid learning_rate=1e-4,3e-4.")
         if field not in known:
-            raise InvalidInput(f"--grid: {field} is no setting", fix="`naoctl submit --help` lists them.")
+            raise InvalidInput(f"--grid: there is no setting {field}", fix="`naoctl spec` lists the settings.")
         if field in axes:
             raise InvalidInput(f"--grid: {field} is given twice", fix="Give all its values at once.")
+        if known[field].name in flags:
+            flag = flag_name(known[field].name)
+            raise InvalidInput(f"--grid {field} and {flag} contradict each other", fix="Use one of them.")
+        if seeds is not None and known[field].name == "seed":
+            raise InvalidInput("--grid seed and --seeds contradict each other", fix="Use one of them.")
         axes[field] = [parse_flags(known, {field: item})[field] for item in items]
     for picked in itertools.product(*axes.values()):
         combination = dict(zip(axes, picked, strict=True))
@@ -260,8 +344,9 @@ def parse_seeds(text: str) -> list[int]:
             end = int(last) if sign else start
         except ValueError:
             raise InvalidInput(f"--seeds {text!r} is neither 0-4 nor 1,2,3", fix="For example --seeds 0-4.") from None
+        example = "For example --seeds 0-4."
         if end < start or end - start >= MAX_SEEDS:
-            raise InvalidInput(f"--seeds: {part.strip()} holds no seed, or more than {MAX_SEEDS}")
+            raise InvalidInput(f"--seeds: {part.strip()} has no seed or more than {MAX_SEEDS}", fix=example)
         found += range(start, end + 1)
     if len(set(found)) != len(found):
         raise InvalidInput("--seeds names a seed twice", fix="Name each once.")
@@ -282,7 +367,7 @@ def _table(file: dict[str, Any], field: str, where: str) -> dict[str, Any]:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise InvalidInput(f"{where}{field} is no table of fields", fix=f"Write `{field}:` and its fields below it.")
+        raise InvalidInput(f"{where}{field} is not a mapping", fix=f"Write `{field}:` and its fields below it.")
     return value
 
 
@@ -300,6 +385,11 @@ def _hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -
 
 def register(app: typer.Typer) -> None:
     """Add the command, with one flag per setting of the specifications."""
-    training = spec_parameters(training_settings(), panel="Training", aliases={"total_steps": ["--steps"]})
-    evaluation = spec_parameters(EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX)
-    app.command("submit")(with_parameters(submit, {"spec": training, "evaluation": evaluation}))
+    training = spec_parameters(
+        training_settings(), panel="Training", aliases={"total_steps": ["--steps"]}, shown=COMMON_SETTINGS
+    )
+    evaluation = spec_parameters(
+        EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, shown=COMMON_EVALUATION_SETTINGS
+    )
+    command = with_parameters(submit, {"spec": training, "evaluation": evaluation})
+    app.command("submit", cls=SettingsCommand)(command)

@@ -13,6 +13,7 @@ from naoctl.client import Client
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.descriptions import Descriptions, value_text
 from naoctl.errors import CliError, ExitCode
+from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
 from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line
 
@@ -38,7 +39,7 @@ def watch(
 
 
 def watch_job(context: Context, client: Client, job: dict[str, Any], *, as_json: bool) -> None:
-    """Show a job until it ends, then leave the program with its result unless it succeeded.
+    """Show a job until it ends, then exit with its result unless it succeeded.
 
     Raises:
         typer.Exit: with the code of a job that did not succeed.
@@ -52,7 +53,7 @@ def watch_job(context: Context, client: Client, job: dict[str, Any], *, as_json:
             last = _watch_lines(context, client, job)
     except KeyboardInterrupt:
         raise CliError(
-            "Stopped watching; the job goes on",
+            "Stopped watching; the job continues",
             fix=f"`naoctl watch {job['id']}` follows it again.",
             code=ExitCode.INTERRUPTED,
         ) from None
@@ -71,8 +72,12 @@ def say_result(context: Context, job: dict[str, Any], descriptions: Descriptions
     text = f"Job {job['id']} {job['state']} at {job['progress_step']:,} steps"
     if job["state"] == "failed" and job.get("error"):
         text += f": {plain(job['error'])}"
+    elif result := shown_result(job):
+        values = ", ".join(f"{title.lower()} {value}" for title, value in headline(result).items())
+        text += f". Evaluation, {evaluated(result)}: {values}"
     elif listed:
-        text += ": " + ", ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in listed)
+        values = ", ".join(f"{metric.title.lower()} {value_text(metric, row)}" for metric in listed)
+        text += f". In training: {values}"
     context.out.print(text, style=style, markup=False, soft_wrap=True)
     if job["state"] == "failed":
         context.note(f"`naoctl logs {job['id']}` shows why; `naoctl retry {job['id']}` queues it again.")
@@ -118,7 +123,7 @@ def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[s
 
 
 def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
-    state, printed_at, pending = "", 0.0, None
+    state, reason, printed_at, pending = "", None, 0.0, None
     metrics = Descriptions(client).shown(job)
 
     def lost(reason: str, wait_s: float) -> None:
@@ -132,6 +137,9 @@ def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[
                 pending = None
             state = job["state"]
             context.out.print(state, markup=False)
+        if update.kind == "job" and job.get("waiting_reason") not in (None, reason):
+            reason = job["waiting_reason"]
+            context.out.print(f"Waiting: {plain(reason)}", markup=False, soft_wrap=True)
         elif update.kind == "metrics":
             pending = progress_line(job, update.data, metrics)
             if time.monotonic() - printed_at >= LINE_EVERY_S:
@@ -156,13 +164,15 @@ def logs(
         str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
     ] = "last",
     follow_it: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on until the job ends; the exit code is its result.")
+        bool, typer.Option("--follow", "-f", help="Continue until the job ends; the exit code is its result.")
     ] = False,
-    tail: Annotated[int | None, typer.Option("--tail", "-n", min=0, help="Show only the last so many lines.")] = None,
-    events: Annotated[bool, typer.Option("--events/--no-events", help="Also show what happened to the job.")] = True,
+    tail: Annotated[
+        int | None, typer.Option("--tail", "-n", min=0, help="Show only this number of lines, the newest.")
+    ] = None,
+    events: Annotated[bool, typer.Option("--events/--no-events", help="Also show the job's history.")] = True,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show what a job's trainer wrote and what happened to the job.
+    """Show a job's log and history.
 
     With --follow the exit code is the job's result: 0 succeeded, 10 failed, 11 cancelled, 12 paused.
     """
@@ -194,7 +204,7 @@ def logs(
                 if update.kind in kinds:
                     show(update.kind, update.data)
         except KeyboardInterrupt:
-            raise CliError("Stopped reading; the job goes on", code=ExitCode.INTERRUPTED) from None
+            raise CliError("Stopped reading; the job continues", code=ExitCode.INTERRUPTED) from None
         # What was written between the last look and the end.
         for kind in kinds:
             for line in _stored(client, found["id"], kind, after=seen[kind]):

@@ -1,3 +1,3 @@
-"""The whole service on one machine: processes, ports, health and an orderly end. Needs neither a container nor root."""
+"""The service on one machine: its processes, ports and health checks. Needs neither a container nor root."""
 
 from __future__ import annotations

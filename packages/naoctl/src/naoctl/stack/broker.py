@@ -1,4 +1,4 @@
-"""The broker from a wheel: a Valkey that writes every message to disk, behind a password, on the loopback only."""
+"""Broker: a Valkey server from a wheel, persistent, with a password, on the loopback interface only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from naoctl.stack.layout import Layout
 
 
 class Broker:
-    """Run one Valkey for the queue.
+    """Valkey server of the queue.
 
     Args:
         layout: where its files lie.
@@ -29,7 +29,7 @@ class Broker:
 
     @property
     def url(self) -> str:
-        """The broker's address with its password."""
+        """Address of the broker with its password."""
         return f"redis://:{self.password}@127.0.0.1:{self.port}/0"
 
     def command(self) -> list[str]:
@@ -37,7 +37,7 @@ class Broker:
         return [str(self.program), str(self.layout.broker / "valkey.conf")]
 
     def make(self) -> None:
-        """Write the configuration; the password stands there and not on the command line, which others can see."""
+        """Write the configuration file. It contains the password, because other users can see a command line."""
         settings = {
             "bind": "127.0.0.1",
             "port": str(self.port),
@@ -56,7 +56,7 @@ class Broker:
         write_private(self.layout.broker / "valkey.conf", text)
 
     def is_ready(self) -> bool:
-        """Tell whether the server answers and has read its file."""
+        """Return whether the server answers and has loaded its data."""
         try:
             client = redis.Redis.from_url(self.url, socket_timeout=2.0, socket_connect_timeout=2.0)
             with client:

@@ -1,4 +1,4 @@
-"""One process of the stack: started, watched, stopped."""
+"""Processes of the stack."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from pathlib import Path
 from naoctl.stack.postgres import Account, launch_command
 from naoctl.stack.state import ProcessRecord
 
-#: A log longer than this many bytes is set aside (as ``NAME.log.1``) when its process starts.
+#: Size in bytes above which a log is renamed to ``NAME.log.1`` when its process starts.
 MAX_LOG_BYTES = 16 * 1024 * 1024
-#: Seconds before a process that died is started again: doubled with every death, up to the last.
+#: Seconds before a process that died is restarted: the first delay, doubled with every death, and the longest.
 FIRST_BACKOFF_S, LAST_BACKOFF_S = 0.5, 30.0
-#: A process that lived this many seconds is well again: the next death counts as its first.
+#: Uptime in seconds after which the restart delay is reset.
 WELL_AFTER_S = 60.0
 
 
 @dataclass(frozen=True)
 class Program:
-    """Describe a process: how to run it, how to know that it works, how to end it.
+    """Description of a process: how to run it, check it and stop it.
 
     Attributes:
         name: in messages, in the state file and as the log's name.
@@ -55,7 +55,7 @@ class Program:
 
 @dataclass
 class Child:
-    """Hold the running process of a program, and when to start it again after its death."""
+    """Running process of a program, and the delay before its next restart."""
 
     program: Program
     process: subprocess.Popen[bytes] | None = None
@@ -96,7 +96,7 @@ class Child:
         return self.process is not None and self.process.poll() is None
 
     def note_death(self) -> float:
-        """Note that the process died by itself; return the seconds after which to start it again."""
+        """Record that the process died; return the seconds until its restart."""
         assert self.process is not None
         self.exit_code = self.process.returncode
         kill_group(self.process.pid)
@@ -109,7 +109,7 @@ class Child:
         return wait_s
 
     def ask_to_stop(self) -> None:
-        """Ask the process to end."""
+        """Ask the process to stop."""
         if self.process is not None and self.is_alive:
             self.process.send_signal(self.program.stop_signal)
 
@@ -125,13 +125,13 @@ class Child:
 
 
 def kill_group(pid: int) -> None:
-    """Kill what is left of the process group that a process led."""
+    """Kill the remaining processes of a process group."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, signal.SIGKILL)
 
 
 def rotate(log: Path) -> None:
-    """Set a long log aside."""
+    """Rename a log that is too long."""
     if log.exists() and log.stat().st_size > MAX_LOG_BYTES:
         log.replace(log.with_name(log.name + ".1"))
 

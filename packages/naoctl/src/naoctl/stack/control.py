@@ -1,4 +1,4 @@
-"""Start a stack in the background, find it, and stop it from another terminal."""
+"""Start a stack in the background, and find and stop it from another terminal."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from naoctl.stack.supervisor import WORKER_GRACE_S, Options, RunningStack, clear
 
 Say = Callable[[str, str], None]
 
-#: Seconds that an orderly end may take: the worker's grace period and what the others need.
+#: Seconds that stopping may take: the grace period of the worker and of the other processes.
 DOWN_WITHIN_S = WORKER_GRACE_S + 60.0
 
 
 class ReadyPipe:
-    """Tell the process that started this one in the background how the start goes: one JSON object a line."""
+    """Pipe to the process that started this one in the background: progress of the start, one JSON object a line."""
 
     def __init__(self, descriptor: int) -> None:
         os.set_inheritable(descriptor, False)
         self._file = os.fdopen(descriptor, "w", encoding="utf-8")
 
     def send(self, **message: object) -> None:
-        """Send one message; nobody listening any more is no error, and after the end there is nothing to say."""
+        """Send one message. Does nothing after ``close`` or if the reader is gone."""
         if self._file.closed:
             return
         with contextlib.suppress(BrokenPipeError):
@@ -42,7 +42,7 @@ class ReadyPipe:
             self._file.flush()
 
     def close(self) -> None:
-        """End the talk: the start is over."""
+        """Close the pipe."""
         with contextlib.suppress(BrokenPipeError):
             self._file.close()
 
@@ -130,7 +130,7 @@ def find_running(layout: Layout) -> RunningStack:
 
 
 def stop(layout: Layout, say: Say, *, now: bool = False, within_s: float = DOWN_WITHIN_S) -> bool:
-    """Stop the stack on a folder, or clear away what a killed one left; tell whether there was anything to do.
+    """Stop the stack of a folder, or what a killed one left; return whether anything was running.
 
     Args:
         layout: the data folder.
@@ -147,11 +147,11 @@ def stop(layout: Layout, say: Say, *, now: bool = False, within_s: float = DOWN_
     if not is_locked(layout):
         cleared = clear_leftovers(state, grace_s=0.0 if now else 15.0)
         if cleared:
-            say("Cleared", f"{cleared} process{'es' if cleared > 1 else ''} a killed stack left behind")
+            say("Cleared", f"{cleared} process{'es' if cleared > 1 else ''} of a killed stack stopped")
         return cleared > 0
     process = state.supervisor.process() if state.supervisor else None
     if process is None:
-        raise StackError(f"{layout.root} is held by a process that is just starting or stopping", fix="Try again.")
+        raise StackError(f"{layout.root} is used by a process that is starting or stopping", fix="Try again.")
     say("Stopping", f"{layout.root}; a running job keeps its progress")
     process.send_signal(signal.SIGTERM)
     deadline = time.monotonic() + within_s

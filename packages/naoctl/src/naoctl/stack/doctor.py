@@ -1,4 +1,4 @@
-"""Look at everything the stack needs and at the one that runs; say what is wrong and how to put it right."""
+"""Checks of what the stack needs and of a running stack, with a fix for each problem."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from naoctl.stack.supervisor import API_PORTS, find_migrations
 
 Verdict = Literal["ok", "warning", "failed"]
 
-#: Free space below which there is a warning, and below which nothing can be promised, bytes.
+#: Free space in bytes below which a check warns, and below which it fails.
 WARN_DISK_BYTES, LEAST_DISK_BYTES = 5_000_000_000, 1_000_000_000
 #: Memory for Postgres, broker, API, worker and one training, bytes.
 WANTED_MEMORY_BYTES = 2_000_000_000
@@ -59,7 +59,7 @@ print(f"10 cycles of 2 robots, torso at {height:.3f} m")
 
 @dataclass(frozen=True)
 class Finding:
-    """Hold the outcome of one check."""
+    """Result of one check."""
 
     subject: str
     verdict: Verdict
@@ -72,7 +72,7 @@ class Finding:
 
 
 def examine(layout: Layout) -> Iterator[Finding]:
-    """Yield one finding per check, in an order in which the first failure is likely the cause of those after it."""
+    """Yield one finding per check; a failure is likely to cause those after it."""
     yield _python()
     yield _processor()
     yield _memory()
@@ -207,7 +207,9 @@ def _stack(layout: Layout) -> Iterator[Finding]:
         left = marked_processes(state.stack_id) if state else []
         if left:
             pids = ", ".join(str(process.pid) for process in left)
-            yield Finding("Stack", "warning", f"not running, but processes {pids} are left", "Clear them: naoctl down")
+            yield Finding(
+                "Stack", "warning", f"not running, but processes {pids} still run", f"Stop them: {layout.stop_command}"
+            )
         else:
             yield Finding("Stack", "ok", f"not running on {layout.root}")
         port = (state.api_port if state else None) or API_PORTS[0]

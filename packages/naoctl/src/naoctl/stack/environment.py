@@ -1,4 +1,4 @@
-"""The environment of the service's processes, as the supervisor gives it to them."""
+"""Environment variables of the service's processes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from naoctl.stack.state import MARK, StackState
 
 
 def service_environment(layout: Layout) -> dict[str, str]:
-    """Return the variables that lead a process to the database, the broker and the artifacts of a stack.
+    """Return the variables that name the database, the broker and the artifacts of a stack.
 
     Raises:
         StackError: when no stack was ever started on the folder.
     """
     state = StackState.load(layout)
     if state is None or state.broker_port is None or state.api_port is None:
-        raise StackError(f"No stack was ever started on {layout.root}", fix="Start one with `naoctl up`.")
+        raise StackError(f"No stack has been started on {layout.root}", fix="Start one with `naoctl up`.")
     passwords = read_secrets(layout)
     return {
         MARK: state.stack_id,

@@ -1,8 +1,9 @@
-"""Where everything of a one-machine stack lies: one folder."""
+"""Files of a stack, all in one folder."""
 
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ def default_data_dir() -> Path:
 
 @dataclass(frozen=True)
 class Layout:
-    """Name the files of the stack in ``root``, an absolute path without symbolic links."""
+    """Paths of the stack's files below ``root``, an absolute path without symbolic links."""
 
     root: Path
 
@@ -29,23 +30,29 @@ class Layout:
         return cls((folder or default_data_dir()).expanduser().resolve())
 
     @property
+    def stop_command(self) -> str:
+        """Command that stops the stack, whatever ``NAOCTL_DATA_DIR`` is in the shell that it is typed in."""
+        usual = platformdirs.user_data_path("naosprint", appauthor=False).resolve()
+        return "naoctl down" if self.root == usual else f"naoctl down --data-dir {shlex.quote(str(self.root))}"
+
+    @property
     def lock(self) -> Path:
-        """Locked by the supervisor for as long as it lives."""
+        """Lock of the supervisor, held while it runs."""
         return self.root / "stack.lock"
 
     @property
     def state(self) -> Path:
-        """What runs now or ran last: ``naoctl.stack.state.StackState``."""
+        """State of the current or last run: ``naoctl.stack.state.StackState``."""
         return self.root / "stack.json"
 
     @property
     def secrets(self) -> Path:
-        """Passwords of database and broker, made on the first start; readable by the owner only."""
+        """Passwords of database and broker, created at the first start; readable by the owner only."""
         return self.root / "secrets.json"
 
     @property
     def admin_token(self) -> Path:
-        """The administrator's token, made on the first start; readable by the owner only."""
+        """Token of the administrator, created at the first start; readable by the owner only."""
         return self.root / "admin-token"
 
     @property
@@ -78,7 +85,7 @@ class Layout:
         return self.logs / f"{name}.log"
 
     def make(self) -> None:
-        """Make the folder and those in it. A new folder is closed to other users.
+        """Create the folders. A new folder is not accessible to other users.
 
         Raises:
             StackError: when it cannot be made or written.

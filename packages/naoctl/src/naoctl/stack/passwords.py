@@ -1,4 +1,4 @@
-"""The passwords of a stack's database and broker: made once, kept where only their owner can read them."""
+"""Passwords of a stack's database and broker, in a file that only its owner can read."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from naoctl.stack.layout import Layout
 
 @dataclass(frozen=True)
 class Secrets:
-    """Hold the passwords; their hexadecimal digits need no quoting anywhere."""
+    """Passwords: hexadecimal digits, which need no quoting."""
 
     postgres: str
     broker: str
 
 
 def read_secrets(layout: Layout) -> Secrets:
-    """Return the passwords, made now if there are none yet.
+    """Return the passwords; create them if there are none.
 
     Raises:
         StackError: when the file is damaged; the database cannot be opened without it.

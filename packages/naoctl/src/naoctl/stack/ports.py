@@ -1,4 +1,4 @@
-"""Free TCP ports on the loopback."""
+"""Free TCP ports of the loopback interface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ HOST = "127.0.0.1"
 
 
 def is_free(port: int) -> bool:
-    """Tell whether a server could listen on the port now; connections of a server just stopped do not matter."""
+    """Return whether a server could listen on the port; connections of a server that has just stopped do not matter."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

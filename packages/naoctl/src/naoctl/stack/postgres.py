@@ -1,4 +1,4 @@
-"""Postgres from a wheel: find it, make its data folder, and run it where only this stack can reach it."""
+"""Postgres from a wheel: its programs, its data folder, and a socket that only this stack can reach."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from naoctl.stack import launch
 from naoctl.stack.layout import Layout
 
 USER = DATABASE = "naosprint"
-#: What root must be allowed to run Postgres as another account, talk to it and stop it (linux/capability.h).
+#: Capabilities that root needs to run, reach and stop Postgres as another account (linux/capability.h).
 RIGHTS_OF_ROOT = {"CHOWN": 0, "DAC_OVERRIDE": 1, "KILL": 5, "SETGID": 6, "SETUID": 7}
 #: Longest path of a Unix socket, bytes (sun_path of Linux is 108 with its end mark; others have 104).
 MAX_SOCKET_PATH = 103
@@ -28,7 +28,7 @@ MAX_SOCKET_PATH = 103
 
 @dataclass(frozen=True)
 class Account:
-    """Say as which account Postgres runs: it refuses to run as root.
+    """Account that Postgres runs as, since it refuses to run as root.
 
     ``keep_search`` leaves the one right to pass through folders that are closed to the account, so that programs and
     data below root's home folder can be reached without opening that folder to everybody.
@@ -45,7 +45,7 @@ class Account:
 
 
 class Postgres:
-    """Run one Postgres whose only door is a Unix socket, behind a password.
+    """Postgres server that listens on a Unix socket only, with a password.
 
     Args:
         layout: where its data lies.
@@ -61,7 +61,7 @@ class Postgres:
 
     @property
     def url(self) -> str:
-        """The database's address with its password."""
+        """Address of the database with its password."""
         host = quote(str(self.socket_dir), safe="/")
         return f"postgresql://{USER}:{quote(self.password, safe='')}@/{DATABASE}?host={host}"
 
@@ -85,7 +85,7 @@ class Postgres:
         return [str(self.programs / "postgres"), "-D", str(self.layout.postgres), *options]
 
     def make(self) -> None:
-        """Make the cluster if there is none; what an interrupted first start left is made anew.
+        """Create the cluster if there is none or if its creation was interrupted.
 
         Raises:
             StackError: with the last words of ``initdb`` when that fails.
@@ -127,14 +127,14 @@ class Postgres:
         (data / ".finished").touch()
 
     def is_ready(self) -> bool:
-        """Tell whether the server takes connections."""
+        """Return whether the server accepts connections."""
         done = subprocess.run(
             [self.programs / "pg_isready", "-q", "-h", self.socket_dir, "-t", "2"], check=False, capture_output=True
         )
         return done.returncode == 0
 
     def ensure_database(self) -> None:
-        """Make the database if it is missing."""
+        """Create the database if it is missing."""
         known = self._psql("SELECT datname FROM pg_database").split()
         if DATABASE not in known:
             self._psql(f'CREATE DATABASE "{DATABASE}"')
@@ -168,7 +168,7 @@ def launch_command(command: list[str], *, account: Account | None = None, death_
 
 
 def find_programs(data: Path) -> Path:
-    """Return the folder with Postgres' programs: of the version that made the data, else the newest there is.
+    """Return the folder of Postgres' programs: of the version that created the data, else of the newest version.
 
     Raises:
         StackError: when the wheel is not installed, or has no version that can read the data.
@@ -226,7 +226,7 @@ def _account(data: Path, programs: Path) -> Account | None:
 
 
 def missing_rights(status: Path) -> str:
-    """Return the names of the capabilities that root needs and this process lacks; empty when all are there."""
+    """Return the names of the capabilities that root needs and this process lacks."""
     try:
         (line,) = (line for line in status.read_text(encoding="ascii").splitlines() if line.startswith("CapEff:"))
     except (OSError, ValueError):
@@ -236,7 +236,7 @@ def missing_rights(status: Path) -> str:
 
 
 def _open_to_all(path: Path) -> bool:
-    """Tell whether every account may pass through a folder and all above it."""
+    """Return whether every account may access a folder and all its parents."""
     folders = [folder for folder in (path, *path.parents) if folder.exists()]
     return all(folder.stat().st_mode & stat.S_IXOTH for folder in folders)
 
@@ -254,7 +254,7 @@ def _socket_dir(layout: Layout) -> Path:
 def _check_socket_dir(folder: Path, uid: int) -> None:
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != uid:
-        raise StackError(f"{folder} belongs to somebody else", fix="Remove it, or name another --data-dir.")
+        raise StackError(f"{folder} belongs to another user", fix="Remove it, or name another --data-dir.")
     if status.st_mode & 0o077:
         folder.chmod(0o700)
 

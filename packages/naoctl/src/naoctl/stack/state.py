@@ -1,4 +1,4 @@
-"""What a supervisor writes down about its processes, so that others can find, stop or clear them away."""
+"""State of a stack on disk, with which other processes find and stop it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from naoctl.config import write_private
 from naoctl.errors import StackError
 from naoctl.stack.layout import Layout
 
-#: Environment variable that marks every process of a stack, and everything those start, with the stack's id.
+#: Environment variable that marks every process of a stack, and its descendants, with the stack's id.
 MARK = "NAOSPRINT_STACK_ID"
 #: Start times closer than this many seconds are the same: they come from the same clock, printed and read back.
 SAME_TIME_S = 0.05
@@ -25,7 +25,7 @@ SAME_TIME_S = 0.05
 
 @dataclass(frozen=True)
 class ProcessRecord:
-    """Name one process beyond doubt: a pid is used again, a pid with its start time is not."""
+    """Identity of a process: its pid and its start time, since a pid alone is used again."""
 
     name: str
     pid: int
@@ -48,7 +48,7 @@ class ProcessRecord:
 
 @dataclass
 class StackState:
-    """Hold what ``naoctl up`` knows of a stack: its id for life, its ports, and the processes of the latest start."""
+    """State of a stack: its permanent id, its ports, and the processes of the latest start."""
 
     stack_id: str = field(default_factory=lambda: uuid.uuid4().hex)
     api_port: int | None = None
@@ -59,7 +59,7 @@ class StackState:
 
     @property
     def url(self) -> str | None:
-        """The API's address, known once a port was chosen."""
+        """Address of the API; available once a port was chosen."""
         return f"http://127.0.0.1:{self.api_port}" if self.api_port else None
 
     @classmethod
@@ -92,14 +92,14 @@ class StackState:
 
 
 class FolderLock:
-    """Hold a data folder for one supervisor; the kernel frees it when the supervisor dies, however it dies."""
+    """Lock of a data folder by one supervisor; the kernel releases it when the supervisor dies."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file: int | None = None
 
     def acquire(self) -> bool:
-        """Take the lock if nobody has it, and tell whether it is ours now."""
+        """Try to take the lock; return whether this process has it."""
         # Descriptors of Python are closed on exec: no child inherits the lock.
         file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
@@ -111,14 +111,14 @@ class FolderLock:
         return True
 
     def release(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
 
 
 def is_locked(layout: Layout) -> bool:
-    """Tell whether a supervisor holds the folder."""
+    """Return whether a supervisor uses the folder."""
     if not layout.lock.exists():
         return False
     lock = FolderLock(layout.lock)
@@ -128,7 +128,7 @@ def is_locked(layout: Layout) -> bool:
 
 
 def marked_processes(stack_id: str) -> list[psutil.Process]:
-    """Return all living processes that carry the stack's mark, the caller excepted."""
+    """Return all running processes with the stack's mark, except the caller."""
     found = []
     for process in psutil.process_iter():
         if process.pid == os.getpid():

@@ -1,4 +1,4 @@
-"""Start the stack, keep it running, and take it down in order."""
+"""Supervisor of the stack: starts its processes, restarts them, and stops them in order."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from naoctl.stack.state import MARK, FolderLock, ProcessRecord, StackState, mark
 
 #: Ports tried for the API before any free one is taken.
 API_PORTS = list(range(8000, 8020))
-#: Ports tried when each is snatched away between being found free and being used.
+#: Number of ports to try when another process takes each before the API does.
 API_ATTEMPTS = 3
-#: Order in which the processes are asked to stop: whoever needs another goes first.
+#: Order in which the processes are stopped: a process stops before those it depends on.
 STOP_ORDER = ("worker", "api", "broker", "postgres")
 #: Seconds a training has for its last checkpoint when the worker is stopped, plus some for the worker itself.
 WORKER_GRACE_S = 75.0
-#: Seconds given to what a dead worker left behind: trainings notice, write a checkpoint and end by themselves.
+#: Seconds in which the trainings of a dead worker may write a checkpoint and end.
 LEFTOVER_GRACE_S = 15.0
 
 
 class Stopped(Exception):
-    """Leave whatever is being waited for: the stack was asked to stop."""
+    """Interruption of a wait: a stop was requested."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Hold what a user may choose about a stack."""
+    """Options of a stack."""
 
     api_port: int | None = None
     worker_concurrency: int = 1
@@ -59,7 +59,7 @@ class Options:
 
 @dataclass(frozen=True)
 class RunningStack:
-    """Name a stack that is up: its address, its administrator's token, and its supervisor's pid."""
+    """Running stack: its address, its administrator's token, and its supervisor's pid."""
 
     url: str
     token: str
@@ -67,17 +67,17 @@ class RunningStack:
 
     @property
     def sign_in_url(self) -> str:
-        """Address that signs a browser in; what stands behind the # never leaves the browser."""
+        """Address that signs a browser in; the part behind the # is never sent."""
         return f"{self.url}/#/?token={self.token}"
 
 
 class Supervisor:
-    """Own one data folder and the four processes that serve from it.
+    """Supervisor of the four processes of one data folder.
 
     Args:
         layout: the data folder.
         options: what the user chose.
-        say: told what happens, a title and a text, both short.
+        say: called with a title and a text for every event.
     """
 
     def __init__(self, layout: Layout, options: Options, say: Callable[[str, str], None]) -> None:
@@ -92,7 +92,7 @@ class Supervisor:
         self._wake_read, self._wake_write = socket.socketpair()
 
     def run(self, when_ready: Callable[[], None]) -> None:
-        """Bring the stack up, keep it running until asked to stop, and take it down, whatever happened.
+        """Start the stack, keep it running until a stop is requested, and stop it in any case.
 
         Args:
             when_ready: called once everything answers.
@@ -115,7 +115,7 @@ class Supervisor:
                 self._lock.release()
 
     def say(self, title: str, text: str) -> None:
-        """Tell what happens; that nobody can hear it any more (a closed terminal, a broken pipe) stops nothing."""
+        """Report an event; a closed terminal or a broken pipe is no error."""
         with contextlib.suppress(OSError, SystemExit):
             self._say(title, text)
 
@@ -135,7 +135,7 @@ class Supervisor:
             if previous:
                 cleared = clear_leftovers(previous)
                 if cleared:
-                    self.say("Cleared", f"{cleared} process{'es' if cleared > 1 else ''} a killed start left behind")
+                    self.say("Cleared", f"{cleared} process{'es' if cleared > 1 else ''} of a killed start stopped")
                 self.state = StackState(previous.stack_id, previous.api_port, previous.broker_port)
             self.state.supervisor = ProcessRecord.of("supervisor", os.getpid())
             self.state.save(self.layout)
@@ -168,7 +168,7 @@ class Supervisor:
         self.state.save(self.layout)
 
     def _start_api(self) -> None:
-        """Start the API; if somebody took its port since it was found free, try another one."""
+        """Start the API; if its port was taken since it was found free, try another one."""
         for attempts_left in reversed(range(API_ATTEMPTS)):
             self._launch(self._api_program(self._service_environment()))
             try:
@@ -178,7 +178,7 @@ class Supervisor:
                 taken = port is not None and not self.children["api"].is_alive and not ports.is_free(port)
                 if not taken or not attempts_left or self.options.api_port is not None:
                     raise
-                self.say("API", f"port {port} was taken meanwhile")
+                self.say("API", f"port {port} was taken in the meantime")
                 self.state.api_port = self._choose_api_port()
             else:
                 return
@@ -249,7 +249,7 @@ class Supervisor:
             return False
 
     def _worker_is_ready(self) -> bool:
-        """Tell whether the API has heard from the very worker that runs now."""
+        """Return whether the API lists the worker process that runs now."""
         child = self.children["worker"]
         if child.process is None:
             return False
@@ -305,7 +305,7 @@ class Supervisor:
         self.say("Database", "up to date")
 
     def _ensure_admin_token(self, environment: dict[str, str]) -> None:
-        """Read the administrator's token, or make one when there is none or the database does not know it."""
+        """Return the administrator's token; create one if there is none or the database does not have it."""
         path = self.layout.admin_token
         self.admin_token = path.read_text(encoding="utf-8").strip() if path.exists() else ""
         if self.admin_token and self._ask("/workers").status_code != 401:
@@ -365,13 +365,13 @@ class Supervisor:
     # Stop
 
     def ask_to_stop(self) -> None:
-        """Make ``supervise`` return soon; asked a second time, stop without grace."""
+        """Request a stop; the second request skips the grace periods."""
         self._stop_asked += 1
         with contextlib.suppress(OSError):
             self._wake_write.send(b"\0")
 
     def _stop(self) -> None:
-        """Stop all processes in order; each gets its grace period, unless the user insists."""
+        """Stop all processes in order, with their grace periods unless a stop was requested twice."""
         self.state.ready = False
         running = [name for name in STOP_ORDER if name in self.children and self.children[name].is_alive]
         if running:
@@ -393,7 +393,7 @@ class Supervisor:
         told = self._stop_asked
         while child.is_alive and time.monotonic() < deadline:
             if self._stop_asked > max(told, 1):
-                self.say(child.program.title, "killed, as asked twice")
+                self.say(child.program.title, "killed after the second request")
                 return
             self._doze(deadline - time.monotonic())
         if child.is_alive:
@@ -403,7 +403,7 @@ class Supervisor:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """Turn the signals to stop into a request, and let the death of a child end any wait."""
+        """Convert signals to a stop request; the death of a child ends any wait."""
 
         def stop(number: int, frame: FrameType | None) -> None:
             self._stop_asked += 1
@@ -424,14 +424,14 @@ class Supervisor:
                 signal.signal(number, handler)
 
     def _doze(self, seconds: float | None) -> None:
-        """Wait for a signal, at most so many seconds."""
+        """Wait for a signal, for a limited time."""
         select.select([self._wake_read], [], [], seconds)
         with contextlib.suppress(BlockingIOError):
             while self._wake_read.recv(4096):
                 pass
 
     def _pause(self, seconds: float | None) -> None:
-        """Wait as ``_doze`` does; raise ``Stopped`` when asked to stop."""
+        """Wait as ``_doze`` does; raise ``Stopped`` if a stop was requested."""
         if not self._stop_asked:
             self._doze(seconds)
         if self._stop_asked:
@@ -439,18 +439,18 @@ class Supervisor:
 
 
 def running_already(layout: Layout) -> StackError:
-    """Say that a supervisor holds the folder, and how to reach or stop it."""
+    """Return the error that a supervisor uses the folder already, with its address."""
     state = StackState.load(layout)
     where = f" at {state.url}" if state and state.ready else ", still starting or stopping"
     who = f" (process {state.supervisor.pid})" if state and state.supervisor else ""
     return StackError(
         f"A stack is running on {layout.root}{where}{who}",
-        fix="Use it as it is, stop it with `naoctl down`, or name another --data-dir.",
+        fix=f"Use it, stop it with `{layout.stop_command}`, or use another --data-dir.",
     )
 
 
 def clear_leftovers(state: StackState, *, grace_s: float = LEFTOVER_GRACE_S) -> int:
-    """End what remains of a stack whose supervisor is gone, and return how many processes that were.
+    """Stop the remaining processes of a stack whose supervisor is gone; return their number.
 
     Only processes that are provably the stack's are touched: those it recorded with their start times, and those that
     carry its id in their environment. Trainings end by themselves once their worker is dead, after a last checkpoint.

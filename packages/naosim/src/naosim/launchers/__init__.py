@@ -1,4 +1,4 @@
-"""Servers as processes or containers: start, watch, stop and remove them, whatever the server."""
+"""Launchers of servers as processes or containers: start, watch, stop and remove them."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ class MujocoBatch:
     def place(
         self, row: int, position: tuple[float, float, float], quaternion: Floats, joints: Floats, targets: Floats
     ) -> None:
-        """Put a robot somewhere at rest, with (J,) joint angles and (J,) target angles as its pending command."""
+        """Place a robot at rest, with (J,) joint angles and (J,) target angles as its pending command."""
         data, world = self.data[row], self.world
         state = np.empty(self.row_size)
         data.qpos[world.torso : world.torso + 3] = position

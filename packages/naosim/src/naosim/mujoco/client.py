@@ -57,7 +57,7 @@ class MujocoFleet(Fleet):
         team: name of the robots' team; they play on the left.
         timeout_s: a server that does not answer for so long has failed.
         start_timeout_s: the same for the start of a server and its first answers.
-        max_failures: so many servers may be replaced before `replace` gives up.
+        max_failures: number of servers that may be replaced before `replace` raises.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.

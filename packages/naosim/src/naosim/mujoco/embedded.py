@@ -119,7 +119,7 @@ class MujocoSimulator(Simulator):
         )
 
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
-        """Put robots into starts; ``following`` needs no preparation."""
+        """Move robots to starts; ``following`` needs no preparation."""
         del following
         self.require_open()
         self.require_starts(starts, 0 if self._starts is None else len(self._starts))
@@ -224,7 +224,7 @@ class MujocoSimulator(Simulator):
         """Return to a snapshot.
 
         Raises:
-            ValueError: if it is not a snapshot of so many of these robots.
+            ValueError: if it is not a snapshot of the same number of these robots.
         """
         self.require_open()
         rows = np.ascontiguousarray(state)

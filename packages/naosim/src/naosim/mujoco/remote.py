@@ -91,7 +91,7 @@ class RemoteMujocoSimulator(FleetSimulator):
         self._acting[stepped if active is None else stepped[active]] = before if active is None else before[active]
 
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
-        """Put robots into starts; standby servers prepare the ``following`` ones.
+        """Move robots to starts; standby servers prepare the ``following`` ones.
 
         Raises:
             naosim.simulator.ServerLostError: if more servers fail than are allowed, or a new one does not start.

@@ -165,7 +165,7 @@ def check(path: Path) -> dict[str, Any]:
 
 
 def _place(data: Any, first: int, position: tuple[float, float, float], heading_rad: float) -> None:
-    """Put the robot somewhere as the server does: upright, all joints at 0, at rest."""
+    """Place the robot as the server does: upright, all joints at 0, at rest."""
     data.qpos[first : first + 3] = position
     data.qpos[first + 3 : first + 7] = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
     data.qpos[first + 7 :] = 0.0

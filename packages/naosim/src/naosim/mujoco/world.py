@@ -204,7 +204,7 @@ def compiled(robot: str, exact: bool) -> World:
             intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3, 1],
         )
     model = world.compile()
-    # a world that diverges stays where it is, for the caller to see, instead of starting anew by itself
+    # a world that diverges stays where it is, for the caller to see, instead of being reset automatically
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     if not exact:
         model.opt.density = model.opt.viscosity = 0.0

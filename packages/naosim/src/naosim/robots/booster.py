@@ -135,7 +135,7 @@ class T1Parameters(BoosterParameters):
     """Motor gains of the T1.
 
     With the defaults it stands without a policy. What decides is the ankle's stiffness: below 150 N m/rad the robot
-    tips over within three seconds, whatever the other gains.
+    tips over within three seconds for any value of the other gains.
     """
 
     JOINTS = _T1_JOINTS

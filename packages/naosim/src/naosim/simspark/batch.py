@@ -173,7 +173,7 @@ class BatchSimulator:
             raise FloatingPointError(f"environment {failed}: its state is no longer finite; reset or restore it")
 
     def reset(self, mask: ArrayLike | None = None) -> None:
-        """Put robots back to how they spawn: at the origin, all angles and the clock at 0."""
+        """Reset robots to their spawn state: at the origin, all angles and the clock at 0."""
         self._core.reset(self._lanes(mask))
 
     def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:

@@ -27,7 +27,7 @@ _GREETING_QUIET_S = 0.02
 """The same while a robot is being built, where one cycle more does no harm."""
 
 _LANDING_CYCLES = 15
-"""A trainer's move shows up within so many cycles."""
+"""Maximum number of cycles until a trainer's move is visible."""
 
 _LIFT_M = 1.0
 _GAIN = 20.0
@@ -74,7 +74,7 @@ class RemoteBatch(Fleet):
         uniform_number: 1 to 11.
         timeout_s: a server that does not answer for so long has failed.
         start_timeout_s: the same for the start of a server and its first answers.
-        max_failures: so many servers may be replaced before `replace` gives up.
+        max_failures: number of servers that may be replaced before `replace` raises.
         exact: ask for the full scene in every cycle; much slower, exact to six digits.
 
     Raises:
@@ -272,7 +272,7 @@ class RemoteBatch(Fleet):
                 row, f"the robot has {joints} of the {len(self.model.joints)} joints of type {self.robot_type}"
             )
         if (side, number) != (1, self._number):
-            exchange.fail(row, f"the robot is number {number}, side {side}; {self._number} on the left was asked for")
+            exchange.fail(row, f"the robot is number {number}, side {side}; {self._number} on the left was requested")
         x, y, z = _PARKED_BALL
         self._trainer(row, f"(playMode PlayOn)(ball (pos {x} {y} {z})(vel 0 0 0))")
         exchange.drain(row, _QUIET_S, max(0.1, deadline - time.monotonic()))

@@ -40,7 +40,7 @@ def yaw_deg(heading_rad: float) -> float:
 
 
 def settle(engine: BatchSimulator, poses_rad: Floats, position_m: tuple[float, float], heading_rad: float) -> None:
-    """Put every robot of ``engine`` at a place and drive it into its (n, J) pose for :data:`SETTLING_CYCLES`."""
+    """Move every robot of ``engine`` to a position and drive it into its (n, J) pose for :data:`SETTLING_CYCLES`."""
     engine.reset()
     engine.beam((*position_m, engine.model.standing_height + DROP_M), yaw_deg(heading_rad))
     for _ in range(SETTLING_CYCLES):

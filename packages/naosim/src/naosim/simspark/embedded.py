@@ -73,7 +73,7 @@ class EmbeddedSimulator(Simulator):
         self._starts = np.array(engine.snapshot())
 
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:
-        """Put robots into starts; ``following`` needs no preparation."""
+        """Move robots to starts; ``following`` needs no preparation."""
         del following
         self.require_open()
         self.require_starts(starts, 0 if self._starts is None else len(self._starts))

@@ -83,7 +83,7 @@ class ServerKind(SimulatorKind):
         """Start n servers, or twice as many with standby servers.
 
         Raises:
-            ValueError: if this machine cannot run so many servers.
+            ValueError: if this machine cannot run this number of servers.
             FileNotFoundError: if the server's program is missing.
             OSError: if containers are asked for and no Docker engine answers.
             naosim.simulator.ServerLostError: if a server does not start.

@@ -35,7 +35,7 @@ RCSSSERVER3D = ServerProgram(
     process_arguments=("--script-path", "{home}/trainer.rb"),
     files={"trainer.rb": SERVER_SCRIPT},
 )
-"""The league's server, and whatever takes the same arguments."""
+"""The league's server, or any program with the same arguments."""
 
 _SERVER_DIGITS = (2, 3)
 
@@ -54,7 +54,7 @@ def server_launcher(digits: int | None = 2) -> Launcher:
     Raises:
         FileNotFoundError: if there is no such program; the message names the variable.
         OSError: if containers are asked for and no Docker engine answers.
-        ValueError: if no server prints so many digits, or a variable is malformed.
+        ValueError: if no server prints this number of digits, or a variable is malformed.
     """
     if digits not in _SERVER_DIGITS:
         raise ValueError(f"sensor_digits: servers send 2 or 3 decimals, not all; use 2 or 3, not {digits}")

@@ -44,7 +44,7 @@ VISION_INTERVAL = 3
 """Cycles from one See to the next."""
 
 SAY_LENGTH = 20
-"""Characters of the longest message that can be heard."""
+"""Maximum length of a message between players, characters."""
 
 Landmark = tuple[str, tuple[float, float, float]]
 
@@ -83,7 +83,7 @@ class ProtocolError(ValueError):
 
 
 def frame(payload: bytes) -> bytes:
-    """Put the length in front of a message."""
+    """Return a message with its length as prefix."""
     return len(payload).to_bytes(4, "big") + payload
 
 

@@ -556,7 +556,7 @@ class Server:
         return list(self._playing)
 
     def enlist(self, agent: Agent) -> None:
-        """Put an agent's robot on the field."""
+        """Place an agent's robot on the field."""
         self._playing.append(agent)
         self.scene_changed()
 

@@ -72,11 +72,11 @@ class Robot:
         self.team, self.side, self.uniform_number = team, side, uniform_number
 
     def beam(self, position: Point, yaw_deg: float) -> None:
-        """Put the robot upright at a place, pose kept, at rest."""
+        """Move the robot to a position, upright and at rest; its pose is kept."""
         self.engine.beam(position, yaw_deg)
 
     def shift(self, position: Point) -> None:
-        """Put the torso's centre at a place without turning the robot; everything comes to rest."""
+        """Move the torso's centre to a position without turning the robot, and set all velocities to 0."""
         bodies = self.engine.truth.bodies
         bodies[0, :, :3] += np.asarray(position) - bodies[0, 0, :3]
         bodies[0, :, 7:] = 0.0

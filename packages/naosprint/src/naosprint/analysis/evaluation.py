@@ -1,7 +1,7 @@
 """Evaluation of a policy: episodes without exploration, and the results that the task defines.
 
 The document of an evaluation, ``evaluation.json``, describes itself: every result has its title, unit, digits and
-meaning, so that whoever shows it needs to know nothing of the task.
+meaning, so that it can be shown without the task.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Plots of a report, as matplotlib figures that belong to no window."""
+"""Plots of a report, as matplotlib figures without a window."""
 
 from __future__ import annotations
 

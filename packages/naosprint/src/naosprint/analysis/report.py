@@ -1,4 +1,4 @@
-"""Reports: what was trained, how it learned, how it runs.
+"""Reports of trainings: specification, learning curves, evaluation, film.
 
 The page is one HTML file that needs nothing else. Beside it are the plots as SVG and PNG, their data as CSV and JSON,
 and the film as MP4 and GIF. Everything shown comes from the evaluation's document and the task's presentation.
@@ -41,8 +41,8 @@ REPORT_FORMAT = 1
 WINDOW_STEPS = 100
 """Steps that plots of gait and joints show: two seconds."""
 
-FILM_STEPS = 1000
-"""Longest film, steps."""
+FILM_STEPS = 1250
+"""Longest film, steps: 25 s, in which a robot at 1.2 m/s reaches the finish line."""
 
 GIF_STEPS = 150
 """Length of the GIF, steps."""
@@ -112,7 +112,7 @@ def write_report(
     steps = len(replay.positions)
     if film:
         begin = _window(steps)[0]
-        write_mp4(replay, directory / "run.mp4", frames=range(min(steps, FILM_STEPS)))
+        write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
     (directory / "report.json").write_text(json.dumps(document, indent=2) + "\n")
@@ -135,12 +135,18 @@ def write_report(
     return page
 
 
+def film_frames(replay: Replay) -> range:
+    """Return the steps of an episode that its film shows."""
+    return range(min(len(replay.positions), FILM_STEPS))
+
+
 def film_caption(replay: Replay) -> str:
-    """Return what a report says below the film of an episode: the same numbers as its last picture."""
+    """Return the caption of the film of an episode: the numbers of its last picture, and how the episode ended."""
     moved = f"{replay.moved_m():.2f} m from the start in {replay.duration_s:.2f} s"
-    caption = f"The median one of the first episodes: {moved}, {(replay.end or 'time limit').lower()}."
-    if len(replay.positions) > FILM_STEPS:
-        caption += f" The film shows the first {FILM_STEPS * STEP_S:.0f} s."
+    caption = f"The median of the first episodes by distance: {moved}, {(replay.end or 'time limit').lower()}."
+    last = film_frames(replay)[-1]
+    if last < len(replay.positions) - 1:
+        caption += f" The film shows the first {last * STEP_S:.2f} s, {replay.moved_m(0, last):.2f} m."
     return f"{caption} Lines on the ground are half a metre apart; the speed is that of the last half second."
 
 
@@ -215,6 +221,8 @@ def _plots(
     if (np.abs(replay.foot_forces) > CONTACT_N).any():
         figure = figures.gait_diagram(left[begin:end], right[begin:end], begin)
         caption = "Foot contacts by the force perceptors, at most two seconds in the middle of the run."
+        if replay.failed:
+            caption += f" The episode ended after {replay.duration_s:.2f} s: {replay.end.lower()}."
         found.append(_Plot("gait", "Gait", caption, figure))
     if paths["joint_angles"].size:
         first, last = _window(len(paths["joint_angles"]))

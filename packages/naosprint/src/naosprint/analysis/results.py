@@ -1,4 +1,4 @@
-"""Reading of evaluation documents, whatever their task."""
+"""Reading of evaluation documents of any task."""
 
 from __future__ import annotations
 

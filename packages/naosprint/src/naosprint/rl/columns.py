@@ -1,4 +1,4 @@
-"""Metrics that every training reports, whatever its task and algorithm."""
+"""Metrics that every training reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a training reports to whoever started it."""
+"""Interface through which a training reports its progress."""
 
 from __future__ import annotations
 

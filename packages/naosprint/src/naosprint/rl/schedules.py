@@ -20,13 +20,13 @@ def remaining(spec: TrainingSpec, steps: int) -> float:
 
 
 def learning_rate(spec: TrainingSpec, steps: int) -> float:
-    """Return the learning rate after so many steps, before it is adapted."""
+    """Return the learning rate after a number of steps, before it is adapted."""
     rate = float(spec.algorithm.learning_rate)
     return rate * max(remaining(spec, steps), 0.0) if spec.algorithm.learning_rate_schedule == "linear" else rate
 
 
 def discount(spec: TrainingSpec, steps: int) -> float:
-    """Return the discount factor after so many steps."""
+    """Return the discount factor after a number of steps."""
     settings = spec.algorithm
     if settings.final_gamma is None or steps < settings.gamma_steps:
         return float(settings.gamma)
@@ -34,7 +34,7 @@ def discount(spec: TrainingSpec, steps: int) -> float:
 
 
 def log_std(spec: TrainingSpec, steps: int) -> float:
-    """Return the log-std of the actions after so many steps, where it is not learned."""
+    """Return the log-std of the actions after a number of steps, if it is not learned."""
     settings = spec.algorithm
     first = float(settings.initial_log_std)
     final = first if settings.final_log_std is None else float(settings.final_log_std)
@@ -43,7 +43,7 @@ def log_std(spec: TrainingSpec, steps: int) -> float:
 
 
 def target_kl(spec: TrainingSpec, steps: int) -> float | None:
-    """Return the target KL divergence after so many steps; None if there is none."""
+    """Return the target KL divergence after a number of steps; None if there is none."""
     first, final = spec.algorithm.target_kl, spec.algorithm.target_kl_final
     if first is None or final is None:
         return None if first is None else float(first)

@@ -245,9 +245,9 @@ EPISODE_METRICS: tuple[Metric, ...] = (
     Metric("reward", "Reward", "", "Sum of an episode's rewards."),
     Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0),
 )
-"""What is measured of an episode whatever the task."""
+"""Metrics of an episode that every task has."""
 
 
 def seconds(steps: FloatArray | IntArray) -> FloatArray:
-    """Return the duration of so many steps in seconds."""
+    """Return the duration of a number of steps in seconds."""
     return np.asarray(steps, dtype=np.float64) * STEP_S

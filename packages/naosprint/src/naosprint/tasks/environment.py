@@ -216,7 +216,7 @@ def open_environment(
         seed: seed of what the task draws; the specification's by default.
 
     Raises:
-        ValueError: if this machine cannot run so many robots; the message says what to change.
+        ValueError: if this machine cannot run this number of robots; the message states what to change.
         FileNotFoundError: if a simulator's program is missing.
     """
     kind = plugins.load(plugins.SIMULATORS, spec.simulator.name)

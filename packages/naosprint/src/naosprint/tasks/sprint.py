@@ -121,7 +121,9 @@ CHALLENGE_SCORE = Metric(
     "run_challenge_score",
     "Run challenge score",
     "",
-    "The league's run challenge: speed in m/s plus fraction of the time with both feet off the ground.",
+    "The league's run challenge: speed in m/s plus fraction of the time with both feet off the ground. The speed is "
+    f"measured from {CHALLENGE_LINE_M} m on; a fall costs {CHALLENGE_PENALTY_M:.0f} m and the whole time of "
+    f"{CHALLENGE_RUN_S:.0f} s. 0 for a robot that gets no further than that.",
     3,
     "higher",
     live=False,
@@ -405,4 +407,6 @@ def _challenge(episodes: Episodes, i: int) -> tuple[float, float, float, float]:
     reached = x[last] - (CHALLENGE_PENALTY_M if fell else 0.0)
     speed = max(reached - CHALLENGE_LINE_M, 0.0) / duration
     off_ground = float(episodes.airborne[i][first : last + 1].mean())
-    return speed + off_ground, speed, off_ground, float(fell)
+    # a robot that runs backwards or jumps on the spot has not run
+    score = speed + off_ground if speed > 0.0 else 0.0
+    return score, speed, off_ground, float(fell)

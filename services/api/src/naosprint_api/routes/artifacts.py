@@ -26,7 +26,7 @@ _FILE: dict[int | str, dict[str, Any]] = {
     **_READ,
     **responses(416),
     200: {"description": "All of the file", "content": {"application/octet-stream": _BYTES}},
-    206: {"description": "The range that was asked for", "content": {"application/octet-stream": _BYTES}},
+    206: {"description": "The requested range", "content": {"application/octet-stream": _BYTES}},
     304: {"description": "The copy with this ETag is still good"},
     307: {"description": "The store serves it at this address"},
 }

@@ -15,7 +15,6 @@ from naojobs.tokens import Principal
 from naosprint_api import queries
 from naosprint_api.dependencies import (
     MAX_BIGINT,
-    PLAIN,
     After,
     IdempotencyKey,
     JobId,
@@ -24,6 +23,7 @@ from naosprint_api.dependencies import (
     ServiceDep,
     Submitter,
 )
+from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import (
     EventPage,
@@ -61,7 +61,7 @@ def job_filter(
         str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
     ] = None,
 ) -> queries.JobFilter:
-    """Return the filter that a query asks for, narrowed to what the token may see."""
+    """Return the filter of a query, restricted to the jobs that the token may see."""
     if not principal.is_admin:
         if owner is not None and owner != principal.owner:
             raise NotFoundError(f"no jobs of {owner} that this token may see; leave `owner` out")
@@ -143,8 +143,8 @@ def list_jobs(
     q: Annotated[
         str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
     ] = None,
-    limit: Annotated[int, Query(ge=1, le=200, description="At most so many.")] = 50,
-    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the page before.")] = None,
+    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
+    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
 ) -> JobPage:
     """List jobs, newest first."""
     wanted = job_filter(principal, state, tag, owner, group, parent, q)
@@ -208,7 +208,12 @@ def get_metrics(
     principal: Reader,
     service: ServiceDep,
     max_points: Annotated[
-        int, Query(ge=2, le=queries.MAX_POINTS, description="Thin the rows to at most so many; the last one stays.")
+        int,
+        Query(
+            ge=2,
+            le=queries.MAX_POINTS,
+            description="Maximum number of rows; others are omitted evenly, except the last.",
+        ),
     ] = queries.MAX_POINTS,
     after_step: Annotated[int, Query(ge=-1, le=MAX_BIGINT, description="Only rows beyond this step.")] = -1,
 ) -> MetricsPublic:
@@ -224,7 +229,7 @@ def get_logs(
     service: ServiceDep,
     after: After = 0,
     limit: Limit = 200,
-    tail: Annotated[bool, Query(description="The last lines instead of those behind `after`.")] = False,
+    tail: Annotated[bool, Query(description="The last lines instead of those after `after`.")] = False,
 ) -> LogPage:
     """Get lines of a job's log, oldest first."""
     queries.visible_job(service.reads, principal, job_id)
@@ -239,7 +244,7 @@ def get_logs(
 def get_events(
     job_id: JobId, principal: Reader, service: ServiceDep, after: After = 0, limit: Limit = 200
 ) -> EventPage:
-    """Get what happened to a job, oldest first."""
+    """Get the history of a job, oldest first."""
     queries.visible_job(service.reads, principal, job_id)
     rows = queries.events_after(service.reads, job_id, after=after, limit=limit)
     return EventPage(items=[event_view(row) for row in rows], next_after=rows[-1].id if rows else None)

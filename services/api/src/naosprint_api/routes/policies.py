@@ -11,13 +11,14 @@ from naojobs.errors import NotFoundError
 from pydantic import BaseModel, Field
 
 from naosprint_api.dependencies import Reader
+from naosprint_api.patterns import POLICY
 from naosprint_api.problems import responses
 
 router = APIRouter(tags=["policies"])
 
 _READ = responses(401, 403, 404, 422, 429, 503)
 
-Name = Annotated[str, Path(pattern="^[a-z0-9-]{1,60}$", description="Name of a bundled policy.")]
+Name = Annotated[str, Path(pattern=POLICY, description="Name of a bundled policy.")]
 
 
 class PolicyCard(BaseModel):

@@ -1,4 +1,4 @@
-"""Live news as server-sent events."""
+"""Streams of server-sent events."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from naojobs.models import Job
 from naojobs.states import ENDED, WorkState
 
 from naosprint_api import queries
-from naosprint_api.dependencies import MAX_BIGINT, PLAIN, Follower, JobId, ServiceDep
+from naosprint_api.dependencies import MAX_BIGINT, Follower, JobId, ServiceDep
+from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
 from naosprint_api.routes.jobs import job_filter
@@ -30,7 +31,9 @@ Kind = Literal["metrics", "log", "event", "state"]
 LastEventId = Annotated[
     str | None,
     Header(
-        alias="Last-Event-ID", max_length=100, description="The last id that was seen; the stream goes on behind it."
+        alias="Last-Event-ID",
+        max_length=100,
+        description="Id of the last message received; the stream continues after it.",
     ),
 ]
 
@@ -50,7 +53,7 @@ def _message(event: str, content: object, identifier: str | None = None) -> byte
 
 
 class EventStream(StreamingResponse):
-    """Sends chunks of whole events, several in one where there are several.
+    """Response in chunks of whole events.
 
     The framework's own way takes each event through two queues, which with many followers is most of what the service
     does.
@@ -82,12 +85,12 @@ async def start_position(
     events_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of an event.")] = 0,
     last_event_id: LastEventId = None,
 ) -> Position:
-    """Return where a follower goes on: behind the last id that it has seen, else where the query says."""
+    """Return where a follower continues: after the last id that it has received, else where the query says."""
     if not last_event_id:
         return Position(metrics_after, logs_after, events_after)
     position = Position.parse(last_event_id)
     if position is None:
-        message = "is not an id of this stream; send the last `id:` as it came, or leave the header out"
+        message = "is not an id of this stream; send the last `id:` received, or omit the header"
         raise ProblemError(422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)])
     return position
 
@@ -98,7 +101,7 @@ async def followed_job(job_id: JobId, principal: Follower, service: ServiceDep) 
 
 
 async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> datetime:
-    """Return the time from which changes of jobs are told."""
+    """Return the time from which changes of jobs are sent."""
     if not last_event_id:
         return await service.feed.in_thread(partial(queries.database_now, service.reads))
     try:
@@ -106,7 +109,7 @@ async def since_of(service: ServiceDep, last_event_id: LastEventId = None) -> da
         if since.tzinfo is None or since.year < 2000:
             raise ValueError
     except ValueError:
-        message = "is not an id of this stream; send the last `id:` as it came, or leave the header out"
+        message = "is not an id of this stream; send the last `id:` received, or omit the header"
         raise ProblemError(
             422, f"Last-Event-ID {message}", [FieldError(field="Last-Event-ID", message=message)]
         ) from None
@@ -139,7 +142,7 @@ async def stream_jobs(
 ) -> EventStream:
     """Follow all jobs: `job` with the whole job whenever one changes, `gone` with the id of one that was deleted.
 
-    The first message, `ready`, says that nothing will be missed from there on. A change may be told twice.
+    The first message, `ready`, means that all later changes are sent. A change may be sent twice.
     """
     return EventStream(_news_of_all(service, wanted, since))
 
@@ -188,7 +191,7 @@ async def stream_job(
 ) -> EventStream:
     """Follow one job: `metrics`, `log`, `event` and `state` messages, then `end` when it has ended.
 
-    Everything from the start is sent unless `Last-Event-ID` or the query say where to go on. When a job resumes from
+    Everything from the start is sent unless `Last-Event-ID` or the query say where to continue. When a job resumes from
     a checkpoint its steps go back: a `metrics` row whose step is not beyond the last one replaces all from there on.
     """
     kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})

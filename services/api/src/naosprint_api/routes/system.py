@@ -26,14 +26,14 @@ Check = Literal["ok", "failed"]
 
 
 class Health(BaseModel):
-    """Says that the process answers."""
+    """Liveness of the process."""
 
     status: Literal["ok"] = "ok"
     version: str = __version__
 
 
 class Readiness(BaseModel):
-    """Says whether the service can do its work."""
+    """Readiness of the service."""
 
     ready: bool
     database: Check
@@ -43,7 +43,7 @@ class Readiness(BaseModel):
 
 
 class Identity(BaseModel):
-    """Says who a token belongs to."""
+    """Owner of a token."""
 
     owner: str
     scopes: list[Scope]
@@ -51,13 +51,13 @@ class Identity(BaseModel):
 
 @router.get("/healthz")
 def health() -> Health:
-    """Say that the process is alive."""
+    """Check that the process is alive."""
     return Health()
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready"}})
 def readiness(service: ServiceDep, response: Response) -> Readiness:
-    """Ask the database, the store and the broker whether they answer."""
+    """Check that the database, the store and the broker answer."""
     database: Check = "failed"
     revision: Check = "failed"
     store: Check = "failed"
@@ -87,7 +87,7 @@ def readiness(service: ServiceDep, response: Response) -> Readiness:
 
 
 def may_read_figures(request: Request, service: ServiceDep) -> None:
-    """Let everybody read the figures if the settings say so, else only admins."""
+    """Allow access to the metrics: to everybody if the settings say so, else to admins."""
     if service.settings.api_metrics_public:
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
@@ -105,14 +105,14 @@ def may_read_figures(request: Request, service: ServiceDep) -> None:
     },
 )
 def figures(request: Request) -> Response:
-    """Get the service's own figures for Prometheus."""
+    """Get the service's metrics for Prometheus."""
     content = service_of(request).telemetry.render()
     return Response(content, media_type="text/plain; version=0.0.4; charset=utf-8")
 
 
 @router.get("/whoami", responses=responses(401, 403, 429, 503))
 def whoami(principal: Reader) -> Identity:
-    """Say who the token belongs to and what it allows."""
+    """Return the token's owner and scopes."""
     return Identity(owner=principal.owner, scopes=sorted(principal.scopes))
 
 

@@ -6,6 +6,16 @@ import { readNpz } from "./npz.js";
 /** Whether this is a document that describes its results; those of version 0.1 do not. */
 export const hasResults = (summary) => Array.isArray(summary?.results);
 
+/**
+ * The evaluation that stands for a job: of the finished ones with the most episodes, the newest. The service's `result` of a job and the command line choose the same.
+ *
+ * @param {object[]} evaluations answer of `GET /jobs/{id}/evaluations`
+ */
+export function representative(evaluations) {
+  const episodes = (e) => e.summary?.episodes ?? 0;
+  return evaluations.filter((e) => e.state === "succeeded").sort((a, b) => episodes(b) - episodes(a) || b.finished_at.localeCompare(a.finished_at))[0] ?? null;
+}
+
 /** Results that the task shows first; all of them if it names none. */
 export function headline(summary) {
   if (!hasResults(summary)) return [];
@@ -85,6 +95,9 @@ export class Paths {
 
   all() { return Array.from({ length: this.count }, (_, i) => this.episode(i)); }
 }
+
+/** What the gait of an episode includes besides running: its fall; null if it did not fall. */
+export const fallNote = (episode, seconds) => (episode.failed ? `ended in a fall after ${seconds} s; the values below include the fall` : null);
 
 /**
  * Describe the gait between two samples: touchdowns per second, share of time on the ground per foot, share in flight, stride length.

@@ -3,9 +3,19 @@
 import { call } from "./api.js";
 import { nameOf } from "./descriptions.js";
 import { confirmDialog, toast } from "./dom.js";
+import { isEnded } from "./states.js";
 
 /** Newest metrics row of a job, or an empty one. */
 export const latest = (job) => job.latest_metrics ?? {};
+
+/** The evaluation that an ended job shows; null for others, which show their training. */
+export const evaluated = (job) => (isEnded(job.state) && job.result) || null;
+
+/** What a job's list and tiles show of a metric: its value from the evaluation, else from training. */
+export function shownMetric(job, metric) {
+  const found = evaluated(job)?.results.find((r) => r.name === metric.name);
+  return found ? { value: found.value, interval: found.interval, training: false } : { value: latest(job)[metric.name], interval: null, training: true };
+}
 
 /** Share of the steps that are done, 0 to 1. */
 export const progress = (job) => (job.total_steps > 0 ? Math.min(1, job.progress_step / job.total_steps) : 0);

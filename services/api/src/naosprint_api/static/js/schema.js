@@ -1,4 +1,4 @@
-/** Read form fields out of a JSON schema and text out of form fields. Knows nothing of any single field. */
+/** Convert a JSON schema to form fields, and form fields to values. Independent of any single field. */
 
 import { words } from "./format.js";
 
@@ -112,12 +112,12 @@ export function seeds(text) {
     const range = /^(\d+)\s*(?:-|–|\.\.)\s*(\d+)$/.exec(part);
     if (range) {
       const [a, b] = [Number(range[1]), Number(range[2])];
-      if (b < a || b - a > 255) throw new Error("A range goes up and holds at most 256 seeds");
+      if (b < a || b - a > 255) throw new Error("A range must be ascending and have at most 256 seeds");
       for (let i = a; i <= b; i++) out.push(i);
     } else if (/^\d+$/.test(part)) out.push(Number(part));
-    else throw new Error("Seeds are whole numbers from 0 on: 0, or 0, 1, 2, or 0-4");
+    else throw new Error("Seeds are whole numbers, for example 0, or 0, 1, 2, or 0-4");
   }
   if (!out.length) throw new Error("Give at least one seed");
-  if (new Set(out).size !== out.length) throw new Error("A seed stands here twice");
+  if (new Set(out).size !== out.length) throw new Error("A seed is given twice");
   return out;
 }

@@ -1,4 +1,4 @@
-/** Several jobs over each other: curves, groups with mean and band, results of their evaluations. */
+/** Comparison of jobs: curves, groups with mean and band, results of their evaluations. */
 
 import { call, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
@@ -11,7 +11,7 @@ import { latest, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
-import { headline, meanProfile, profile } from "../evaluation.js";
+import { headline, meanProfile, profile, representative } from "../evaluation.js";
 import { Figure, resultLines } from "../figures.js";
 import { loading, notice } from "./messages.js";
 import { axisOf } from "./results.js";
@@ -109,16 +109,15 @@ class CompareView {
   async item(id) {
     const path = `jobs/${encodeURIComponent(id)}`;
     const get = (p, params = {}) => call(`${p}${query(params)}`, { signal: this.signal });
-    const [job, metrics, evaluation] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), this.newest(id)]);
+    const [job, metrics, evaluation] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), this.evaluation(id)]);
     const columns = new Columns();
     columns.load(metrics.columns);
     return { job, metrics: columns, evaluation };
   }
 
-  /** The newest evaluation of a job that is done; null without one. */
-  async newest(id) {
-    const evaluations = await call(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal });
-    return evaluations.find((e) => e.state === "succeeded") ?? null;
+  /** The evaluation that stands for a job; null without one. */
+  async evaluation(id) {
+    return representative(await call(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal }));
   }
 
   destroy() {
@@ -195,16 +194,16 @@ class CompareView {
     const results = common(this.items.map(({ evaluation }) => headline(evaluation?.summary))).slice(0, MOST_RESULTS);
     const cells = (item) => {
       const m = latest(item.job), own = this.known.metrics(item.job.spec), found = new Map((item.evaluation?.summary?.results ?? []).map((r) => [r.name, r]));
-      return [compact(item.job.progress_step), ...metrics.map(({ name }) => (own.has(name) ? metricText(own.get(name), m[name]) : "–")), integer(m.steps_per_s), ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–"))];
+      return [compact(item.job.progress_step), ...metrics.map(({ name }) => (own.has(name) ? metricText(own.get(name), m[name]) : "–")), integer(m.steps_per_s), ...(results.length ? [integer(item.evaluation?.summary?.episodes)] : []), ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–"))];
     };
     const heading = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
     const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job))))),
       h("td", null, stateBadge(item.job.state, stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`))), cells(item).map((c) => h("td", { class: "num" }, c)),
-      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Take ${item.job.name} out of the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
+      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Remove ${item.job.name} from the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
     const th = (t) => h("th", { scope: "col", class: "num" }, t);
     fill(this.rows, h("table", null,
-      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: metrics.length + 2, scope: "colgroup", class: "group" }, "Training, latest"), results.length ? h("th", { colspan: results.length, scope: "colgroup", class: "group" }, "Evaluation") : null, h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
-        h("tr", null, ["Steps", ...metrics.map(heading), "Steps/s", ...results.map(heading)].map(th))),
+      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: metrics.length + 2, scope: "colgroup", class: "group" }, "Training, latest episodes with exploration"), results.length ? h("th", { colspan: results.length + 1, scope: "colgroup", class: "group" }, "Evaluation") : null, h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
+        h("tr", null, ["Steps", ...metrics.map(heading), "Steps/s", ...(results.length ? ["Episodes"] : []), ...results.map(heading)].map(th))),
       h("tbody", null, groups.flatMap((g) => g.items.map((item) => row(g, item))))));
   }
 
@@ -281,7 +280,7 @@ class CompareView {
     if (!item) return;
     const ended = item.job.state !== job.state && isEnded(job.state);
     item.job = job;
-    if (ended) this.newest(job.id).then((e) => { item.evaluation = e; this.paintTable(); this.paintEvaluations(); }, () => { /* the next visit shows it */ });
+    if (ended) this.evaluation(job.id).then((e) => { item.evaluation = e; this.paintTable(); this.paintEvaluations(); }, () => { /* the next visit shows it */ });
     const row = latest(job);
     if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
     clearTimeout(this.refresh);

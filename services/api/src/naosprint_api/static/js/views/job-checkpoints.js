@@ -1,4 +1,4 @@
-/** The checkpoints of a job: download, judge, start another job from one. */
+/** The checkpoints of a job: download, evaluate, start another job from one. */
 
 import { call, download } from "../api.js";
 import { fill, h, icon, scroller, setText, toast } from "../dom.js";
@@ -30,7 +30,7 @@ export class CheckpointsTab {
     if (this.gone) return;
     const { job, checkpoints } = this.store;
     if (!checkpoints?.length) {
-      fill(this.root, h("div", { class: "card empty" }, h("h2", null, "No checkpoint yet"), h("p", null, `One is saved every ${integer(job.spec.checkpoint_interval_steps)} steps and at the end. A job that is paused or interrupted continues from its newest.`)));
+      fill(this.root, h("div", { class: "card empty" }, h("h2", null, "No checkpoint yet"), h("p", null, `One is saved every ${integer(job.spec.runtime?.checkpoint_interval_steps)} steps and at the end. A paused or interrupted job resumes from its newest checkpoint.`)));
       return;
     }
     // Rows that are there stay, with what is open in them: checkpoints come in while somebody reads.
@@ -52,20 +52,20 @@ export class CheckpointsTab {
   row(c) {
     const { job } = this.store;
     const all = h("button", { class: "small", onclick: () => fetchInto(all, c.archive_url, `${job.name}-${c.step}.tar`) }, icon("download"), "Download");
-    const judge = h("button", { class: "small", onclick: async () => {
-      judge.disabled = true;
+    const evaluate = h("button", { class: "small", onclick: async () => {
+      evaluate.disabled = true;
       try {
         await call(`${this.store.path}/evaluations`, { method: "POST", body: { checkpoint_id: c.id } });
         toast(`Step ${integer(c.step)} will be evaluated.`);
         this.store.loadEvaluations().catch(() => {});
-      } catch (error) { toast(error.message, "error"); } finally { judge.disabled = false; }
+      } catch (error) { toast(error.message, "error"); } finally { evaluate.disabled = false; }
     } }, "Evaluate");
     const files = h("details", null, h("summary", { class: "muted" }, `${c.files.length} files`), h("ul", { class: "list" }, c.files.map((f) => {
       const get = h("button", { class: "ghost square", "aria-label": `Download ${f.name}`, onclick: () => fetchInto(get, f.url, f.name) }, icon("download"));
       return h("li", null, h("span", { class: "grow mono", title: `sha256 ${f.sha256}` }, f.name), h("span", { class: "muted nowrap" }, bytes(f.size)), get);
     })));
     return h("tr", { "data-checkpoint": c.id }, h("td", { class: "num" }, integer(c.step)), h("td", { class: "num" }, c.attempt), h("td", { class: "nowrap muted", "data-age": true, title: stamp(c.created_at) }, ago(c.created_at)), h("td", { class: "num" }, bytes(c.size)), h("td", null, files),
-      h("td", null, h("div", { class: "row end" }, all, judge, h("a", { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` }, icon("branch"), "Continue in a new job"))));
+      h("td", null, h("div", { class: "row end" }, all, evaluate, h("a", { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` }, icon("branch"), "Continue in a new job"))));
   }
 
   destroy() { this.gone = true; }

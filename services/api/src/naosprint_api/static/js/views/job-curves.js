@@ -15,7 +15,7 @@ export class CurvesTab {
     this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => this.setX(key) }, axis.label));
     const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
     fill(root,
-      h("div", { class: "chart-tools" }, h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range), h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to go back"),
+      h("div", { class: "chart-tools" }, h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range), h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to reset"),
         h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => save(new Blob([store.metrics.csv()], { type: "text/csv" }), `${store.job.name}-metrics.csv`) }, icon("download"), "CSV")),
       this.grid);
     this.build();

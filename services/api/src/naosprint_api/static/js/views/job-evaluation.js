@@ -4,7 +4,7 @@ import { call } from "../api.js";
 import { Chart } from "../charts.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, scroller, toast } from "../dom.js";
-import { gait, Paths } from "../evaluation.js";
+import { fallNote, gait, Paths, representative } from "../evaluation.js";
 import { Figure, field, gaitDiagram, histogram } from "../figures.js";
 import { ago, bytes, fixed, integer, percent, stamp } from "../format.js";
 import { isEnded } from "../states.js";
@@ -47,7 +47,7 @@ export class EvaluationTab {
         h("p", null, !isEnded(job.state) && job.evaluation ? `The final policy will run ${integer(job.evaluation.episodes)} episodes when the training ends. A checkpoint can be evaluated before that.` : checkpoints?.length ? "Run the newest policy over many episodes to measure how well it does its task." : "There is no checkpoint to evaluate."), h("div", { class: "row" }, ask)));
       return;
     }
-    const chosen = evaluations.find((e) => e.id === this.wanted) ?? evaluations.find((e) => e.state === "succeeded") ?? evaluations[0];
+    const chosen = evaluations.find((e) => e.id === this.wanted) ?? representative(evaluations) ?? evaluations[0];
     const key = JSON.stringify([evaluations.map((e) => [e.id, e.state]), chosen.id, Boolean(checkpoints?.length)]);
     if (key === this.key) return;
     this.key = key;
@@ -59,8 +59,8 @@ export class EvaluationTab {
       this.shown = null;
     }
     fill(this.list,
-      evaluations.map((e) => h("a", { class: "button small", href: `#/jobs/${this.store.id}/evaluation/${e.id}`, "aria-current": e === chosen ? "true" : null, title: stamp(e.created_at), "data-evaluation": e.id },
-        h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" || e.state === "cancelled" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", h("span", { class: "muted" }, ago(e.created_at)))),
+      evaluations.map((e) => h("a", { class: "button small", href: `#/jobs/${this.store.id}/evaluation/${e.id}`, "aria-current": e === chosen ? "true" : null, title: stamp(e.created_at), "data-evaluation": e.id, "data-episodes": e.spec.episodes },
+        h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" || e.state === "cancelled" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", `${integer(e.spec.episodes)} episodes`, h("span", { class: "muted" }, ago(e.created_at)))),
       h("span", { style: { flex: 1 } }), again);
     // What is looked at stays as it is while other evaluations come and go.
     const shown = `${chosen.id} ${chosen.state}`;
@@ -92,13 +92,13 @@ export class EvaluationTab {
   async show(evaluation) {
     const { summary } = evaluation, level = levelOf(evaluation.spec);
     const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
-    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Ask for an evaluation with trajectories to see them."));
+    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Run an evaluation with trajectories to see them."));
     fill(this.body,
       hasResults(summary) ? [
         h("div", { class: "stats" }, headlineStats(summary)),
         tableCards(summary, level, (draw) => this.figure(draw)),
         h("details", { class: "card" }, h("summary", null, "All results"), scroller("All results", resultsTable(summary, level))),
-      ] : notice("info", "An earlier version made this evaluation.", "Evaluate the checkpoint again to see its results here."),
+      ] : notice("info", "This evaluation is from an earlier version.", "Evaluate the checkpoint again to see its results here."),
       this.pathBox,
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Files")), h("ul", { class: "list" }, evaluation.files.map((x) => {
         const get = h("button", { class: "small", onclick: () => fetchInto(get, x.url, x.name) }, icon("download"), "Download");
@@ -154,7 +154,8 @@ export class EvaluationTab {
     this.field.redraw();
     this.gait.redraw();
     const g = gait(e, cycle, Math.min(e.samples - 1, Math.round(1 / cycle)));
-    const pairs = [["Steps per second", g.stepRate === null ? "–" : fixed(g.stepRate)], ["Stride length", g.stride === null ? "–" : `${fixed(g.stride)} m`], ["On the ground, left and right", `${percent(g.duty[0], 0)}, ${percent(g.duty[1], 0)}`], ["In flight", percent(g.flight, 0)]];
+    const fell = fallNote(e, fixed(e.seconds));
+    const pairs = [...(fell ? [["Episode", fell]] : []), ["Steps per second", g.stepRate === null ? "–" : fixed(g.stepRate)], ["Stride length", g.stride === null ? "–" : `${fixed(g.stride)} m`], ["On the ground, left and right", `${percent(g.duty[0], 0)}, ${percent(g.duty[1], 0)}`], ["In flight", percent(g.flight, 0)]];
     fill(this.gaitFigures, pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]));
     const t = Array.from({ length: e.samples }, (_, k) => k * cycle);
     // Speed over a quarter of a second: one step of 20 ms shows the sway of the torso more than the run.

@@ -14,7 +14,7 @@ export class HistoryTab {
     this.store = store;
     this.spans = h("div");
     this.list = h("ol", { class: "timeline", tabindex: 0, "aria-label": "Events, newest first" });
-    this.lineage = h("div", null, h("p", { class: "pad muted" }, "Looking up relatives."));
+    this.lineage = h("div", null, h("p", { class: "pad muted" }, "Loading related jobs."));
     fill(root, h("div", { class: "two" },
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Time line")), this.spans, this.list),
       h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Lineage")), this.lineage)));
@@ -64,7 +64,7 @@ export class HistoryTab {
     const node = (job, ...kids) => h("li", null, h("div", { class: "node", "aria-current": job.id === store.id ? "true" : null }, h("a", { href: `#/jobs/${job.id}` }, job.name), stateBadge(job.state), latest(job).speed_mps !== undefined ? h("span", { class: "muted" }, `${fixed(latest(job).speed_mps)} m/s`) : null), kids.length ? h("ul", { class: "tree" }, kids) : null);
     const tree = chain.slice(0, -1).reduceRight((inner, job) => node(job, inner), node(store.job, ...children.map((j) => node(j))));
     fill(this.lineage, h("ul", { class: "tree" }, tree),
-      chain.length === 1 && !children.length ? h("p", { class: "pad muted", style: { "padding-top": 0 } }, "It started from random weights and no other job continues it. “Continue in a new job” on a checkpoint makes a chain.") : null,
+      chain.length === 1 && !children.length ? h("p", { class: "pad muted", style: { "padding-top": 0 } }, "It started from random weights, and no other job starts from its policy. “Continue in a new job” on a checkpoint starts one.") : null,
       group.length ? h("div", { class: "pad" }, h("h3", null, `Group of ${group.length}`), h("p", { class: "muted" }, "Jobs of one sweep."), h("p", { style: { "margin-top": "0.6rem" } }, h("a", { class: "button small", href: `#/compare${query({ group: store.job.group_id })}` }, "Compare the group"))) : null);
   }
 

@@ -29,7 +29,7 @@ export class LogTab {
     this.last = 0;
     this.attempt = null;
     this.box.replaceChildren();
-    if (this.store.logsBefore) this.box.append(h("div", { class: "mark" }, "Earlier lines are left out here; naoctl logs shows them all."));
+    if (this.store.logsBefore) this.box.append(h("div", { class: "mark" }, "Earlier lines are not shown; naoctl logs shows all lines."));
     this.append();
   }
 
@@ -48,7 +48,7 @@ export class LogTab {
     this.box.querySelector(".nothing")?.remove();
     this.box.append(rows);
     while (this.box.childElementCount > 6000) this.box.firstElementChild.remove();
-    if (!this.shown) this.box.append(h("div", { class: "mark nothing" }, this.store.logs.length ? "No line fits this filter." : "Nothing logged yet. Lines appear here as the worker writes them."));
+    if (!this.shown) this.box.append(h("div", { class: "mark nothing" }, this.store.logs.length ? "No line matches this filter." : "Nothing logged yet. Lines appear here as the worker writes them."));
     if (this.follow) this.toEnd();
   }
 

@@ -24,10 +24,10 @@ export class SpecTab {
   draw(known) {
     const { job } = this.store;
     fill(this.training, specList(job.spec, known?.training(job.spec), known ? overrides(job.spec, known.presets, known.families.get(job.spec.robot?.name)) : undefined));
-    fill(this.evaluated, job.evaluation ? specList(job.evaluation, known?.evaluation) : h("p", { class: "muted" }, "The final policy is not evaluated by itself; ask for it under Evaluation."));
+    fill(this.evaluated, job.evaluation ? specList(job.evaluation, known?.evaluation) : h("p", { class: "muted" }, "The final policy is not evaluated automatically; start an evaluation under Evaluation."));
   }
 
   copy() {
-    navigator.clipboard.writeText(this.text).then(() => toast("Copied as JSON."), () => toast("The browser refused the clipboard.", "error"));
+    navigator.clipboard.writeText(this.text).then(() => toast("Copied as JSON."), () => toast("The browser denied access to the clipboard.", "error"));
   }
 }

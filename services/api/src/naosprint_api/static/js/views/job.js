@@ -4,8 +4,8 @@ import { call, query } from "../api.js";
 import { Columns } from "../columns.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
-import { compact, duration, fixed, integer, metricText, percent, shownUnit, stamp, withUnit } from "../format.js";
-import { act, elapsed, latest, progress, remaining, summary } from "../jobs.js";
+import { compact, duration, fixed, integer, intervalText, metricText, percent, shownUnit, stamp, withUnit } from "../format.js";
+import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { loading, notice } from "./messages.js";
@@ -193,14 +193,14 @@ class JobView {
     const job = this.store.job;
     document.title = `${job.name} · naosprint`;
     setText(this.title, job.name);
-    const key = JSON.stringify([job.state, job.cancel_requested, job.pause_requested]);
+    const key = JSON.stringify([job.state, job.cancel_requested, job.pause_requested, job.waiting_reason]);
     if (key !== this.key) {
       this.key = key;
       fill(this.badge, stateBadge(job.state, stateNote(job)));
       const buttons = actionsFor(job).map((a) => h("button", { class: a.danger ? "danger" : null, "data-action": a.name, onclick: () => this.act(a.name) }, icon(a.icon), a.label));
       if (isEnded(job.state)) buttons.push(h("button", { class: "danger", "data-action": "delete", onclick: () => this.act("delete") }, icon("trash"), "Delete"));
       fill(this.actions, h("a", { class: "button", href: `#/submit?from=${job.id}` }, icon("copy"), h("span", { class: "fold-tiny" }, "Submit again")), h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"), buttons);
-      fill(this.trouble, job.error ? h("div", { style: { "margin-top": "1rem" } }, notice(job.state === "failed" ? "error" : "warn", job.state === "failed" ? "The job failed." : "An attempt was lost.", job.error)) : null);
+      fill(this.trouble, job.state === "queued" && job.waiting_reason ? h("div", { style: { "margin-top": "1rem" }, "data-part": "waiting" }, notice("warn", "The job waits.", `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`)) : job.error ? h("div", { style: { "margin-top": "1rem" } }, notice(job.state === "failed" ? "error" : "warn", job.state === "failed" ? "The job failed." : "An attempt was lost.", job.error)) : null);
     }
     const about = JSON.stringify([job.worker, job.owner, job.tags, job.parent_job_id]);
     if (about !== this.about) {
@@ -234,12 +234,13 @@ class JobView {
     this.barFill.style.width = `${share * 100}%`;
     this.barFill.hidden = share === 0;
     for (const metric of this.listed) {
-      const best = metric.better ? this.best(metric) : null;
-      show(s[`metric:${metric.name}`], metricText(metric, m[metric.name]), shownUnit(metric), best !== null ? `best ${withUnit(metric, best)}` : null);
+      const shown = shownMetric(job, metric), best = metric.better && shown.training ? this.best(metric) : null;
+      const note = shown.training ? `in training${best !== null ? `, best ${withUnit(metric, best)}` : ""}` : `${integer(job.result.episodes)} episodes${shown.interval ? `, ${intervalText(metric, shown.interval)}` : ""}`;
+      show(s[`metric:${metric.name}`], metricText(metric, shown.value), shownUnit(metric), note);
     }
     show(s.rate, integer(m.steps_per_s), null, m.collect_s !== undefined && m.learn_s !== undefined ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s` : null);
     const left = remaining(job);
-    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? job.waiting_reason ?? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
+    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
   }
 
   /** The best value of a metric so far; null without one. */

@@ -4,7 +4,7 @@ import { call, query } from "../api.js";
 import { common, descriptions, Descriptions } from "../descriptions.js";
 import { fill, h, icon, isTyping, setText } from "../dom.js";
 import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
-import { act, elapsed, latest, progress, remaining, summary } from "../jobs.js";
+import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
 import { ACTIVE, actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { loading, problem } from "./messages.js";
@@ -52,10 +52,12 @@ class Row {
   }
 
   paintMetrics() {
-    const row = latest(this.job), own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
+    const own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
     this.metrics.forEach(({ name }, i) => {
       const metric = own.get(name);
-      figure(this.cells[i], metric ? metricText(metric, row[name]) : "–", metric ? shownUnit(metric) : "");
+      const shown = metric ? shownMetric(this.job, metric) : null, text = shown ? metricText(metric, shown.value) : "–";
+      figure(this.cells[i], text, metric ? shownUnit(metric) : "", Boolean(shown?.training) && text !== "–");
+      this.cells[i].title = !shown || text === "–" ? "" : shown.training ? "During training, with exploration" : `Evaluation of ${integer(this.job.result.episodes)} episodes`;
     });
   }
 
@@ -94,9 +96,11 @@ class Row {
   }
 }
 
-function figure(cell, text, unit) {
-  if (cell.firstChild?.nodeValue === text) return;
-  fill(cell, text, unit && text !== "–" ? h("span", { class: "unit" }, unit) : null);
+function figure(cell, text, unit, training = false) {
+  const key = `${text}${training}`;
+  if (cell.dataset.key === key) return;
+  cell.dataset.key = key;
+  fill(cell, text, unit && text !== "–" ? h("span", { class: "unit" }, unit) : null, training ? h("span", { class: "unit" }, "training") : null);
 }
 
 class JobsView {
@@ -191,7 +195,7 @@ class JobsView {
     if (!this.rows.size) {
       const filtered = this.filter.state || this.filter.tag || this.filter.q;
       fill(this.box, filtered
-        ? h("div", { class: "empty" }, h("h2", null, "No job fits"), h("p", null, "Nothing matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
+        ? h("div", { class: "empty" }, h("h2", null, "No matching jobs"), h("p", null, "No job matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
         : h("div", { class: "empty" }, h("h2", null, "No jobs yet"), h("p", null, "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores."),
           h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")), h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast"))));
       this.head = null;

@@ -33,7 +33,7 @@ export class Player {
       try {
         this.stage = new Stage(this.view, recording, known.task(task)?.lines ?? []);
       } catch (error) {
-        fill(box, h("div", { class: "pad" }, notice("error", "This browser draws no WebGL.", `Switch hardware acceleration on, or use another browser. (${error.message})`)));
+        fill(box, h("div", { class: "pad" }, notice("error", "This browser does not support WebGL.", `Turn hardware acceleration on, or use another browser. (${error.message})`)));
         return;
       }
       this.frame = 0;

@@ -33,13 +33,13 @@ function cardOf(card) {
 export async function mount(root, { signal }) {
   document.title = "Policies · naosprint";
   const box = h("div");
-  fill(root, h("div", { class: "page-head" }, h("div", { class: "grow" }, h("h1", null, "Policies"), h("p", { class: "soft" }, "Policies that come with naosprint, with their trainings and evaluations."))), box);
+  fill(root, h("div", { class: "page-head" }, h("div", { class: "grow" }, h("h1", null, "Policies"), h("p", { class: "soft" }, "Bundled policies, with their trainings and evaluations."))), box);
   const draw = async () => {
     fill(box, h("div", { class: "card" }, loading("Loading policies")));
     try {
       const cards = await call("policies", { signal });
       fill(box, cards.length ? h("div", { class: "charts" }, cards.map(cardOf))
-        : h("div", { class: "card empty" }, h("h2", null, "No policies are bundled with this version"), h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported just the same."), h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"))));
+        : h("div", { class: "card empty" }, h("h2", null, "No policies are bundled with this version"), h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."), h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"))));
     } catch (error) {
       if (error.name !== "AbortError") fill(box, problem(error, draw));
     }

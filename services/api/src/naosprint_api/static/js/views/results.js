@@ -26,7 +26,7 @@ export function resultsTable(summary, level) {
   const text = (r, v) => (v === null || v === undefined ? NONE : metricText(r, v));
   return h("table", { class: "plain", "data-part": "results" },
     h("thead", null, h("tr", null, head.map((t, i) => h("th", { scope: "col", class: i ? "num" : null }, t)))),
-    h("tbody", null, summary.results.map((r) => h("tr", { title: r.description }, h("th", { scope: "row" }, r.title), h("td", { class: "num" }, withUnit(r, r.value)),
+    h("tbody", null, summary.results.map((r) => h("tr", { title: r.description }, h("th", { scope: "row" }, r.title, r.value === 0 && r.description ? h("div", { class: "muted" }, r.description) : null), h("td", { class: "num" }, withUnit(r, r.value)),
       [intervalText(r, r.interval) ?? NONE, text(r, r.sd), text(r, r.low), text(r, r.high), integer(r.episodes)].map((t) => h("td", { class: "num muted" }, t))))));
 }
 

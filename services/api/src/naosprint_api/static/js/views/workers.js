@@ -18,7 +18,7 @@ export async function mount(root, { signal }) {
         return;
       }
       fill(box, scroller("Workers", h("table", null,
-        h("thead", null, h("tr", null, ["Worker", "State", "Runs", "Works on", "Version", "Up for", "Last seen"].map((t, i) => h("th", { scope: "col", class: i > 4 ? "num" : null }, t)))),
+        h("thead", null, h("tr", null, ["Worker", "State", "Runs", "Jobs", "Version", "Up for", "Last seen"].map((t, i) => h("th", { scope: "col", class: i > 4 ? "num" : null }, t)))),
         h("tbody", null, workers.map((w) => h("tr", null,
           h("td", null, h("div", null, w.host), h("div", { class: "mono muted" }, w.id)),
           h("td", null, h("span", { class: "state", "data-tone": w.alive ? "green" : "red" }, icon(w.alive ? "check" : "close"), w.alive ? "Alive" : "Silent")),

@@ -1,0 +1,85 @@
+"""Help texts: options under headings, all settings on request, a pager for what is longer than the terminal."""
+
+from __future__ import annotations
+
+import pydoc
+import shutil
+import sys
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperOption
+
+#: Heading above the options that have none of their own.
+OPTIONS = "Options"
+#: Widest column of names; a longer name has a line of its own.
+NAMES_WIDTH = 30
+
+
+class SettingsCommand(TyperCommand):
+    """Command with one option per setting; ``--help`` shows the most used, ``--help-all`` all under headings."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options to the formatter, grouped by their headings."""
+        settings = [parameter for parameter in self.params if _heading(parameter)]
+        shortened = any(parameter.hidden for parameter in settings if isinstance(parameter, TyperOption))
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is None:
+                continue
+            heading = "Arguments" if parameter.param_type_name == "argument" else _heading(parameter) or OPTIONS
+            if shortened and _heading(parameter):
+                heading = f"Most used of {len(settings)} settings (--help-all lists all)"
+                record = (record[0], record[1].partition(" [")[0])  # without bounds
+            sections.setdefault(heading, []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records, col_max=NAMES_WIDTH)
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """Return the option ``--help``, which uses a pager."""
+        option = super().get_help_option(ctx)
+        if option is not None:
+            option.callback = _show_help
+        return option
+
+
+def _heading(parameter: Any) -> str | None:
+    """Return the heading of a setting; None for options that are no settings."""
+    heading = getattr(parameter, "rich_help_panel", None)
+    return heading if isinstance(heading, str) else None
+
+
+def reveal(command: Any) -> None:
+    """Make a command's help show the settings that ``--help`` leaves out."""
+    for parameter in command.params:
+        if _heading(parameter):
+            parameter.hidden = False
+
+
+def _show_help(ctx: Any, _option: Any, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        page(ctx.get_help())
+        ctx.exit()
+
+
+def _show_all(ctx: typer.Context, wanted: bool) -> None:
+    if wanted:
+        reveal(ctx.command)
+        page(ctx.get_help())
+        raise typer.Exit
+
+
+HelpAllFlag = Annotated[
+    bool,
+    typer.Option("--help-all", callback=_show_all, is_eager=True, help="Show this message with all settings and exit."),
+]
+
+
+def page(text: str) -> None:
+    """Print a text, through the user's pager if it is longer than the terminal."""
+    if sys.stdout.isatty() and text.count("\n") + 2 > shutil.get_terminal_size().lines:
+        pydoc.pager(text)
+    else:
+        typer.echo(text)

@@ -1,0 +1,32 @@
+"""Patterns of text in requests, and what they allow in words: an error never shows a regular expression."""
+
+from __future__ import annotations
+
+from naojobs.ids import PATTERN
+
+#: The identifier of anything.
+ID = PATTERN
+#: A tag of a job.
+TAG = r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$"
+#: The name of a job.
+NAME = r"^[^\x00-\x1f]*$"
+#: Text without control characters, which Postgres refuses.
+PLAIN = r"^[^\x00-\x1f\x7f]*$"
+#: An idempotency key.
+KEY = r"^[\x21-\x7e]{1,150}$"
+#: The name of a bundled policy.
+POLICY = r"^[a-z0-9-]{1,60}$"
+
+WORDS = {
+    ID: "expected an id such as job_01jd8z6vq9k3m5t7x2c4b6n8pr, as lists show it",
+    TAG: "expected a letter or digit, then letters, digits and ._:/=- (at most 50 characters)",
+    NAME: "expected text without control characters",
+    PLAIN: "expected text without control characters",
+    KEY: "expected 1 to 150 ASCII characters without spaces",
+    POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",
+}
+
+
+def words(pattern: str) -> str:
+    """Return what a pattern allows."""
+    return WORDS.get(pattern, "has characters that are not allowed")

@@ -1,0 +1,48 @@
+"""Patterns of text in requests have words, so that no error shows a regular expression."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.exceptions import RequestValidationError
+from naosprint_api.patterns import WORDS
+from naosprint_api.problems import field_errors
+from naosprint_api.schemas import JobCreate
+from pydantic import ValidationError
+
+OPENAPI = Path(__file__).parent / "openapi.json"
+
+
+def patterns(document: Any) -> Iterator[str]:
+    if isinstance(document, dict):
+        if isinstance(document.get("pattern"), str):
+            yield document["pattern"]
+        for value in document.values():
+            yield from patterns(value)
+    elif isinstance(document, list):
+        for value in document:
+            yield from patterns(value)
+
+
+def test_every_pattern_of_the_api_has_words() -> None:
+    found = set(patterns(json.loads(OPENAPI.read_text())))
+    assert len(found) > 3
+    assert found <= WORDS.keys()
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [({"tags": ["not ok"]}, "tags.0"), ({"name": "a\tb"}, "name"), ({"parent_job_id": "x"}, "parent_job_id")],
+)
+def test_errors_have_no_regular_expression(body: dict[str, Any], field: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        JobCreate.model_validate(body)
+    errors = [{**item, "loc": ("body", *item["loc"])} for item in caught.value.errors()]
+    (error,) = field_errors(RequestValidationError(errors))
+    assert error.field == field
+    assert error.message.startswith("expected ")
+    assert not set("^$[]\\") & set(error.message)
