@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from naojobs import lifecycle, records, submission
+from naojobs.capabilities import Capabilities, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
 from naojobs.models import Event, Job, Metric
@@ -398,7 +399,58 @@ def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClai
             assert left == 0, table
 
 
-def test_resuming_drops_what_will_be_measured_again(sessions: Sessions, running: JobClaim) -> None:
+def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """The checkpoint of step 0 has random weights: it is no policy to start from."""
+    parent = submit()
+    child = submit(parent_job_id=parent.id)
+    claim = lifecycle.claim(sessions, Job, parent.id, "w")
+    assert claim is not None
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    records.record_checkpoint(sessions, claim.lease, step=0, key=f"{parent.id}/0", manifest={"files": []})
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    assert get(sessions, child.id).state is WorkState.QUEUED
+    with sessions() as session:
+        reasons = waiting_reasons(session, [get(sessions, child.id)], stale_s=30)
+    assert reasons == {child.id: f"job {parent.id}, whose policy it starts from, has no trained checkpoint yet"}
+    first = records.record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
+    got = lifecycle.claim(sessions, Job, child.id, "w")
+    assert got is not None
+    assert got.initial_policy is not None
+    assert got.initial_policy.id == first
+
+
+def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """It leaves the queue with the reason, and the next job is claimed in its place."""
+    parent = submit()
+    child = submit(parent_job_id=parent.id, priority=9)
+    lifecycle.request_cancel(sessions, Job, parent.id)
+    other = submit(priority=9)
+    have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    claim = lifecycle.claim_next(sessions, "w", queues=["embedded"], capabilities=have, models=[Job])
+    assert claim is not None
+    assert claim.lease.id == other.id
+    kept = get(sessions, child.id)
+    assert (kept.state, kept.attempt) == (WorkState.FAILED, 0)
+    assert kept.error == f"job {parent.id}, whose policy it starts from, ended without a trained checkpoint"
+
+
+def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
+    sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
+) -> None:
+    parent = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    child = submit(parent_job_id=parent)
+    lifecycle.request_cancel(sessions, Job, child.id)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    lifecycle.delete(sessions, parent)
+    lifecycle.retry(sessions, child.id)
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    kept = get(sessions, child.id)
+    assert kept.state is WorkState.FAILED
+    assert kept.error == "the job whose policy it starts from was deleted"
+
+
+def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessions, running: JobClaim) -> None:
     records.append_metrics(sessions, running.lease, [{"step": step, "reward": 1.0} for step in (10, 20, 30, 40)])
     checkpoint = records.record_checkpoint(
         sessions, running.lease, step=20, key=f"{running.lease.job_id}/20", manifest={"files": []}
@@ -412,7 +464,14 @@ def test_resuming_drops_what_will_be_measured_again(sessions: Sessions, running:
     kept = get(sessions, running.lease.job_id)
     assert (kept.progress_step, kept.latest_metrics["step"]) == (20, 20)
     records.append_metrics(sessions, claim.lease, [{"step": step, "reward": 2.0} for step in (25, 35)])
-    with sessions.begin() as session:
-        rows = session.query(Metric).where(Metric.job_id == running.lease.job_id).order_by(Metric.step).all()
-    assert [(row.step, row.attempt) for row in rows] == [(10, 1), (20, 1), (25, 2), (35, 2)]
+
+    def rows() -> list[tuple[int, int]]:
+        with sessions.begin() as session:
+            found = session.query(Metric).where(Metric.job_id == running.lease.job_id).order_by(Metric.step)
+            return [(row.step, row.attempt) for row in found]
+
+    assert rows() == [(10, 1), (20, 1), (25, 2), (30, 1), (35, 2), (40, 1)]
+    key = f"{running.lease.job_id}/35"
+    records.record_checkpoint(sessions, claim.lease, step=35, key=key, manifest={"files": []})
+    assert rows() == [(10, 1), (20, 1), (25, 2), (35, 2)]
     assert "resumed" in kinds(sessions, running.lease.job_id)

@@ -161,6 +161,33 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
     assert_metrics_whole(shared, job_id)
 
 
+def test_job_without_a_usable_checkpoint_fails_and_keeps_its_metrics(shared: Service) -> None:
+    """Its files are moved away while it is paused; once they are back, a retry resumes where it was."""
+    job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
+    shared.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(shared.sessions, job_id)
+    shared.until_state(job_id, WorkState.PAUSED)
+    known = [row.step for row in shared.metrics(job_id)]
+    newest = shared.checkpoints(job_id)[-1].step
+    folder, aside = shared.artifacts / "jobs" / job_id, shared.folder / "aside"
+    folder.rename(aside)
+
+    lifecycle.resume(shared.sessions, job_id)
+    shared.wake_up(job_id)
+    job = shared.until_state(job_id, WorkState.FAILED)
+    assert f"none of its {len(shared.checkpoints(job_id))} checkpoints can be used" in (job.error or "")
+    assert [row.step for row in shared.metrics(job_id)] == known
+
+    aside.rename(folder)
+    shared.shorten(job_id)
+    lifecycle.retry(shared.sessions, job_id)
+    shared.wake_up(job_id)
+    shared.until_state(job_id, WorkState.SUCCEEDED)
+    resumed = [event.data["step"] for event in shared.events(job_id) if event.kind == "resumed"]
+    assert resumed == [newest]
+    assert_metrics_whole(shared, job_id)
+
+
 def test_only_the_checkpoints_that_are_worth_it_are_kept(service: Service) -> None:
     service.start_worker(NAOSPRINT_WORKER_KEEP_LAST="2", NAOSPRINT_WORKER_KEEP_EVERY="4")
     job_id = service.submit(evaluate=False, total_steps=ROLLOUT * 22, checkpoint_interval_steps=ROLLOUT * 2)

@@ -34,12 +34,10 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "checkpoint_unusable": EventKind(
             "A checkpoint is missing or damaged; the one before it is tried.", ("checkpoint_id", "step")
         ),
-        "started": EventKind(
-            "The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id", "dropped_metrics")
-        ),
+        "started": EventKind("The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id")),
         "resumed": EventKind(
-            "The training resumes from a checkpoint; metrics beyond its step are dropped.",
-            ("step", "checkpoint_id", "dropped_metrics"),
+            "The training resumes from a checkpoint; metrics beyond its step stay until the next checkpoint.",
+            ("step", "checkpoint_id"),
         ),
         "running": EventKind("The training has begun."),
         "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),

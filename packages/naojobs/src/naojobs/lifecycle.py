@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, and_, func, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
-from naojobs.checkpoints import CheckpointRef, newest_checkpoint
+from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
@@ -348,27 +348,34 @@ def claim_next(
 
     Several workers may look at once: each skips the rows that another is claiming.
     """
-    with sessions.begin() as session:
-        found: list[Job | Evaluation] = []
-        for model in models:
-            first = _waiting(model, capabilities).where(model.queue.in_(queues))
-            first = first.order_by(model.priority.desc(), model.queued_at).limit(1)
-            work = session.scalar(first.with_for_update(skip_locked=True))
-            found += [] if work is None else [work]
-        if not found:
-            return None
-        return _take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+    models = tuple(models)
+    while True:
+        with sessions.begin() as session:
+            found: list[Job | Evaluation] = []
+            for model in models:
+                first = _waiting(model, capabilities).where(model.queue.in_(queues))
+                first = first.order_by(model.priority.desc(), model.queued_at).limit(1)
+                work = session.scalar(first.with_for_update(skip_locked=True))
+                found += [] if work is None else [work]
+            if not found:
+                return None
+            taken = _take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+        if taken is not None:  # else it has left the queue, with the reason in its row
+            return taken
 
 
 def _waiting(model: type[Job] | type[Evaluation], capabilities: Capabilities | None) -> Any:
     waiting = select(model).where(model.state == WorkState.QUEUED)
+    if model is Job:
+        waiting = waiting.where(~awaits_policy())
     return waiting if capabilities is None else waiting.where(capabilities.condition(model))
 
 
 def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim | None:
     """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
 
-    Work whose specification this version cannot read fails, and None is returned.
+    Work whose specification this version cannot read fails, as does a job that lacks the policy it starts from; then
+    None is returned.
     """
     try:
         read: type[TrainingSpec] | type[EvaluationSpec] = TrainingSpec if isinstance(work, Job) else EvaluationSpec
@@ -376,11 +383,15 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         final = isinstance(work, Job) and work.evaluation
         evaluation = EvaluationSpec.model_validate(final) if final else None
     except ValidationError as error:
-        work.error = f"the specification does not fit this version: {validation_words(error.errors())}"
-        _change(work, WorkState.FAILED)
-        if isinstance(work, Job):
-            add_event(session, work, "failed", work.error)
+        reason = f"the specification does not fit this version: {validation_words(error.errors())}"
+        _refuse(session, work, reason)
         return None
+    own = parent = None
+    if isinstance(work, Job) and (own := newest_checkpoint(session, work.id)) is None and work.needs_policy:
+        parent = _parent_policy(session, work)
+        if parent is None:
+            _refuse(session, work, _missing_policy(work))
+            return None
     _change(work, WorkState.STARTING)
     work.attempt += 1
     work.lease_owner = worker
@@ -394,15 +405,6 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         assert isinstance(spec, EvaluationSpec)
         return EvaluationClaim(lease, spec, checkpoint, work.time_limit_s)
     add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
-    own, parent = newest_checkpoint(session, work.id), None
-    if own is None and work.parent_checkpoint_id is not None:
-        parent = session.get(Checkpoint, work.parent_checkpoint_id)
-    elif own is None and work.parent_job_id is not None:
-        # From now on this one is the parent, for every attempt: the lock and the reference keep it from being
-        # pruned by the parent job, which may still run.
-        session.execute(select(Job.id).where(Job.id == work.parent_job_id).with_for_update(key_share=True))
-        parent = newest_checkpoint(session, work.parent_job_id)
-        work.parent_checkpoint_id = parent.id if parent is not None else None
     assert isinstance(spec, TrainingSpec)
     return JobClaim(
         lease=lease,
@@ -412,6 +414,36 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         resume_from=CheckpointRef.of(own) if own else None,
         initial_policy=CheckpointRef.of(parent) if parent else None,
     )
+
+
+def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
+    """End queued work that no worker can begin."""
+    work.error = reason
+    _change(work, WorkState.FAILED)
+    if isinstance(work, Job):
+        add_event(session, work, "failed", reason)
+    else:
+        notify(session, work.job_id)  # no event: the job's row is not locked
+
+
+def _parent_policy(session: Session, job: Job) -> Checkpoint | None:
+    """Return the checkpoint whose policy a locked job starts from; none if there is none any more."""
+    if job.parent_checkpoint_id is not None:
+        return session.get(Checkpoint, job.parent_checkpoint_id)
+    if job.parent_job_id is None:
+        return None
+    # From now on this one is the parent, for every attempt: the lock and the reference keep it from being pruned by
+    # the parent job, which may still run.
+    session.execute(select(Job.id).where(Job.id == job.parent_job_id).with_for_update(key_share=True))
+    parent = trained_checkpoint(session, job.parent_job_id)
+    job.parent_checkpoint_id = parent.id if parent is not None else None
+    return parent
+
+
+def _missing_policy(job: Job) -> str:
+    if job.parent_job_id is None:
+        return "the job whose policy it starts from was deleted"
+    return f"job {job.parent_job_id}, whose policy it starts from, ended without a trained checkpoint"
 
 
 def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEASE_S) -> Requests:
@@ -487,15 +519,15 @@ def _settle(
 
 
 def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
-    """Record that a training starts at `step` and drop the metrics beyond it, which will be measured again.
+    """Record that a training starts at `step`.
 
-    Raises LeaseLostError.
+    Metrics beyond it will be measured again; those of earlier attempts stay until a new checkpoint supersedes them
+    (`naojobs.records.write`). Raises LeaseLostError.
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
-        dropped = session.query(Metric).where(Metric.job_id == job.id, Metric.step > step).delete()
         newest = session.scalar(
-            select(Metric).where(Metric.job_id == job.id).order_by(Metric.step.desc()).limit(1),
+            select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
         )
         job.progress_step = step
         job.latest_metrics = newest.values if newest is not None else {}
@@ -505,7 +537,7 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
             job,
             "started" if resumed_from is None else "resumed",
             f"{'starts at' if resumed_from is None else 'resumes from'} step {step}",
-            {"step": step, "checkpoint_id": resumed_from, "dropped_metrics": dropped},
+            {"step": step, "checkpoint_id": resumed_from},
         )
 
 

@@ -140,6 +140,8 @@ class Job(Work, Base):
         ForeignKey("checkpoints.id", ondelete="SET NULL", use_alter=True),
         index=True,
     )
+    #: Whether it was submitted with a parent: it never starts without a policy, even when the parent has been deleted.
+    needs_policy: Mapped[bool] = mapped_column(server_default=text("false"))
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     #: SHA-256 of the request that had the key, to distinguish a repeated request from another one.

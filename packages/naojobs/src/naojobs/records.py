@@ -14,7 +14,7 @@ from datetime import datetime
 from typing import Any
 
 from naospec import EvaluationSpec
-from sqlalchemy import DateTime, bindparam, func, insert, select
+from sqlalchemy import DateTime, bindparam, delete, func, insert, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
 
@@ -85,7 +85,8 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     """Write all records of `batch` for a leased job in one transaction; return the ids of its checkpoints by step.
 
     A repeated call replaces the metrics and keeps the checkpoints that are there. Metrics that are not finite are left
-    out. Raises LeaseLostError.
+    out. A new checkpoint supersedes the metrics that earlier attempts wrote beyond the step at which this one began.
+    Raises LeaseLostError.
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
@@ -177,9 +178,17 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     )
     if new is None:
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
+    _drop_superseded(session, job)
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
+
+
+def _drop_superseded(session: Session, job: Job) -> None:
+    """Delete the metrics of earlier attempts beyond the step at which this one began."""
+    of_job = Metric.job_id == job.id
+    first = select(func.min(Metric.step)).where(of_job, Metric.attempt == job.attempt).scalar_subquery()
+    session.execute(delete(Metric).where(of_job, Metric.attempt < job.attempt, Metric.step >= first))
 
 
 # --- evaluations ------------------------------------------------------------------------------------------------------

@@ -187,6 +187,7 @@ def _submit(
             max_attempts=request.max_attempts,
             parent_job_id=request.parent_job_id,
             parent_checkpoint_id=request.parent_checkpoint_id,
+            needs_policy=request.parent_job_id is not None,
             group_id=group_id,
             idempotency_key=idempotency_key,
             idempotency_digest=digest,

@@ -39,6 +39,10 @@ class StopRequestedError(Exception):
     """Say that the child was asked to stop where it can stop at once."""
 
 
+class CheckpointsUnusableError(Exception):
+    """Failure of a job that has checkpoints of which none can be used."""
+
+
 class StopRequest:
     """Whether this process was asked to stop (SIGTERM, or the worker's death)."""
 
@@ -171,7 +175,7 @@ def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
         return ExitCode.DISK_FULL, Outcome("disk_full", message, text)
     if isinstance(error, TrainingDivergedError):
         return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
-    if isinstance(error, CheckpointError | CorruptArtifactError | MissingArtifactError):
+    if isinstance(error, CheckpointError | CheckpointsUnusableError | CorruptArtifactError | MissingArtifactError):
         return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
     if isinstance(error, (PatienceExhaustedError, StoreError, *DATABASE_TROUBLE)):
         return ExitCode.TRANSIENT, Outcome("service_unavailable", describe(error), text)

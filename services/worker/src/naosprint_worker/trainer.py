@@ -23,7 +23,7 @@ from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import TrainingAssignment
-from naosprint_worker.child_process import Services, StopRequestedError, run_child
+from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode, Outcome
@@ -145,10 +145,19 @@ class Attempt:
     # Start
 
     def _fetch_resume(self) -> tuple[CheckpointRef, Path] | None:
-        """Download the newest checkpoint of this job that is undamaged; record those that are not."""
-        for reference in self._database(
+        """Download the newest checkpoint of this job that is undamaged; record those that are not.
+
+        Returns:
+            The checkpoint and its files; none for a job that has no checkpoint yet.
+
+        Raises:
+            CheckpointsUnusableError: all are damaged or gone. To start again would give up what was trained.
+        """
+        listed = self._database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
-        ):
+        )
+        last: Exception | None = None
+        for reference in listed:
             try:
                 return reference, self._fetch(reference)
             except (CorruptArtifactError, MissingArtifactError) as error:
@@ -157,6 +166,12 @@ class Attempt:
                     f"checkpoint at step {reference.step} cannot be used: {error}",
                     {"checkpoint_id": reference.id, "step": reference.step},
                 )
+                last = last or error
+        if last is not None:
+            raise CheckpointsUnusableError(
+                f"none of its {len(listed)} checkpoints can be used; restore their files and retry the job, or submit "
+                f"a new one; the newest: {last}"
+            )
         return None
 
     def _fetch_initial_policy(self) -> Path | None:
