@@ -152,13 +152,36 @@ def test_s3_server_that_dies_and_comes_back(s3_service: Service, s3_server: S3Se
     lose_the_store(s3_service, s3_server, job_id, 0)
 
 
-def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> None:
-    service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
-    service.artifacts.mkdir(exist_ok=True)
-    (service.artifacts / "jobs").write_text("in the way")
-    job_id = service.submit(total_steps=10**9, max_attempts=1)
-    job = service.until_state(job_id, WorkState.FAILED)
-    assert "storing the checkpoint of step 0: gave up" in (job.error or "")
+def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:
+    """The training continues until its share of the disk is used, then waits; a killed attempt loses nothing of it."""
+    worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5", NAOSPRINT_WORKER_SPOOL_MB="1")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    folder, aside = service.artifacts / "jobs", tmp_path / "aside"
+    folder.rename(aside)
+    folder.write_text("in the way: nothing can be written below this name")
+    service.until(lambda: "the training pauses" in log_text(service, job_id), what="for the training to pause")
+    reached = service.job(job_id).progress_step
+    assert reached > service.checkpoints(job_id)[-1].step + ROLLOUT * 20
+    assert (service.job(job_id).attempt, service.job(job_id).failures) == (1, 0)
+
+    service.until_training(worker).kill()
+    steps = service.shorten(job_id)
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
+    (resumed,) = [event.data for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed == {"step": reached, "checkpoint_id": None}
+    folder.unlink()
+    aside.rename(folder)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    assert job.attempt == 2
+    stored = sorted(service.checkpoints(job_id), key=lambda checkpoint: checkpoint.step)
+    assert [checkpoint.step for checkpoint in stored][:-1] == list(range(0, stored[-2].step + 1, ROLLOUT * 20))
+    for checkpoint in stored:
+        service.store.get_directory(
+            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+        )
+    assert_whole(service, job_id, steps)
+    assert not (service.folder / "work" / "spool").exists()
 
 
 def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Service, worker: WorkerProcess) -> None:

@@ -20,13 +20,14 @@ class CheckpointRef:
     id: str
     job_id: str
     step: int
+    attempt: int
     key: str
     manifest: dict[str, Any]
 
     @classmethod
     def of(cls, row: Checkpoint) -> Self:
         """Return the reference to a row."""
-        return cls(row.id, row.job_id, row.step, row.key, row.manifest)
+        return cls(row.id, row.job_id, row.step, row.attempt, row.key, row.manifest)
 
 
 def newest_first(job_id: str) -> Select[Checkpoint]:

@@ -36,7 +36,8 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         ),
         "started": EventKind("The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id")),
         "resumed": EventKind(
-            "The training resumes from a checkpoint; metrics beyond its step stay until the next checkpoint.",
+            "The training resumes from a checkpoint; metrics beyond its step stay until the next checkpoint. "
+            "`checkpoint_id` is null for one that has not reached the store yet.",
             ("step", "checkpoint_id"),
         ),
         "running": EventKind("The training has begun."),

@@ -519,24 +519,25 @@ def _settle(
 
 
 def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
-    """Record that a training starts at `step`.
+    """Record that a training starts at `step`; with steps done but no `resumed_from` from a file on the worker's disk.
 
     Metrics beyond it will be measured again; those of earlier attempts stay until a new checkpoint supersedes them
     (`naojobs.records.write`). Raises LeaseLostError.
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
+        resumed = resumed_from is not None or step > 0
         newest = session.scalar(
             select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
         )
-        job.progress_step = step
+        job.progress_step = job.began_step = step
         job.latest_metrics = newest.values if newest is not None else {}
         job.updated_at = func.now()
         add_event(
             session,
             job,
-            "started" if resumed_from is None else "resumed",
-            f"{'starts at' if resumed_from is None else 'resumes from'} step {step}",
+            "resumed" if resumed else "started",
+            f"{'resumes from' if resumed else 'starts at'} step {step}",
             {"step": step, "checkpoint_id": resumed_from},
         )
 

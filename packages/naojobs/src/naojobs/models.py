@@ -148,6 +148,8 @@ class Job(Work, Base):
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     progress_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     total_steps: Mapped[int] = mapped_column(BigInteger)
+    #: Step at which the last attempt began.
+    began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
 

@@ -178,7 +178,8 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     )
     if new is None:
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
-    _drop_superseded(session, job)
+    if stored.step > job.began_step:
+        _drop_superseded(session, job)
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
@@ -186,9 +187,8 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
 
 def _drop_superseded(session: Session, job: Job) -> None:
     """Delete the metrics of earlier attempts beyond the step at which this one began."""
-    of_job = Metric.job_id == job.id
-    first = select(func.min(Metric.step)).where(of_job, Metric.attempt == job.attempt).scalar_subquery()
-    session.execute(delete(Metric).where(of_job, Metric.attempt < job.attempt, Metric.step >= first))
+    beyond = (Metric.job_id == job.id, Metric.attempt < job.attempt, Metric.step > job.began_step)
+    session.execute(delete(Metric).where(*beyond))
 
 
 # --- evaluations ------------------------------------------------------------------------------------------------------

@@ -6,8 +6,10 @@ Run as ``python -m naosprint_worker.trainer --workdir FOLDER`` by a worker, with
 from __future__ import annotations
 
 import logging
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -31,10 +33,28 @@ from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
+from naosprint_worker.spool import Entry, Spool, link_or_copy
+from naosprint_worker.supervisor import MIB
 
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
+
+
+#: Share of the grace period in which a stopped training waits for its last records to be stored.
+_FLUSH_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Checkpoint that an attempt resumes from."""
+
+    step: int
+    #: Its id; none if it is not recorded yet.
+    checkpoint_id: str | None
+    folder: Path
+    #: Checkpoints up to this one that the attempt before could not store.
+    waiting: Sequence[Entry] = ()
 
 
 class Attempt:
@@ -46,11 +66,15 @@ class Attempt:
         self._assignment = assignment
         self._lease = assignment.lease
         self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
+        settings = services.settings
+        self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease.job_id, assignment.lease.attempt)
         self._recorder = Recorder(
             self._sink,
-            spool=services.workdir / "spool",
-            flush_s=services.settings.worker_flush_s,
-            patience_s=services.settings.worker_patience_s,
+            spool=self._spool,
+            spool_bytes=settings.worker_spool_mb * MIB,
+            flush_s=settings.worker_flush_s,
+            patience_s=settings.worker_patience_s,
+            stop=services.stop.requested,
         )
 
     def run(self) -> ExitCode:
@@ -61,6 +85,7 @@ class Attempt:
             code = ExitCode.STOPPED
         finally:
             self._recorder.abandon()
+            self._spool.close()
         if code is ExitCode.STOPPED:
             self._services.requeue_if_orphaned(self._lease)
         return code
@@ -69,45 +94,59 @@ class Attempt:
         services, spec, lease = self._services, self._assignment.spec, self._lease
         with services.stop.interruptible():
             train = naosprint.train  # loads PyTorch, which takes a while: still part of starting
-            resume = self._fetch_resume()
-            initial = None if resume else self._fetch_initial_policy()
-            reference, folder = resume or (None, None)
-            if reference is not None:
-                self._recorder.already_stored(reference.step)
+            start = self._fetch_resume()
+            initial = None if start else self._fetch_initial_policy()
+            step, resumed_from = (start.step, start.checkpoint_id) if start else (0, None)
+            if resumed_from is not None:
+                self._recorder.already_stored(step)
             self._database(
-                lambda: lifecycle.begin(
-                    services.sessions,
-                    lease,
-                    step=reference.step if reference else 0,
-                    resumed_from=reference.id if reference else None,
-                ),
+                lambda: lifecycle.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
                 "starting the attempt",
             )
+            for entry in start.waiting if start else ():
+                self._recorder.adopt(entry)
             self._enter(WorkState.RUNNING, "training")
         result = train(
             spec,
             workdir=services.workdir / "training",
             reporter=self._recorder,
-            resume=folder,
+            resume=start.folder if start else None,
             initial_policy=initial,
             stop=lambda: services.stop.requested() or self._recorder.failed,
         )
-        self._recorder.flush(services.settings.worker_patience_s * 2)
-        self._database(self._sink.prune, "removing old checkpoints")
         if result.status == "stopped":
-            Outcome("stopped", f"stopped at step {result.steps}").leave(services.workdir)
-            return ExitCode.STOPPED
+            return self._stopped(result.steps)
+        with services.stop.interruptible():
+            self._recorder.flush()
+        self._database(self._sink.prune, "removing old checkpoints")
         evaluation = self._assignment.evaluation
         if evaluation is not None:
-            checkpoint_id = self._sink.checkpoint_id(result.steps) or (reference.id if reference else None)
+            checkpoint_id = self._sink.checkpoint_id(result.steps) or resumed_from
             if checkpoint_id is None:
                 raise RuntimeError(f"training ended at step {result.steps} without reporting a checkpoint of it")
             if services.stop.requested():
                 raise StopRequestedError
             self._enter(WorkState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
             self._evaluate(result, checkpoint_id, evaluation)
-        self._recorder.close(services.settings.worker_patience_s * 2)
+        with services.stop.interruptible():
+            self._recorder.close()
         return ExitCode.FINISHED
+
+    def _stopped(self, step: int) -> ExitCode:
+        """Record what there is within the grace period; what the store does not take stays for the next attempt."""
+        services = self._services
+        settings = services.settings
+        grace_s = settings.worker_orphan_grace_s if services.stop.orphaned else settings.worker_stop_grace_s
+        message = f"stopped at step {step}"
+        try:
+            self._recorder.flush(_FLUSH_SHARE * grace_s)
+            self._database(self._sink.prune, "removing old checkpoints")
+        except TimeoutError:
+            mib = self._spool.size / MIB
+            message += f"; {mib:.1f} MiB of checkpoints wait on the worker's disk"
+            logger.warning("the store does not answer: %s", message)
+        Outcome("stopped", message).leave(services.workdir)
+        return ExitCode.STOPPED
 
     def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
@@ -144,8 +183,8 @@ class Attempt:
 
     # Start
 
-    def _fetch_resume(self) -> tuple[CheckpointRef, Path] | None:
-        """Download the newest checkpoint of this job that is undamaged; record those that are not.
+    def _fetch_resume(self) -> _Start | None:
+        """Find the newest checkpoint of this job that is undamaged, on this disk or in the store; record damaged ones.
 
         Returns:
             The checkpoint and its files; none for a job that has no checkpoint yet.
@@ -157,9 +196,16 @@ class Attempt:
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
         )
         last: Exception | None = None
+        waiting = self._take_over(listed)
+        if waiting:
+            newest = waiting[-1]
+            # A copy: the entry is deleted once it is in the store.
+            folder = self._services.workdir / "fetched" / newest.folder.name
+            shutil.copytree(newest.checkpoint, folder, copy_function=link_or_copy)
+            return _Start(newest.step, None, folder, waiting)
         for reference in listed:
             try:
-                return reference, self._fetch(reference)
+                return _Start(reference.step, reference.id, self._fetch(reference))
             except (CorruptArtifactError, MissingArtifactError) as error:
                 self._recorder.event(
                     "checkpoint_unusable",
@@ -173,6 +219,29 @@ class Attempt:
                 f"a new one; the newest: {last}"
             )
         return None
+
+    def _take_over(self, recorded: Sequence[CheckpointRef]) -> list[Entry]:
+        """Move what the attempt before has left on this disk into this attempt's spool.
+
+        Only what continues the recorded checkpoints counts: the job may have gone on elsewhere meanwhile.
+        """
+        from naosprint.rl.checkpoint import CheckpointError, verify_checkpoint  # loads NumPy, which is loaded by now
+
+        newest = max((reference.step for reference in recorded), default=-1)
+        attempt = max((reference.attempt for reference in recorded), default=0)
+        taken = []
+        for entry in self._spool.left_by_others(attempt):
+            if entry.step <= newest:
+                continue
+            try:
+                verify_checkpoint(entry.checkpoint)
+                taken.append(self._spool.adopt(entry))
+            except (CheckpointError, OSError) as error:
+                message = f"checkpoint at step {entry.step} on the worker's disk cannot be used: {error}"
+                self._recorder.event("checkpoint_unusable", message, {"step": entry.step})
+                break  # what comes behind it would lack its metrics
+        self._spool.discard_others()
+        return taken
 
     def _fetch_initial_policy(self) -> Path | None:
         reference = self._assignment.initial_policy
