@@ -131,6 +131,52 @@ def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(
     assert retried.finished_at is None
 
 
+def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """Failures count while nothing is gained: a checkpoint of a step that was reached before is no progress."""
+    job = submit(max_attempts=2)
+    for round_, (step, failures) in enumerate(((0, 1), (0, 2))):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        key = f"{job.id}/{round_}"
+        records.record_checkpoint(sessions, claim.lease, step=step, key=key, manifest={"files": []})
+        state = lifecycle.lose(sessions, claim.lease, "the trainer died")
+        assert get(sessions, job.id).failures == failures
+    assert state is WorkState.FAILED
+    lifecycle.retry(sessions, job.id)
+    for step in (10, 20, 30):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        records.record_checkpoint(sessions, claim.lease, step=step, key=f"{job.id}/{step}", manifest={"files": []})
+        assert lifecycle.lose(sessions, claim.lease, "the trainer died") is WorkState.QUEUED
+        assert get(sessions, job.id).failures == 1
+
+
+def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    job = submit(max_attempts=1)
+    for delay_s in (5.0, 10.0, 20.0):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.QUEUED
+        assert lifecycle.claim(sessions, Job, job.id, "w") is None, "not yet"
+        with sessions() as session:
+            kept = session.get_one(Job, job.id)
+            event = session.query(Event).where(Event.job_id == job.id).order_by(Event.id.desc()).limit(1).one()
+            reason = waiting_reasons(session, [kept], stale_s=30)[job.id]
+        assert (kept.failures, event.data["delay_s"]) == (0, delay_s)
+        assert reason.startswith("the next attempt begins in")
+        assert reason.endswith("the last one ended: no Docker")
+        with sessions.begin() as session:
+            session.execute(text("UPDATE jobs SET not_before = now() WHERE id = :id"), {"id": job.id})
+    claim = lifecycle.claim(sessions, Job, job.id, "w")
+    assert claim is not None
+    lifecycle.request_cancel(sessions, Job, job.id)
+    assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
+    lifecycle.retry(sessions, job.id)
+    assert get(sessions, job.id).postponed == 0
+
+
 def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[..., Job]) -> None:
     jobs = [submit() for _ in range(10)]
     for job in jobs:

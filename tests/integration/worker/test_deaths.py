@@ -7,7 +7,7 @@ import signal
 
 import psutil
 from naojobs import lifecycle, registry
-from naojobs.models import Evaluation
+from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from sqlalchemy import select
 
@@ -43,8 +43,11 @@ def wait_gone(process: psutil.Process) -> None:
 
 
 def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
-    """Once it goes on by itself, the second time is once too often, and a retry goes on all the same."""
+    """Once it goes on by itself; the second time without a new checkpoint is once too often, and a retry goes on."""
     job_id = start_job(service, max_attempts=2)
+    with service.sessions.begin() as session:  # of the next attempt: no checkpoint before its end
+        job = session.get_one(Job, job_id, with_for_update=True)
+        job.spec = {**job.spec, "runtime": {**job.spec["runtime"], "checkpoint_interval_steps": 10**9}}
     service.until_training(worker).kill()
     service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
     assert any("signal 9 (SIGKILL)" in event.message for event in service.events(job_id))

@@ -82,6 +82,11 @@ def waiting_reasons(session: Session, work: Iterable[Work], *, stale_s: float) -
         else f"job {parents[item.id]}, whose policy it starts from, has no trained checkpoint yet"
         for item in queued
     }
+    now = session.scalar(select(func.now()))
+    for item in queued:
+        if item.not_before is not None and now is not None and item.not_before > now:
+            left_s = (item.not_before - now).total_seconds()
+            reasons[item.id] = f"the next attempt begins in {left_s:.0f} s; the last one ended: {item.error}"
     return {work_id: reason for work_id, reason in reasons.items() if reason is not None}
 
 

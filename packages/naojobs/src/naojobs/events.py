@@ -21,8 +21,8 @@ class EventKind:
 EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
     {
         "queued": EventKind(
-            "The job waits for a worker: it was submitted, resumed, retried, or requeued after a lost attempt.",
-            ("owner", "reason", "failures"),
+            "The job waits for a worker: it was submitted, resumed, retried, or requeued after an attempt.",
+            ("owner", "reason", "failures", "delay_s"),
         ),
         "notification_failed": EventKind(
             "The broker took no wake-up message; the job waits until a free worker polls the queue.", ("error",)
@@ -49,7 +49,7 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "evaluating": EventKind("The training is over; its policy is being evaluated."),
         "evaluation": EventKind(
             "An evaluation has a new state, or its end was requested.",
-            ("evaluation_id", "state", "reason", "failures"),
+            ("evaluation_id", "state", "reason", "failures", "delay_s"),
         ),
         "succeeded": EventKind("The job has ended with all results recorded."),
         "failed": EventKind(

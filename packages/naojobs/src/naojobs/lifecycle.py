@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, TypeVar, cast, overload
 
 from naospec import EvaluationSpec, TrainingSpec, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, and_, func, select, update
+from sqlalchemy import ColumnElement, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
@@ -24,6 +24,9 @@ from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
+
+#: Seconds until the next attempt after one that a service was away for, doubled with each in a row up to the longest.
+POSTPONE_S, LONGEST_POSTPONE_S = 5.0, 300.0
 
 #: Seconds after a heartbeat at which a lease expires.
 DEFAULT_LEASE_S = 30.0
@@ -106,6 +109,7 @@ def _change(work: Job | Evaluation, target: WorkState) -> None:
     if target is WorkState.QUEUED:
         work.queued_at = func.now()
         work.finished_at = None
+        work.not_before = None
     if target in ENDED:
         work.finished_at = func.now()
         work.cancel_requested = False
@@ -269,7 +273,7 @@ def retry(sessions: Sessions, job_id: str) -> Job:
             hint = "use resume" if job.state is WorkState.PAUSED else "submit a new job to train again"
             raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
         _change(job, WorkState.QUEUED)
-        job.failures = 0
+        job.failures = job.postponed = 0
         job.error = None
         add_event(session, job, "queued", "retried by a user")
         session.flush()
@@ -365,7 +369,8 @@ def claim_next(
 
 
 def _waiting(model: type[Job] | type[Evaluation], capabilities: Capabilities | None) -> Any:
-    waiting = select(model).where(model.state == WorkState.QUEUED)
+    due = or_(model.not_before.is_(None), model.not_before <= func.now())
+    waiting = select(model).where(model.state == WorkState.QUEUED, due)
     if model is Job:
         waiting = waiting.where(~awaits_policy())
     return waiting if capabilities is None else waiting.where(capabilities.condition(model))
@@ -486,7 +491,7 @@ def transition(
     """Change the state of leased work to `target`; return the state it had.
 
     The lease ends with every state outside `LEASED`. Use it with `queued` to requeue work without counting a failure
-    (a worker that shuts down); after a lost child process use `lose`.
+    (a worker that shuts down); after a lost child process use `lose`, after a service that was away `postpone`.
 
     Raises LeaseLostError, and ConflictError if the table of transitions does not allow it.
     """
@@ -514,7 +519,7 @@ def _settle(
         work.error = error
     elif target is WorkState.SUCCEEDED:
         work.error = None
-        work.failures = 0
+        work.failures = work.postponed = 0
     add_event(session, work, str(target), message or error or f"{source} -> {target}", data)
 
 
@@ -551,13 +556,28 @@ def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
         return _lose(session, hold(session, lease), reason)
 
 
-def _lose(session: Session, work: Job | Evaluation, reason: str) -> WorkState:
-    work.failures += 1
+def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
+    """Queue work again whose attempt ended because a service was away; return the new state.
+
+    It counts no failed attempt. The next attempt begins after a delay, which grows while attempts end in this way.
+    Work that a user asked to cancel or pause ends that way instead. Raises LeaseLostError.
+    """
+    with sessions.begin() as session:
+        return _lose(session, hold(session, lease), reason, counts=False)
+
+
+def _lose(session: Session, work: Job | Evaluation, reason: str, *, counts: bool = True) -> WorkState:
+    work.failures += counts
     error = reason
+    delay_s = None
     if work.cancel_requested:
         target, message = WorkState.CANCELLED, f"{reason}; cancelled as requested"
     elif work.state is WorkState.PAUSING:
         target, message = WorkState.PAUSED, f"{reason}; paused as requested, at its last checkpoint"
+    elif not counts:
+        delay_s = min(POSTPONE_S * 2**work.postponed, LONGEST_POSTPONE_S)
+        work.postponed = min(work.postponed + 1, 30)
+        target, message = WorkState.QUEUED, f"{reason}; queued again, the next attempt begins in {delay_s:.0f} s"
     elif work.failures >= work.max_attempts:
         target = WorkState.FAILED
         error = message = f"{reason}; that was attempt {work.failures} of {work.max_attempts}"
@@ -565,7 +585,11 @@ def _lose(session: Session, work: Job | Evaluation, reason: str) -> WorkState:
         target = WorkState.QUEUED
         message = f"{reason}; queued again after attempt {work.failures} of {work.max_attempts}"
     data = {"reason": reason, "failures": work.failures}
+    if delay_s is not None:
+        data["delay_s"] = delay_s
     _settle(session, work, target, message=message, error=error, data=data)
+    if delay_s is not None:
+        work.not_before = func.now() + timedelta(seconds=delay_s)
     return target
 
 

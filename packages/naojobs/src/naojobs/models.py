@@ -106,8 +106,11 @@ class Work:
     )
     #: Number of claims. It never decreases: it fences off the writes of a worker that lost its lease.
     attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Number of attempts that ended by a lost worker or child process since the last submit or retry.
+    #: Number of attempts that ended by a lost worker or child process since the last submit, retry or new checkpoint.
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    #: Number of attempts in a row that ended because a service was away, and when the next one may begin.
+    postponed: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    not_before: Mapped[datetime | None]
     #: Number of failures at which the work fails for good.
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
     lease_owner: Mapped[str | None] = mapped_column(String(200))

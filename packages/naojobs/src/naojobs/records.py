@@ -170,6 +170,7 @@ def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
 
 def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> str:
     same = {"job_id": job.id, "step": stored.step, "attempt": job.attempt}
+    furthest = session.scalar(select(func.max(Checkpoint.step)).where(Checkpoint.job_id == job.id))
     new: str | None = session.scalar(
         upsert(Checkpoint)
         .values(id=new_id("ckpt"), key=stored.key, manifest=dict(stored.manifest), **same)
@@ -180,6 +181,8 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
     if stored.step > job.began_step:
         _drop_superseded(session, job)
+    if furthest is None or stored.step > furthest:  # the attempts until now were worth something
+        job.failures = job.postponed = 0
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
@@ -259,6 +262,12 @@ def job_name(sessions: Sessions, job_id: str) -> str:
     """Return a job's name."""
     with sessions() as session:
         return session.execute(select(Job.name).where(Job.id == job_id)).scalar_one()
+
+
+def metrics_steps(sessions: Sessions, job_id: str) -> set[int]:
+    """Return the steps of a job's rows of metrics."""
+    with sessions() as session:
+        return set(session.scalars(select(Metric.step).where(Metric.job_id == job_id)))
 
 
 def metrics_until(sessions: Sessions, job_id: str, step: int) -> Iterator[dict[str, Any]]:

@@ -22,10 +22,12 @@ from naojobs.database import Sessions, make_sessions
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Lease
 from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, MissingArtifactError, StoreError
+from naosim.launchers import LauncherUnavailableError
+from naosim.simulator import ServerLostError, ServersUnavailableError
 
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
-from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
@@ -177,9 +179,16 @@ def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
         return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
     if isinstance(error, CheckpointError | CheckpointsUnusableError | CorruptArtifactError | MissingArtifactError):
         return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
-    if isinstance(error, (PatienceExhaustedError, StoreError, *DATABASE_TROUBLE)):
-        return ExitCode.TRANSIENT, Outcome("service_unavailable", describe(error), text)
-    if isinstance(error, OSError | MemoryError):
+    away: tuple[type[Exception], ...] = (
+        PatienceExhaustedError,
+        StoreError,
+        LauncherUnavailableError,
+        ServersUnavailableError,
+        *DATABASE_TROUBLE,
+    )
+    if isinstance(error, away):
+        return ExitCode.TRANSIENT, Outcome(SERVICE_UNAVAILABLE, describe(error), text)
+    if isinstance(error, OSError | MemoryError | ServerLostError):
         return ExitCode.TRANSIENT, Outcome("system", describe(error), text)
     return ExitCode.PERMANENT, Outcome("error", describe(error), text)
 

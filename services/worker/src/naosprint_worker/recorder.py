@@ -8,7 +8,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -141,10 +141,14 @@ class Recorder:
         """Take no checkpoint of ``step``: it is the one that the training resumed from."""
         self._taken.add(step)
 
-    def adopt(self, entry: Entry) -> None:
-        """Record a checkpoint that an earlier attempt has left, which is in this attempt's spool now."""
+    def adopt(self, entry: Entry, known: Collection[int] = ()) -> None:
+        """Record a checkpoint that an earlier attempt has left, which is in this attempt's spool now.
+
+        Its metrics of ``known`` steps are left out: they were recorded after all.
+        """
         for row in entry.metrics():
-            self._put(row)
+            if row.step not in known:
+                self._put(row)
         self._taken.add(entry.step)
         self._enqueue(entry)
 

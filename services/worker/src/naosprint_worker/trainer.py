@@ -103,8 +103,12 @@ class Attempt:
                 lambda: lifecycle.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
                 "starting the attempt",
             )
-            for entry in start.waiting if start else ():
-                self._recorder.adopt(entry)
+            if start and start.waiting:
+                known = self._database(
+                    lambda: records.metrics_steps(services.sessions, lease.job_id), "listing the metrics"
+                )
+                for entry in start.waiting:
+                    self._recorder.adopt(entry, known)
             self._enter(WorkState.RUNNING, "training")
         result = train(
             spec,
