@@ -31,6 +31,8 @@ MANIFEST_NAME = "manifest.json"
 ARTIFACTS = "jobs"
 #: Below it lie the files with which a store is tried out.
 PROBES = "probes"
+#: Seconds for which a store may be silent, and for which a request that it refuses is repeated.
+DEFAULT_DEADLINE_S = 60.0
 _CHUNK_BYTES = 1 << 20
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
 
@@ -152,8 +154,11 @@ class ArtifactStore:
         self._store = store
 
     @classmethod
-    def from_settings(cls, settings: ServiceSettings) -> Self:
-        """Open the store that the settings name; makes the folder of a local one."""
+    def from_settings(cls, settings: ServiceSettings, *, deadline_s: float = DEFAULT_DEADLINE_S) -> Self:
+        """Open the store that the settings name; makes the folder of a local one.
+
+        A store that is silent for ``deadline_s`` seconds fails, as does one that refuses for longer.
+        """
         parts = urlsplit(settings.artifact_url)
         if parts.scheme == "file":
             return cls(LocalStore(unquote(parts.path), mkdir=True, automatic_cleanup=True))
@@ -170,9 +175,10 @@ class ArtifactStore:
             client_options={
                 "allow_http": (settings.s3_endpoint or "").startswith("http://"),
                 "timeout": timedelta(minutes=10),
-                "connect_timeout": timedelta(seconds=5),
+                "connect_timeout": timedelta(seconds=min(5.0, deadline_s)),
+                "read_timeout": timedelta(seconds=deadline_s),
             },
-            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=30)},
+            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=min(30.0, deadline_s))},
             **options,
         )
         return cls(store)
