@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -12,11 +12,11 @@ from naojobs import lifecycle, records, submission
 from naojobs.capabilities import Capabilities, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
-from naojobs.models import Event, Job, Metric
+from naojobs.models import Evaluation, Event, Job, Metric
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
-from sqlalchemy import text
+from sqlalchemy import event, text
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -175,6 +175,89 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
     assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
     lifecycle.retry(sessions, job.id)
     assert get(sessions, job.id).postponed == 0
+
+
+class Intruder:
+    """Another user's action, started in the middle of a deletion, once its rows are locked and before they go."""
+
+    def __init__(self, sessions: Sessions, action: Callable[[], object]) -> None:
+        self._sessions = sessions
+        self._action = action
+        self._pool = ThreadPoolExecutor(1)
+        self.result: Future[object] | None = None
+        #: The same database, with the intrusion into the first flush.
+        self.watched: Sessions = sessionmaker(sessions.kw["bind"], expire_on_commit=False)
+        event.listen(self.watched, "before_flush", self._intrude, once=True)
+
+    def _intrude(self, *_: object) -> None:
+        self.result = self._pool.submit(self._action)
+        waiting = (
+            "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'"
+        )
+        while not self.result.done():
+            with self._sessions() as session:
+                if session.scalar(text(waiting)):
+                    return
+
+    def error(self) -> BaseException | None:
+        """Return what the action raised, once it has ended."""
+        assert self.result is not None
+        return self.result.exception(30)
+
+
+def test_deleting_a_job_whose_child_is_claimed_meanwhile_deadlocks_nobody(
+    sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
+) -> None:
+    parent = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    child = submit(parent_job_id=parent)
+    lifecycle.request_cancel(sessions, Job, child.id)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+
+    def retry_and_claim() -> None:
+        lifecycle.retry(sessions, child.id)
+        lifecycle.claim(sessions, Job, child.id, "w")
+
+    intruder = Intruder(sessions, retry_and_claim)
+    lifecycle.delete(intruder.watched, parent)
+    assert intruder.error() is None
+    assert get(sessions, child.id).error == "the job whose policy it starts from was deleted"
+
+
+def test_deleting_a_job_whose_evaluation_ends_meanwhile_deadlocks_nobody(sessions: Sessions, running: JobClaim) -> None:
+    job_id = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
+    evaluation = submission.request_evaluation(sessions, job_id)
+    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    intruder = Intruder(sessions, lambda: lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED))
+    lifecycle.delete(intruder.watched, job_id)
+    assert isinstance(intruder.error(), LeaseLostError)
+
+
+def test_a_training_that_begins_is_recorded_once(sessions: Sessions, running: JobClaim) -> None:
+    """The first commit may have succeeded although its answer was lost."""
+    lifecycle.begin(sessions, running.lease, step=0)
+    assert kinds(sessions, running.lease.job_id).count("started") == 1
+
+
+def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    old = submit()
+    spec = '{"task": "sprint2", "robot": "nao-3", "simulator": "rcssserver3d", "n_envs": 8}'
+    with sessions.begin() as session:
+        session.execute(
+            text("UPDATE jobs SET spec = cast(:spec AS jsonb) WHERE id = :id"), {"spec": spec, "id": old.id}
+        )
+    with pytest.raises(InvalidError, match="this one cannot read"):
+        submission.submit(sessions, JobRequest(parent_job_id=old.id), owner="alice")
+    assert lifecycle.claim(sessions, Job, old.id, "w") is None
+    kept = get(sessions, old.id)
+    assert kept.state is WorkState.FAILED
+    assert "does not fit this version" in (kept.error or "")
 
 
 def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[..., Job]) -> None:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
-from naospec import EvaluationSpec, TrainingSpec, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, and_, func, or_, select, update
+from sqlalchemy import ColumnElement, Select, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
@@ -287,6 +287,8 @@ def delete(sessions: Sessions, job_id: str) -> None:
     Raises NotFoundError, and ConflictError if the job is open, or if an open job starts from its policy.
     """
     with sessions.begin() as session:
+        # Children before their parent, as a claim locks them: the deletion changes their rows, too.
+        session.execute(select(Job.id).where(Job.parent_job_id == job_id).order_by(Job.id).with_for_update())
         job = _known(session, Job, job_id)
         if job.state not in ENDED:
             raise ConflictError(f"job {job_id} is {job.state}; cancel it first")
@@ -387,8 +389,9 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         spec = read.model_validate(work.spec)
         final = isinstance(work, Job) and work.evaluation
         evaluation = EvaluationSpec.model_validate(final) if final else None
-    except ValidationError as error:
-        reason = f"the specification does not fit this version: {validation_words(error.errors())}"
+    except (ValidationError, plugins.BrokenPluginError) as error:
+        words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
+        reason = f"the specification does not fit this version: {words}"
         _refuse(session, work, reason)
         return None
     own = parent = None
@@ -523,6 +526,11 @@ def _settle(
     add_event(session, work, str(target), message or error or f"{source} -> {target}", data)
 
 
+def _same_event(job: Job, kind: str, data: Mapping[str, Any]) -> Select[int]:
+    same = (Event.job_id == job.id, Event.attempt == job.attempt, Event.kind == kind, Event.data == data)
+    return select(Event.id).where(*same).limit(1)
+
+
 def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
     """Record that a training starts at `step`; with steps done but no `resumed_from` from a file on the worker's disk.
 
@@ -531,7 +539,10 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
-        resumed = resumed_from is not None or step > 0
+        kind = "resumed" if resumed_from is not None or step > 0 else "started"
+        data = {"step": step, "checkpoint_id": resumed_from}
+        if session.scalar(_same_event(job, kind, data)) is not None:
+            return  # a commit that seemed to fail did not
         newest = session.scalar(
             select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
         )
@@ -541,9 +552,9 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
         add_event(
             session,
             job,
-            "resumed" if resumed else "started",
-            f"{'resumes from' if resumed else 'starts at'} step {step}",
-            {"step": step, "checkpoint_id": resumed_from},
+            kind,
+            f"{'resumes from' if kind == 'resumed' else 'starts at'} step {step}",
+            data,
         )
 
 

@@ -153,6 +153,8 @@ class Job(Work, Base):
     total_steps: Mapped[int] = mapped_column(BigInteger)
     #: Step at which the last attempt began.
     began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    #: Id of the last batch of records, so that one that is written again adds nothing twice.
+    last_batch: Mapped[str | None] = mapped_column(String(64))
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
 

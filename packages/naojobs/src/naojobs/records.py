@@ -8,6 +8,7 @@ read misses nothing.
 from __future__ import annotations
 
 import math
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
@@ -75,6 +76,8 @@ class Batch:
     logs: list[LogLine] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
     checkpoints: list[StoredCheckpoint] = field(default_factory=list)
+    #: Distinguishes a repeated write, whose first commit may have succeeded unnoticed, from another batch.
+    id: str = field(default_factory=lambda: secrets.token_hex(8))
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -84,7 +87,8 @@ class Batch:
 def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     """Write all records of `batch` for a leased job in one transaction; return the ids of its checkpoints by step.
 
-    A repeated call replaces the metrics and keeps the checkpoints that are there. Metrics that are not finite are left
+    A repeated call replaces the metrics, keeps the checkpoints that are there and adds no log line or event again, if
+    no other batch was written in between. Metrics that are not finite are left
     out. A new checkpoint supersedes the metrics that earlier attempts wrote beyond the step at which this one began.
     Raises LeaseLostError.
     """
@@ -92,9 +96,10 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
         job = hold_job(session, lease)
         if batch.metrics:
             _write_metrics(session, job, batch.metrics)
-        if batch.logs:
+        repeated, job.last_batch = job.last_batch == batch.id, batch.id
+        if batch.logs and not repeated:
             session.execute(_INSERT_LOG, [_log_row(job, line) for line in batch.logs])
-        for event in batch.events:
+        for event in batch.events if not repeated else ():
             add_event(session, job, event.kind, event.message, event.data)
         ids = {stored.step: _write_checkpoint(session, job, stored) for stored in batch.checkpoints}
         notify(session, job.id)

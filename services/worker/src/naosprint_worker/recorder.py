@@ -89,6 +89,7 @@ class Recorder:
         self._spooled_step = -1
         self._writing = False
         self._uploading = False
+        self._reported = False
         self._dropped = 0
         self._hurry = False
         self._closed = False
@@ -106,6 +107,7 @@ class Recorder:
 
     def metrics(self, row: dict[str, float]) -> None:
         """Record the metrics of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
+        self._reported = True
         values = {key: float(value) for key, value in row.items() if math.isfinite(value)}
         missing = sorted(row.keys() - values.keys())
         if missing:
@@ -119,6 +121,7 @@ class Recorder:
         """
         if step in self._taken:
             return  # a step is stored once in an attempt
+        self._reported = True
         self._taken.add(step)
         with self._changed:
             waiting = [*self._batch.metrics, *(row for row in self._rows if isinstance(row, MetricsRow))]
@@ -141,6 +144,10 @@ class Recorder:
         """Take no checkpoint of ``step``: it is the one that the training resumed from."""
         self._taken.add(step)
 
+    def not_stored(self, step: int) -> None:
+        """Take a checkpoint of ``step`` after all: the one that is stored cannot be resumed from."""
+        self._taken.discard(step)
+
     def adopt(self, entry: Entry, known: Collection[int] = ()) -> None:
         """Record a checkpoint that an earlier attempt has left, which is in this attempt's spool now.
 
@@ -155,6 +162,11 @@ class Recorder:
     def event(self, kind: str, message: str, data: Mapping[str, object] | None = None) -> None:
         """Record an event of the attempt."""
         self._put(EventRecord(kind, message, data or {}))
+
+    @property
+    def reported(self) -> bool:
+        """Whether a training has reported metrics or a checkpoint."""
+        return self._reported
 
     @property
     def failed(self) -> bool:

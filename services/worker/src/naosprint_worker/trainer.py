@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from naojobs.checkpoints import CheckpointRef, checkpoints_of
 from naojobs.errors import ConflictError
 from naojobs.ids import same_id
 from naojobs.states import WorkState
-from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key
+from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key, new_nonce
 from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
 
@@ -65,6 +65,9 @@ class Attempt:
         self._services = services
         self._assignment = assignment
         self._lease = assignment.lease
+        #: The recorded checkpoint that was resumed from, and the steps of all by id.
+        self._resumed_from: str | None = None
+        self._steps: dict[str, int] = {}
         self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
         settings = services.settings
         self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease.job_id, assignment.lease.attempt)
@@ -91,12 +94,29 @@ class Attempt:
         return code
 
     def _run(self) -> ExitCode:
+        from naosprint import CheckpointError  # loads NumPy, which has to wait for `quiet_openmp`
+
+        refused: dict[str, Exception] = {}
+        while True:
+            try:
+                return self._train(refused)
+            except CheckpointError as error:
+                # Whole, but not to be resumed from, by this version at least: the one before it may be.
+                if self._resumed_from is None or self._recorder.reported:
+                    raise
+                refused[self._resumed_from] = error
+                self._recorder.not_stored(self._steps[self._resumed_from])
+                self._note_unusable(self._resumed_from, error)
+
+    def _train(self, refused: Mapping[str, Exception]) -> ExitCode:
+        """Train from the newest checkpoint that is not ``refused``, and evaluate."""
         services, spec, lease = self._services, self._assignment.spec, self._lease
         with services.stop.interruptible():
             train = naosprint.train  # loads PyTorch, which takes a while: still part of starting
-            start = self._fetch_resume()
+            start = self._fetch_resume(refused)
             initial = None if start else self._fetch_initial_policy()
             step, resumed_from = (start.step, start.checkpoint_id) if start else (0, None)
+            self._resumed_from = resumed_from
             if resumed_from is not None:
                 self._recorder.already_stored(step)
             self._database(
@@ -163,7 +183,7 @@ class Attempt:
         summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
         warn = partial(self._recorder.log, "warning")
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
-        key = evaluation_key(lease.job_id, identifier, lease.attempt)
+        key = evaluation_key(lease.job_id, identifier, lease.attempt, new_nonce())
         manifest = retry(
             lambda: services.store.put_directory(key, folder),
             what="storing the evaluation",
@@ -187,7 +207,7 @@ class Attempt:
 
     # Start
 
-    def _fetch_resume(self) -> _Start | None:
+    def _fetch_resume(self, refused: Mapping[str, Exception]) -> _Start | None:
         """Find the newest checkpoint of this job that is undamaged, on this disk or in the store; record damaged ones.
 
         Returns:
@@ -199,6 +219,7 @@ class Attempt:
         listed = self._database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
         )
+        self._steps.update((reference.id, reference.step) for reference in listed)
         last: Exception | None = None
         waiting = self._take_over(listed)
         if waiting:
@@ -208,14 +229,13 @@ class Attempt:
             shutil.copytree(newest.checkpoint, folder, copy_function=link_or_copy)
             return _Start(newest.step, None, folder, waiting)
         for reference in listed:
+            if reference.id in refused:
+                last = last or refused[reference.id]
+                continue
             try:
                 return _Start(reference.step, reference.id, self._fetch(reference))
             except (CorruptArtifactError, MissingArtifactError) as error:
-                self._recorder.event(
-                    "checkpoint_unusable",
-                    f"checkpoint at step {reference.step} cannot be used: {error}",
-                    {"checkpoint_id": reference.id, "step": reference.step},
-                )
+                self._note_unusable(reference.id, error)
                 last = last or error
         if last is not None:
             raise CheckpointsUnusableError(
@@ -223,6 +243,14 @@ class Attempt:
                 f"a new one; the newest: {last}"
             )
         return None
+
+    def _note_unusable(self, checkpoint_id: str, error: Exception) -> None:
+        step = self._steps[checkpoint_id]
+        self._recorder.event(
+            "checkpoint_unusable",
+            f"checkpoint at step {step} cannot be used: {error}",
+            {"checkpoint_id": checkpoint_id, "step": step},
+        )
 
     def _take_over(self, recorded: Sequence[CheckpointRef]) -> list[Entry]:
         """Move what the attempt before has left on this disk into this attempt's spool.
