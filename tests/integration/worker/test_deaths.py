@@ -146,6 +146,20 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
 
 
+def test_frozen_trainer_is_replaced(service: Service) -> None:
+    """Its worker lives and renews the lease: only the missing steps give it away."""
+    worker = service.start_worker(NAOSPRINT_WORKER_STALL_S="30")
+    job_id = start_job(service)
+    steps = service.shorten(job_id)
+    training = service.until_training(worker)
+    training.suspend()
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
+    assert any("made no step for 30 s and was killed" in event.message for event in service.events(job_id))
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    wait_gone(training)
+    assert_resumed_and_whole(service, job_id, steps)
+
+
 def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Service, worker: WorkerProcess) -> None:
     """It is stopped for longer than its lease, as by a suspended machine or a clock that jumps."""
     job_id = start_job(service)

@@ -28,6 +28,7 @@ from naosim.simulator import ServerLostError, ServersUnavailableError
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
+from naosprint_worker.progress import Progress
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
@@ -96,6 +97,12 @@ class Services:
     store: ArtifactStore
     workdir: Path
     stop: StopRequest
+    progress: Progress
+
+    def step(self) -> bool:
+        """Mark progress, or a reason to wait; return whether this process was asked to stop."""
+        self.progress.mark()
+        return self.stop.requested()
 
     def fetch(
         self,
@@ -153,7 +160,7 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
     engine = open_engine(settings, pool_size=2, application_name="naosprint-child")
     try:
         store = ArtifactStore.from_settings(settings)
-        return int(work(Services(settings, make_sessions(engine), store, workdir, stop)))
+        return int(work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir))))
     except Exception as error:
         code, outcome = judge(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)

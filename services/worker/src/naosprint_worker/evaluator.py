@@ -40,7 +40,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
         services.fetch(claim.checkpoint.key, checkpoint, Manifest.model_validate(claim.checkpoint.manifest))
     _database(services, lambda: lifecycle.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
     summary = evaluate_into(
-        result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, stop=services.stop
+        result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, services=services
     )
     add_report(services, result, lease.job_id, claim.checkpoint.step)
     key = evaluation_key(lease.job_id, lease.id, lease.attempt, new_nonce())

@@ -27,7 +27,7 @@ T = TypeVar("T")
 MAX_PENDING_LOGS = 5_000
 #: Rows of one transaction.
 MAX_BATCH = 500
-#: Seconds between two looks for a request to stop while a training waits for the store.
+#: Seconds between two calls of `stop` while a training waits.
 _LOOK_S = 0.5
 
 
@@ -70,7 +70,10 @@ class Recorder:
         stop: Callable[[], bool] = lambda: False,
         on_failure: Callable[[], None] | None = None,
     ) -> None:
-        """Start the threads; checkpoints wait in ``spool`` until they are recorded. ``stop`` ends every waiting."""
+        """Start the threads; checkpoints wait in ``spool`` until they are recorded.
+
+        ``stop`` is called while a call waits, and ends the waiting for room.
+        """
         self._sink = sink
         self._spool = spool
         self._flush_s = flush_s
@@ -183,7 +186,10 @@ class Recorder:
         with self._changed:
             self._hurry = True
             self._changed.notify_all()
-            done = self._changed.wait_for(lambda: self.failed or self._idle(), timeout_s)
+            until = math.inf if timeout_s is None else time.monotonic() + timeout_s
+            while not (done := self.failed or self._idle()) and (left_s := until - time.monotonic()) > 0:
+                self._changed.wait(min(left_s, _LOOK_S))
+                self._stop()
             self._hurry = False
         if self.failure is not None:
             raise self.failure

@@ -139,6 +139,10 @@ class Run:
             self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
         elif ending.returncode == ExitCode.PERMANENT:
             self._fail(ending, text)
+        elif ending.intent is Intent.STALLED:
+            self._log_ending(ending)
+            reason = f"the {self._program} made no step for {self._context.settings.worker_stall_s:g} s and was killed"
+            lifecycle.lose(self._context.sessions, self._lease, reason)
         elif ending.intent is Intent.CUT_OFF:
             reason = f"the database did not answer for {self._context.settings.worker_patience_s:g} s"
             lifecycle.postpone(self._context.sessions, self._lease, f"{reason}{where}")

@@ -57,6 +57,12 @@ class WorkerSettings(ServiceSettings):
         description="Seconds for which an attempt waits for a failing database, or for a store that it reads from; "
         "checkpoints wait for the store as long as it takes.",
     )
+    worker_stall_s: float = Field(
+        1800.0,
+        gt=0,
+        le=86400,
+        description="Seconds without a step after which a training or an evaluation is killed and tried again.",
+    )
     worker_spool_mb: int = Field(
         256,
         ge=1,

@@ -77,7 +77,7 @@ class Attempt:
             spool_bytes=settings.worker_spool_mb * MIB,
             flush_s=settings.worker_flush_s,
             patience_s=settings.worker_patience_s,
-            stop=services.stop.requested,
+            stop=services.step,
         )
 
     def run(self) -> ExitCode:
@@ -136,7 +136,7 @@ class Attempt:
             reporter=self._recorder,
             resume=start.folder if start else None,
             initial_policy=initial,
-            stop=lambda: services.stop.requested() or self._recorder.failed,
+            stop=lambda: services.step() or self._recorder.failed,
         )
         if result.status == "stopped":
             return self._stopped(result.steps)
@@ -180,7 +180,7 @@ class Attempt:
             return
         folder = services.workdir / "evaluation"
         threads = self._assignment.spec.runtime.simulator_threads
-        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
+        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services)
         warn = partial(self._recorder.log, "warning")
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
         key = evaluation_key(lease.job_id, identifier, lease.attempt, new_nonce())
