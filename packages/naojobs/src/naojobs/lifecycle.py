@@ -526,8 +526,11 @@ def _settle(
     add_event(session, work, str(target), message or error or f"{source} -> {target}", data)
 
 
-def _same_event(job: Job, kind: str, data: Mapping[str, Any]) -> Select[int]:
-    same = (Event.job_id == job.id, Event.attempt == job.attempt, Event.kind == kind, Event.data == data)
+def _begun(job: Job, step: int, resumed_from: str | None) -> Select[int]:
+    """Return the query of the event that this attempt has begun in this way."""
+    data = {"step": step, "checkpoint_id": resumed_from}
+    ways = ("started", "resumed")
+    same = (Event.job_id == job.id, Event.attempt == job.attempt, Event.kind.in_(ways), Event.data == data)
     return select(Event.id).where(*same).limit(1)
 
 
@@ -539,9 +542,8 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
-        kind = "resumed" if resumed_from is not None or step > 0 else "started"
-        data = {"step": step, "checkpoint_id": resumed_from}
-        if session.scalar(_same_event(job, kind, data)) is not None:
+        resumed = resumed_from is not None or step > 0
+        if session.scalar(_begun(job, step, resumed_from)) is not None:
             return  # a commit that seemed to fail did not
         newest = session.scalar(
             select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
@@ -552,9 +554,9 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
         add_event(
             session,
             job,
-            kind,
-            f"{'resumes from' if kind == 'resumed' else 'starts at'} step {step}",
-            data,
+            "resumed" if resumed else "started",
+            f"{'resumes from' if resumed else 'starts at'} step {step}",
+            {"step": step, "checkpoint_id": resumed_from},
         )
 
 
