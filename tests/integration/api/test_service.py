@@ -8,8 +8,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from base64 import b64decode
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from typing import Any
 
 import httpx
@@ -70,6 +74,62 @@ def test_a_broker_that_is_down_fails_no_submit(
     with sessions() as session:
         job = session.get_one(Job, job_id)
         assert job.state is WorkState.QUEUED
+
+
+@pytest.fixture
+def silent_server() -> Iterator[int]:
+    """A server that accepts connections and never answers; returns its port."""
+    held: list[socket.socket] = []
+
+    def accept(listener: socket.socket) -> None:
+        with suppress(OSError):
+            while True:
+                held.append(listener.accept()[0])
+
+    with socket.create_server(("127.0.0.1", 0), backlog=256) as listener:
+        thread = threading.Thread(target=accept, args=(listener,))
+        thread.start()
+        yield listener.getsockname()[1]
+        listener.shutdown(socket.SHUT_RDWR)
+    thread.join(30)
+    for connection in held:
+        connection.close()
+
+
+def test_a_store_that_never_answers_holds_up_nothing_else(
+    start_api: Callable[..., Any],
+    make_token: Callable[..., str],
+    run_job: Callable[..., Lease],
+    sessions: sessionmaker[Session],
+    silent_server: int,
+) -> None:
+    """Forty ask whether the service is ready, forty download; a job is submitted within a second."""
+    lease = run_job("silence")
+    manifest = {"files": [{"name": "policy.npz", "size": 1, "sha256": "0" * 64}]}
+    checkpoint = records.record_checkpoint(sessions, lease, step=1, key="jobs/silent/1", manifest=manifest)
+    api = start_api(
+        artifact_url="s3://bucket",
+        s3_endpoint=f"http://127.0.0.1:{silent_server}",
+        s3_access_key_id="x",
+        s3_secret_access_key="y",
+    )
+    headers = {"Authorization": f"Bearer {make_token('silence', 'submit')}"}
+    limits = httpx.Limits(max_connections=100)
+    with (
+        httpx.Client(base_url=api.url, headers=headers, timeout=60, limits=limits) as client,
+        ThreadPoolExecutor(80) as pool,
+    ):
+        client.get("/healthz")
+        readers = [pool.submit(client.get, "/readyz") for _ in range(40)]
+        downloads = [pool.submit(client.get, f"/checkpoints/{checkpoint}/files/policy.npz") for _ in range(40)]
+        wait([*readers, *downloads], timeout=1)  # until all have arrived and none has an answer
+        began = time.monotonic()
+        assert client.post("/jobs", json={}).status_code == 201
+        assert time.monotonic() - began < 1
+        for reader in readers:
+            answer = reader.result()
+            assert (answer.status_code, answer.json()["store"], answer.json()["database"]) == (503, "failed", "ok")
+        assert {download.result().status_code for download in downloads} == {503}
 
 
 def test_a_database_that_is_down_is_a_503_and_no_500(start_api: Callable[..., Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from itertools import islice
 from typing import Any
@@ -14,6 +15,7 @@ from naojobs.lifecycle import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naosprint_api import broadcast
+from sqlalchemy import text
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
@@ -142,6 +144,36 @@ def test_followers_of_all_jobs_hear_of_their_own_only(
     with follow(client, "/jobs/stream", last_id=ready.id) as messages:
         while next(messages).data.get("id") != missed:
             pass
+
+
+def test_followers_hear_of_more_jobs_than_fit_into_one_read(
+    client: httpx.Client, sessions: Sessions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1,280 jobs change at the same time, as when a group is submitted."""
+    monkeypatch.setattr(broadcast, "_IDLE_S", 1.0)
+    model = client.post("/jobs", json={"tags": ["many"]}).json()["id"]
+    with sessions.begin() as session:
+        names = [column.name for column in Job.__table__.columns if column.name not in ("id", "updated_at")]
+        copied = ", ".join(f'"{name}"' for name in names)
+        session.execute(
+            text(
+                f"INSERT INTO jobs (id, updated_at, {copied}) SELECT 'job_' || lpad(n::text, 26, '0'), now(), {copied} "
+                "FROM jobs, generate_series(1, 1280) AS n WHERE id = :model"
+            ),
+            {"model": model},
+        )
+    missing = {f"job_{number:026d}" for number in range(1, 1281)}
+    pings = 0
+    with client.stream("GET", "/jobs/stream", params={"tag": "many"}) as response:
+        for line in response.iter_lines():
+            pings += line.startswith(":")
+            assert pings < 5, f"{len(missing)} jobs are missing"
+            if line.startswith('data: {"id":"job_'):
+                missing.discard(json.loads(line.removeprefix("data: "))["id"])
+            if not missing:
+                break
+    with sessions.begin() as session:
+        session.execute(text("DELETE FROM jobs WHERE 'many' = ANY(tags)"))
 
 
 @pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{job}/stream"])

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
 from naojobs import lifecycle, records, submission
+from naojobs.capabilities import Capabilities, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
-from naojobs.models import Event, Job, Metric
+from naojobs.models import Evaluation, Event, Job, Metric
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
-from sqlalchemy import text
+from sqlalchemy import event, text
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -128,6 +129,135 @@ def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(
     retried = lifecycle.retry(sessions, job.id)
     assert (retried.state, retried.failures, retried.attempt, retried.error) == (WorkState.QUEUED, 0, 3, None)
     assert retried.finished_at is None
+
+
+def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """Failures count while nothing is gained: a checkpoint of a step that was reached before is no progress."""
+    job = submit(max_attempts=2)
+    for round_, (step, failures) in enumerate(((0, 1), (0, 2))):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        key = f"{job.id}/{round_}"
+        records.record_checkpoint(sessions, claim.lease, step=step, key=key, manifest={"files": []})
+        state = lifecycle.lose(sessions, claim.lease, "the trainer died")
+        assert get(sessions, job.id).failures == failures
+    assert state is WorkState.FAILED
+    lifecycle.retry(sessions, job.id)
+    for step in (10, 20, 30):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        records.record_checkpoint(sessions, claim.lease, step=step, key=f"{job.id}/{step}", manifest={"files": []})
+        assert lifecycle.lose(sessions, claim.lease, "the trainer died") is WorkState.QUEUED
+        assert get(sessions, job.id).failures == 1
+
+
+def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    job = submit(max_attempts=1)
+    for delay_s in (5.0, 10.0, 20.0):
+        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        assert claim is not None
+        assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.QUEUED
+        assert lifecycle.claim(sessions, Job, job.id, "w") is None, "not yet"
+        with sessions() as session:
+            kept = session.get_one(Job, job.id)
+            event = session.query(Event).where(Event.job_id == job.id).order_by(Event.id.desc()).limit(1).one()
+            reason = waiting_reasons(session, [kept], stale_s=30)[job.id]
+        assert (kept.failures, event.data["delay_s"]) == (0, delay_s)
+        assert reason.startswith("the next attempt begins in")
+        assert reason.endswith("the last one ended: no Docker")
+        with sessions.begin() as session:
+            session.execute(text("UPDATE jobs SET not_before = now() WHERE id = :id"), {"id": job.id})
+    claim = lifecycle.claim(sessions, Job, job.id, "w")
+    assert claim is not None
+    lifecycle.request_cancel(sessions, Job, job.id)
+    assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
+    lifecycle.retry(sessions, job.id)
+    assert get(sessions, job.id).postponed == 0
+
+
+class Intruder:
+    """Another user's action, started in the middle of a deletion, once its rows are locked and before they go."""
+
+    def __init__(self, sessions: Sessions, action: Callable[[], object]) -> None:
+        self._sessions = sessions
+        self._action = action
+        self._pool = ThreadPoolExecutor(1)
+        self.result: Future[object] | None = None
+        #: The same database, with the intrusion into the first flush.
+        self.watched: Sessions = sessionmaker(sessions.kw["bind"], expire_on_commit=False)
+        event.listen(self.watched, "before_flush", self._intrude, once=True)
+
+    def _intrude(self, *_: object) -> None:
+        self.result = self._pool.submit(self._action)
+        waiting = (
+            "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock'"
+        )
+        while not self.result.done():
+            with self._sessions() as session:
+                if session.scalar(text(waiting)):
+                    return
+
+    def error(self) -> BaseException | None:
+        """Return what the action raised, once it has ended."""
+        assert self.result is not None
+        return self.result.exception(30)
+
+
+def test_deleting_a_job_whose_child_is_claimed_meanwhile_deadlocks_nobody(
+    sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
+) -> None:
+    parent = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    child = submit(parent_job_id=parent)
+    lifecycle.request_cancel(sessions, Job, child.id)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+
+    def retry_and_claim() -> None:
+        lifecycle.retry(sessions, child.id)
+        lifecycle.claim(sessions, Job, child.id, "w")
+
+    intruder = Intruder(sessions, retry_and_claim)
+    lifecycle.delete(intruder.watched, parent)
+    assert intruder.error() is None
+    assert get(sessions, child.id).error == "the job whose policy it starts from was deleted"
+
+
+def test_deleting_a_job_whose_evaluation_ends_meanwhile_deadlocks_nobody(sessions: Sessions, running: JobClaim) -> None:
+    job_id = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
+    evaluation = submission.request_evaluation(sessions, job_id)
+    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    intruder = Intruder(sessions, lambda: lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED))
+    lifecycle.delete(intruder.watched, job_id)
+    assert isinstance(intruder.error(), LeaseLostError)
+
+
+def test_a_training_that_begins_is_recorded_once(sessions: Sessions, running: JobClaim) -> None:
+    """The first commit may have succeeded although its answer was lost."""
+    lifecycle.begin(sessions, running.lease, step=0)
+    assert kinds(sessions, running.lease.job_id).count("started") == 1
+
+
+def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
+    sessions: Sessions, submit: Callable[..., Job]
+) -> None:
+    old = submit()
+    spec = '{"task": "sprint2", "robot": "nao-3", "simulator": "rcssserver3d", "n_envs": 8}'
+    with sessions.begin() as session:
+        session.execute(
+            text("UPDATE jobs SET spec = cast(:spec AS jsonb) WHERE id = :id"), {"spec": spec, "id": old.id}
+        )
+    with pytest.raises(InvalidError, match="this one cannot read"):
+        submission.submit(sessions, JobRequest(parent_job_id=old.id), owner="alice")
+    assert lifecycle.claim(sessions, Job, old.id, "w") is None
+    kept = get(sessions, old.id)
+    assert kept.state is WorkState.FAILED
+    assert "does not fit this version" in (kept.error or "")
 
 
 def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[..., Job]) -> None:
@@ -398,7 +528,58 @@ def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClai
             assert left == 0, table
 
 
-def test_resuming_drops_what_will_be_measured_again(sessions: Sessions, running: JobClaim) -> None:
+def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """The checkpoint of step 0 has random weights: it is no policy to start from."""
+    parent = submit()
+    child = submit(parent_job_id=parent.id)
+    claim = lifecycle.claim(sessions, Job, parent.id, "w")
+    assert claim is not None
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    records.record_checkpoint(sessions, claim.lease, step=0, key=f"{parent.id}/0", manifest={"files": []})
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    assert get(sessions, child.id).state is WorkState.QUEUED
+    with sessions() as session:
+        reasons = waiting_reasons(session, [get(sessions, child.id)], stale_s=30)
+    assert reasons == {child.id: f"job {parent.id}, whose policy it starts from, has no trained checkpoint yet"}
+    first = records.record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
+    got = lifecycle.claim(sessions, Job, child.id, "w")
+    assert got is not None
+    assert got.initial_policy is not None
+    assert got.initial_policy.id == first
+
+
+def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """It leaves the queue with the reason, and the next job is claimed in its place."""
+    parent = submit()
+    child = submit(parent_job_id=parent.id, priority=9)
+    lifecycle.request_cancel(sessions, Job, parent.id)
+    other = submit(priority=9)
+    have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    claim = lifecycle.claim_next(sessions, "w", queues=["embedded"], capabilities=have, models=[Job])
+    assert claim is not None
+    assert claim.lease.id == other.id
+    kept = get(sessions, child.id)
+    assert (kept.state, kept.attempt) == (WorkState.FAILED, 0)
+    assert kept.error == f"job {parent.id}, whose policy it starts from, ended without a trained checkpoint"
+
+
+def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
+    sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
+) -> None:
+    parent = running.lease.job_id
+    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    child = submit(parent_job_id=parent)
+    lifecycle.request_cancel(sessions, Job, child.id)
+    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    lifecycle.delete(sessions, parent)
+    lifecycle.retry(sessions, child.id)
+    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    kept = get(sessions, child.id)
+    assert kept.state is WorkState.FAILED
+    assert kept.error == "the job whose policy it starts from was deleted"
+
+
+def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessions, running: JobClaim) -> None:
     records.append_metrics(sessions, running.lease, [{"step": step, "reward": 1.0} for step in (10, 20, 30, 40)])
     checkpoint = records.record_checkpoint(
         sessions, running.lease, step=20, key=f"{running.lease.job_id}/20", manifest={"files": []}
@@ -412,7 +593,14 @@ def test_resuming_drops_what_will_be_measured_again(sessions: Sessions, running:
     kept = get(sessions, running.lease.job_id)
     assert (kept.progress_step, kept.latest_metrics["step"]) == (20, 20)
     records.append_metrics(sessions, claim.lease, [{"step": step, "reward": 2.0} for step in (25, 35)])
-    with sessions.begin() as session:
-        rows = session.query(Metric).where(Metric.job_id == running.lease.job_id).order_by(Metric.step).all()
-    assert [(row.step, row.attempt) for row in rows] == [(10, 1), (20, 1), (25, 2), (35, 2)]
+
+    def rows() -> list[tuple[int, int]]:
+        with sessions.begin() as session:
+            found = session.query(Metric).where(Metric.job_id == running.lease.job_id).order_by(Metric.step)
+            return [(row.step, row.attempt) for row in found]
+
+    assert rows() == [(10, 1), (20, 1), (25, 2), (30, 1), (35, 2), (40, 1)]
+    key = f"{running.lease.job_id}/35"
+    records.record_checkpoint(sessions, claim.lease, step=35, key=key, manifest={"files": []})
+    assert rows() == [(10, 1), (20, 1), (25, 2), (35, 2)]
     assert "resumed" in kinds(sessions, running.lease.job_id)

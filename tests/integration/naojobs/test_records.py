@@ -83,6 +83,22 @@ def test_a_checkpoint_recorded_twice_is_there_once(sessions: Sessions, lease: Le
     assert [event.data["checkpoint_id"] for event in events] == [first]
 
 
+def test_a_batch_written_twice_is_there_once(sessions: Sessions, lease: Lease) -> None:
+    """The first commit may have succeeded although its answer was lost."""
+    batch = records.Batch(
+        metrics=[records.MetricsRow(10, {"step": 10.0})],
+        logs=[records.LogLine("info", "once")],
+        events=[records.EventRecord("test", "once")],
+        checkpoints=[records.StoredCheckpoint(10, f"{lease.job_id}/once", {"files": []})],
+    )
+    assert records.write(sessions, lease, batch) == records.write(sessions, lease, batch)
+    assert [row.message for row in rows(sessions, Log, lease.job_id)] == ["once"]
+    assert [row.message for row in rows(sessions, Event, lease.job_id)].count("once") == 1
+    assert [row.step for row in rows(sessions, Metric, lease.job_id)] == [10]
+    records.write(sessions, lease, records.Batch(logs=[records.LogLine("info", "once")]))
+    assert len(rows(sessions, Log, lease.job_id)) == 2, "another batch"
+
+
 def test_ids_ascend_in_the_order_of_commits(sessions: Sessions, lease: Lease) -> None:
     """A follower reads behind the last id it saw; an id that shows up late below it would be lost to it."""
 

@@ -104,6 +104,23 @@ def test_both_simulators_show_the_same_89_numbers() -> None:
         theirs.close()
 
 
+#: By part of an observation's name: twice the league's digit for what is read, four times for a difference of two.
+TOLERANCES = {"force": 0.1, "origin": 0.01, "accel": 0.05, "gyro": 2e-3, "com": 1e-4}
+
+
+def tolerance_of(observation: str) -> float:
+    return next((value for part, value in TOLERANCES.items() if part in observation), 5e-4)
+
+
+def test_every_tolerance_is_one_of_an_observation() -> None:
+    environment = environment_of(EmbeddedSimulator(robots.get("nao-0"), 1))
+    try:
+        names = environment.observer.names
+    finally:
+        environment.close()
+    assert [part for part in TOLERANCES if not any(part in name for name in names)] == []
+
+
 @pytest.mark.rcssserver3d
 @pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path")
 @pytest.mark.parametrize("robot_type", range(5))
@@ -135,9 +152,7 @@ def test_the_real_server_shows_the_numbers_of_the_engine(robot_type: int) -> Non
         rows = np.array([0])
         ours.restart(rows, rows)
         theirs.restart(rows, rows)
-        # twice the league's digit for what is read, four times for a difference of two readings
-        limits = {"force": 0.1, "centre": 0.01, "accel": 0.05, "gyro": 2e-3, "com": 1e-4}
-        tolerance = np.array([next((v for k, v in limits.items() if k in name), 5e-4) for name in ours.observer.names])
+        tolerance = np.array([tolerance_of(name) for name in ours.observer.names])
         rng = np.random.default_rng(robot_type)
         for cycle in range(60):
             action = np.clip(0.4 * rng.normal(size=(1, ours.actuation.n_actions)), -1.0, 1.0)

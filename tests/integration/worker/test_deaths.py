@@ -7,7 +7,7 @@ import signal
 
 import psutil
 from naojobs import lifecycle, registry
-from naojobs.models import Evaluation
+from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from sqlalchemy import select
 
@@ -43,8 +43,11 @@ def wait_gone(process: psutil.Process) -> None:
 
 
 def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
-    """Once it goes on by itself, the second time is once too often, and a retry goes on all the same."""
+    """Once it goes on by itself; the second time without a new checkpoint is once too often, and a retry goes on."""
     job_id = start_job(service, max_attempts=2)
+    with service.sessions.begin() as session:  # of the next attempt: no checkpoint before its end
+        job = session.get_one(Job, job_id, with_for_update=True)
+        job.spec = {**job.spec, "runtime": {**job.spec["runtime"], "checkpoint_interval_steps": 10**9}}
     service.until_training(worker).kill()
     service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
     assert any("signal 9 (SIGKILL)" in event.message for event in service.events(job_id))
@@ -141,6 +144,20 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     service.until_state(job_id, WorkState.SUCCEEDED)
     assert_resumed_and_whole(service, job_id, steps)
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == saved
+
+
+def test_frozen_trainer_is_replaced(service: Service) -> None:
+    """Its worker lives and renews the lease: only the missing steps give it away."""
+    worker = service.start_worker(NAOSPRINT_WORKER_STALL_S="30")
+    job_id = start_job(service)
+    steps = service.shorten(job_id)
+    training = service.until_training(worker)
+    training.suspend()
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
+    assert any("made no step for 30 s and was killed" in event.message for event in service.events(job_id))
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    wait_gone(training)
+    assert_resumed_and_whole(service, job_id, steps)
 
 
 def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Service, worker: WorkerProcess) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from naojobs import lifecycle, submission
 from naojobs.capabilities import waiting_reasons
-from naojobs.models import Evaluation, Job, Worker
+from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from naojobs.store import Manifest, artifact_of
 from naospec import EvaluationSpec, plugins
@@ -158,6 +158,60 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
     notes = {event.kind: event.data for event in shared.events(job_id)}
     assert notes["checkpoint_unusable"]["checkpoint_id"] == newest.id
     assert notes["resumed"]["checkpoint_id"] == earlier.id
+    assert_metrics_whole(shared, job_id)
+
+
+def test_a_whole_checkpoint_that_cannot_be_resumed_from_is_passed_over(shared: Service) -> None:
+    """Its files are as its row says, but it is of another training; the one before it is taken."""
+    job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
+    shared.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(shared.sessions, job_id)
+    shared.until_state(job_id, WorkState.PAUSED)
+    *_, earlier, newest = shared.checkpoints(job_id)
+    folder = shared.folder / "other-format"
+    shared.store.get_directory(newest.key, folder)
+    manifest = folder / "checkpoint.json"
+    manifest.write_text(manifest.read_text().replace('"format": ', '"format": 9'))
+    stored = shared.store.put_directory(f"jobs/{job_id}/checkpoints/other-format", folder)
+    with shared.sessions.begin() as session:
+        row = session.get_one(Checkpoint, newest.id)
+        row.key, row.manifest = f"jobs/{job_id}/checkpoints/other-format", stored.model_dump(mode="json")
+
+    shared.shorten(job_id)
+    lifecycle.resume(shared.sessions, job_id)
+    shared.wake_up(job_id)
+    shared.until_state(job_id, WorkState.SUCCEEDED)
+    (note,) = [event.data for event in shared.events(job_id) if event.kind == "checkpoint_unusable"]
+    assert note["checkpoint_id"] == newest.id
+    resumed = [event.data["checkpoint_id"] for event in shared.events(job_id) if event.kind == "resumed"]
+    assert resumed == [newest.id, earlier.id]
+    assert_metrics_whole(shared, job_id)
+
+
+def test_job_without_a_usable_checkpoint_fails_and_keeps_its_metrics(shared: Service) -> None:
+    """Its files are moved away while it is paused; once they are back, a retry resumes where it was."""
+    job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
+    shared.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(shared.sessions, job_id)
+    shared.until_state(job_id, WorkState.PAUSED)
+    known = [row.step for row in shared.metrics(job_id)]
+    newest = shared.checkpoints(job_id)[-1].step
+    folder, aside = shared.artifacts / "jobs" / job_id, shared.folder / "aside"
+    folder.rename(aside)
+
+    lifecycle.resume(shared.sessions, job_id)
+    shared.wake_up(job_id)
+    job = shared.until_state(job_id, WorkState.FAILED)
+    assert f"none of its {len(shared.checkpoints(job_id))} checkpoints can be used" in (job.error or "")
+    assert [row.step for row in shared.metrics(job_id)] == known
+
+    aside.rename(folder)
+    shared.shorten(job_id)
+    lifecycle.retry(shared.sessions, job_id)
+    shared.wake_up(job_id)
+    shared.until_state(job_id, WorkState.SUCCEEDED)
+    resumed = [event.data["step"] for event in shared.events(job_id) if event.kind == "resumed"]
+    assert resumed == [newest]
     assert_metrics_whole(shared, job_id)
 
 

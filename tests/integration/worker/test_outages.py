@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
+import socket
+import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from naojobs import lifecycle
-from naojobs.models import Log
+from naojobs.models import Job, Log
 from naojobs.states import WorkState
 from naojobs.store import Manifest
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
@@ -152,13 +156,36 @@ def test_s3_server_that_dies_and_comes_back(s3_service: Service, s3_server: S3Se
     lose_the_store(s3_service, s3_server, job_id, 0)
 
 
-def test_store_that_stays_away_is_given_up_with_the_reason(service: Service) -> None:
-    service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
-    service.artifacts.mkdir(exist_ok=True)
-    (service.artifacts / "jobs").write_text("in the way")
-    job_id = service.submit(total_steps=10**9, max_attempts=1)
-    job = service.until_state(job_id, WorkState.FAILED)
-    assert "storing the checkpoint of step 0: gave up" in (job.error or "")
+def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:
+    """The training continues until its share of the disk is used, then waits; a killed attempt loses nothing of it."""
+    worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5", NAOSPRINT_WORKER_SPOOL_MB="1")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    folder, aside = service.artifacts / "jobs", tmp_path / "aside"
+    folder.rename(aside)
+    folder.write_text("in the way: nothing can be written below this name")
+    service.until(lambda: "the training pauses" in log_text(service, job_id), what="for the training to pause")
+    reached = service.job(job_id).progress_step
+    assert reached > service.checkpoints(job_id)[-1].step + ROLLOUT * 20
+    assert (service.job(job_id).attempt, service.job(job_id).failures) == (1, 0)
+
+    service.until_training(worker).kill()
+    steps = service.shorten(job_id)
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
+    (resumed,) = [event.data for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed == {"step": reached, "checkpoint_id": None}
+    folder.unlink()
+    aside.rename(folder)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    assert job.attempt == 2
+    stored = sorted(service.checkpoints(job_id), key=lambda checkpoint: checkpoint.step)
+    assert [checkpoint.step for checkpoint in stored][:-1] == list(range(0, stored[-2].step + 1, ROLLOUT * 20))
+    for checkpoint in stored:
+        service.store.get_directory(
+            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+        )
+    assert_whole(service, job_id, steps)
+    assert not (service.folder / "work" / "spool").exists()
 
 
 def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Service, worker: WorkerProcess) -> None:
@@ -206,6 +233,62 @@ def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: S
     job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.error) == (2, None)
     assert next(event for event in service.events(job_id) if event.kind == "resumed").data["step"] == known
+    assert_whole(service, job_id, steps)
+
+
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 503 Service Unavailable\r\ncontent-length: 0\r\n\r\n"])
+def test_docker_engine_that_is_away_uses_up_no_attempt(service: Service, answer: bytes, tmp_path: Path) -> None:
+    """The job waits: for an engine that is stopped, and for one behind a proxy that says so."""
+    address = tmp_path / "engine"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(address))
+        listener.listen()
+        threading.Thread(target=answer_all, args=(listener, answer), daemon=True).start()
+        service.start_worker(
+            NAOSPRINT_WORKER_QUEUES="server",
+            NAOSPRINT_SIMSERVER="docker:any",
+            DOCKER_HOST=f"unix://{address}",
+        )
+        job_id = service.submit(announce=False, simulator="server", max_attempts=1, standby_servers=False)
+        service.until(lambda: service.job(job_id).postponed > 0, what="for the first attempt to end")
+    job = service.job(job_id)
+    assert (job.state, job.failures) == (WorkState.QUEUED, 0), job.error
+    assert "Docker" in (job.error or "")
+
+
+def answer_all(listener: socket.socket, answer: bytes) -> None:
+    """Answer every request with the same bytes."""
+    with contextlib.suppress(OSError):
+        while True:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(65536)
+                connection.sendall(answer)
+
+
+def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service) -> None:
+    """The training ends with its work on the disk, and its worker waits for as long as it takes to give it back."""
+    worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="1", NAOSPRINT_WORKER_STOP_GRACE_S="5")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20, max_attempts=1)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    service.postgres.stop()
+    try:
+        psutil.wait_procs([training], timeout=60)
+        assert not training.is_running()
+        spooled = sorted(path.name for path in (service.folder / "work" / "spool" / job_id / "1").iterdir())
+    finally:
+        service.postgres.start()
+    service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the job to be given back")
+    job = service.job(job_id)
+    assert (job.failures, job.postponed) == (0, 1)
+    steps = max(int(spooled[-1]), job.progress_step) + ROLLOUT * 40
+    with service.sessions.begin() as session:
+        row = session.get_one(Job, job_id, with_for_update=True)
+        row.total_steps, row.spec = steps, {**row.spec, "total_steps": steps}
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    (resumed,) = [event.data["step"] for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed == int(spooled[-1])
     assert_whole(service, job_id, steps)
 
 

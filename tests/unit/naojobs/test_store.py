@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +21,7 @@ from naojobs.store import (
     StoreError,
     check_key,
     checkpoint_key,
+    new_nonce,
 )
 
 
@@ -168,3 +171,54 @@ def test_no_accepted_key_leads_out_of_the_store(key: str) -> None:
 def test_checkpoints_sort_by_step() -> None:
     keys = [checkpoint_key("job_x", step, attempt) for step, attempt in ((9, 1), (10, 1), (10, 2), (10**10, 1))]
     assert keys == sorted(keys)
+
+
+def test_keys_of_the_same_attempt_number_differ(store: ArtifactStore) -> None:
+    """A database that lost its last seconds gives the number again: nothing of the first attempt may be replaced."""
+    keys = {checkpoint_key("job_x", 10, 1, new_nonce()) for _ in range(2)}
+    assert len(keys) == 2
+    assert all(checkpoint_key("job_x", 9, 9, "f") < key < checkpoint_key("job_x", 11, 1, "0") for key in keys)
+
+
+def test_what_a_killed_process_was_writing_is_removed(store: ArtifactStore, root: Path) -> None:
+    """The store lists only whole files; others are found by their names."""
+    store.put_bytes("jobs/x/policy.npz", b"whole")
+    cut = root / "jobs" / "x" / "policy.npz#1"
+    cut.write_bytes(b"par")
+    assert store.list("jobs") == ["jobs/x/policy.npz"]
+    assert store.remove_unfinished(age_s=3600) == 0
+    assert store.remove_unfinished(age_s=-1) == 1
+    assert not cut.exists()
+    assert store.get_bytes("jobs/x/policy.npz") == b"whole"
+
+
+def test_a_file_is_uploaded_in_one_request(tmp_path: Path) -> None:
+    """An upload in parts that is interrupted leaves some in the bucket that no list shows and that cost money."""
+    requests: list[tuple[str, str, int]] = []
+
+    class Bucket(BaseHTTPRequestHandler):
+        def answer(self) -> None:
+            size = int(self.headers.get("Content-Length", "0"))
+            self.rfile.read(size)
+            requests.append((self.command, self.path, size))
+            self.send_response(200)
+            self.send_header("ETag", '"x"')
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        do_PUT = do_POST = answer
+
+        def log_message(self, *_: object) -> None:
+            """Write nothing."""
+
+    (tmp_path / "large").write_bytes(bytes(20 << 20))
+    with ThreadingHTTPServer(("127.0.0.1", 0), Bucket) as server:
+        threading.Thread(target=server.serve_forever).start()
+        settings = {"mode": "local", "database_url": "postgresql:///x", "broker_url": "redis://h"}
+        endpoint = f"http://127.0.0.1:{server.server_port}"
+        keys = {"s3_access_key_id": "x", "s3_secret_access_key": "y"}
+        given = {**settings, **keys, "artifact_url": "s3://bucket", "s3_endpoint": endpoint}
+        ArtifactStore.from_settings(ServiceSettings.model_validate(given)).put_directory("a", tmp_path)
+        server.shutdown()
+    assert requests[0] == ("PUT", "/bucket/a/large", 20 << 20)
+    assert [path for _, path, _ in requests] == ["/bucket/a/large", "/bucket/a/manifest.json"]

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from naojobs.errors import LeaseLostError
 from naojobs.store import CorruptArtifactError, MissingArtifactError, StoreError
+from naosim.launchers import LauncherUnavailableError
+from naosim.simulator import ServerLostError, ServersUnavailableError
 from naosprint import CheckpointError, TrainingDivergedError
 from naosprint_worker.child_process import StopRequest, StopRequestedError, judge
 from naosprint_worker.outcome import ExitCode
@@ -34,6 +36,9 @@ from sqlalchemy.exc import OperationalError
         (OSError(errno.EDQUOT, "Disk quota exceeded"), ExitCode.DISK_FULL, "disk_full"),
         (OSError("12 requested and 0 written"), ExitCode.TRANSIENT, "system"),
         (ConnectionResetError("simulator"), ExitCode.TRANSIENT, "system"),
+        (LauncherUnavailableError("Docker: refused"), ExitCode.TRANSIENT, "service_unavailable"),
+        (ServersUnavailableError("server 3: Docker: refused"), ExitCode.TRANSIENT, "service_unavailable"),
+        (ServerLostError("21 servers were lost"), ExitCode.TRANSIENT, "system"),
         (MemoryError(), ExitCode.TRANSIENT, "system"),
         (ValueError("n_envs: too many"), ExitCode.PERMANENT, "error"),
     ],

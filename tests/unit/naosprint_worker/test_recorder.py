@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from naojobs.records import Batch, StoredCheckpoint
 from naosprint_worker import recorder as module
 from naosprint_worker.recorder import Recorder
 from naosprint_worker.retry import PatienceExhaustedError
+from naosprint_worker.spool import Spool
 
 
 class Memory:
@@ -59,8 +61,9 @@ def make(sink: Memory, tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
     """Build recorders that end with the test."""
     made: list[Recorder] = []
 
-    def build(flush_s: float = 0.01) -> Recorder:
-        recorder = Recorder(sink, spool=tmp_path / "spool", flush_s=flush_s, patience_s=30.0)
+    def build(flush_s: float = 0.01, spool: str = "spool", **options: Any) -> Recorder:
+        options = {"patience_s": 30.0, **options}
+        recorder = Recorder(sink, spool=Spool(tmp_path / spool), flush_s=flush_s, **options)
         made.append(recorder)
         return recorder
 
@@ -205,13 +208,82 @@ def test_a_database_that_comes_back_loses_nothing(make: Callable[..., Recorder],
 
 def test_patience_ends_with_the_reason(sink: Memory, tmp_path: Path) -> None:
     told = threading.Event()
-    recorder = Recorder(sink, spool=tmp_path / "spool", flush_s=0.01, patience_s=0.2, on_failure=told.set)
+    recorder = Recorder(sink, spool=Spool(tmp_path / "spool"), flush_s=0.01, patience_s=0.2, on_failure=told.set)
     sink.fail_writes = ConnectionError("gone for good")
     recorder.metrics({"step": 1})
     assert told.wait(30)
     assert recorder.failed
     with pytest.raises(PatienceExhaustedError, match=r"writing to the database: gave up after .*gone for good"):
         recorder.close(30)
+
+
+def test_a_store_that_is_away_is_waited_for_within_the_limit_of_the_disk(
+    make: Callable[..., Recorder], sink: Memory, tmp_path: Path
+) -> None:
+    """The patience with the database does not count; the training waits once its checkpoints are too many."""
+    recorder = make(patience_s=0.01, spool_bytes=250)
+    sink.fail_uploads = ConnectionError("store down")
+    for step in (1, 2):
+        recorder.checkpoint(checkpoint_directory(tmp_path, "x" * 100), step)
+    returned = threading.Event()
+
+    def third() -> None:
+        recorder.checkpoint(checkpoint_directory(tmp_path, "x" * 100), 3)
+        returned.set()
+
+    thread = threading.Thread(target=third)
+    thread.start()
+    while not any("the training pauses" in str(line) for line in sink.of("log")):
+        assert sink.tried.acquire(timeout=30)
+    assert not returned.is_set()
+    assert not recorder.failed
+    sink.fail_uploads = None
+    thread.join(30)
+    recorder.flush(30)
+    assert returned.is_set()
+    assert sink.of("checkpoint") == [1, 2, 3]
+    assert list((tmp_path / "spool").iterdir()) == []
+
+
+def test_a_request_to_stop_ends_the_waiting_for_the_store(
+    make: Callable[..., Recorder], sink: Memory, tmp_path: Path
+) -> None:
+    recorder = make(spool_bytes=1, stop=lambda: True)
+    sink.fail_uploads = ConnectionError("store down")
+    recorder.checkpoint(checkpoint_directory(tmp_path), 1)
+    assert [path.name for path in (tmp_path / "spool").iterdir()] == ["000000000001"]
+
+
+def test_the_next_attempt_takes_over_what_is_not_recorded(
+    make: Callable[..., Recorder], sink: Memory, tmp_path: Path
+) -> None:
+    """The database was away, too: the metrics before each checkpoint lie beside it, each row once."""
+    recorder = make(patience_s=0.05, spool="job/1")
+    sink.fail_uploads = sink.fail_writes = ConnectionError("everything is down")
+    for step in (10, 20):
+        for row in (step - 5, step):
+            recorder.metrics({"step": row, "reward": 1.0})
+        folder = tmp_path / f"step-{step}"
+        folder.mkdir()
+        recorder.checkpoint(checkpoint_directory(folder, str(step)), step)
+    with pytest.raises(PatienceExhaustedError):
+        recorder.flush(30)
+    recorder.abandon()
+
+    sink.fail_uploads = sink.fail_writes = None
+    spool = Spool(tmp_path / "job" / "2", 2)
+    left = spool.left_by_others(0)
+    assert [entry.step for entry in left] == [10, 20]
+    second = Recorder(sink, spool=spool, flush_s=0.01)
+    for entry in left:
+        second.adopt(spool.adopt(entry), known={5})
+    second.close(30)
+    assert sink.of("metrics") == [10, 15, 20]
+    assert sink.of("checkpoint") == [10, 20]
+    assert sink.files == {step: {"policy.npz": str(step).encode()} for step in (10, 20)}
+    spool.discard_others()
+    spool.close()
+    assert not (tmp_path / "job").exists()
 
 
 def test_an_error_that_is_not_transient_ends_recording_at_once(make: Callable[..., Recorder], sink: Memory) -> None:

@@ -188,6 +188,40 @@ def test_database_that_stays_away_ends_the_attempt(bench: Callable[..., Bench]) 
     assert (ending.intent, ending.returncode) == (Intent.CUT_OFF, ExitCode.STOPPED)
 
 
+FROZEN = """
+    import os, pathlib, signal
+    pathlib.Path("progress").touch()
+    pathlib.Path("ready").write_text("")
+    os.kill(os.getpid(), signal.SIGSTOP)
+"""
+BUSY = """
+    import pathlib, signal, sys, threading
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))
+    pathlib.Path("ready").write_text("")
+    while True:
+        pathlib.Path("progress").touch()
+        threading.Event().wait(0.01)
+"""
+
+
+def test_child_that_makes_no_step_is_killed(bench: Callable[..., Bench]) -> None:
+    """A stopped process cannot be asked to stop."""
+    each = bench(FROZEN, worker_stall_s=0.5)
+    each.start()
+    ending = each.join()
+    assert (ending.intent, ending.returncode, ending.overstayed) == (Intent.STALLED, -signal.SIGKILL, False)
+
+
+def test_child_that_makes_steps_is_left_alone(bench: Callable[..., Bench]) -> None:
+    each = bench(BUSY, worker_stall_s=1.0)
+    each.start()
+    beats = each.beats
+    while each.beats < beats + 40:  # two seconds
+        assert each.ending is None
+    each.answer = Requests(WorkState.RUNNING, cancel=True)
+    assert each.join().intent is Intent.CANCEL
+
+
 def test_child_over_the_memory_limit_is_killed(bench: Callable[..., Bench]) -> None:
     hungry = "import pathlib, signal; x = bytes(96 << 20); pathlib.Path('ready').write_text(''); signal.pause()"
     each = bench(hungry.replace("bytes(", "bytearray(b'x') * ("), worker_memory_mb=64)

@@ -10,6 +10,7 @@ from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import ColumnElement, and_, func, select, tuple_
 from sqlalchemy.orm import Session
 
+from naojobs.checkpoints import awaits_policy
 from naojobs.models import Evaluation, Job, Work, Worker
 from naojobs.states import WorkState
 
@@ -72,7 +73,20 @@ def waiting_reasons(session: Session, work: Iterable[Work], *, stale_s: float) -
         return {}
     recently = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
     workers = session.scalars(select(Worker).where(recently)).all()
-    reasons = {item.id: _reason(item, workers) for item in queued}
+    children = [item.id for item in queued if isinstance(item, Job) and item.needs_policy]
+    waiting = select(Job.id, Job.parent_job_id).where(Job.id.in_(children), awaits_policy())
+    parents = {row.id: row.parent_job_id for row in session.execute(waiting)} if children else {}
+    reasons = {
+        item.id: _reason(item, workers)
+        if item.id not in parents
+        else f"job {parents[item.id]}, whose policy it starts from, has no trained checkpoint yet"
+        for item in queued
+    }
+    now = session.scalar(select(func.now()))
+    for item in queued:
+        if item.not_before is not None and now is not None and item.not_before > now:
+            left_s = (item.not_before - now).total_seconds()
+            reasons[item.id] = f"the next attempt begins in {left_s:.0f} s; the last one ended: {item.error}"
     return {work_id: reason for work_id, reason in reasons.items() if reason is not None}
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from sqlalchemy import Select, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Select, and_, select
+from sqlalchemy.orm import Session, aliased
 
 from naojobs.database import Sessions
-from naojobs.models import Checkpoint
+from naojobs.models import Checkpoint, Job
+from naojobs.states import OPEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,13 +20,14 @@ class CheckpointRef:
     id: str
     job_id: str
     step: int
+    attempt: int
     key: str
     manifest: dict[str, Any]
 
     @classmethod
     def of(cls, row: Checkpoint) -> Self:
         """Return the reference to a row."""
-        return cls(row.id, row.job_id, row.step, row.key, row.manifest)
+        return cls(row.id, row.job_id, row.step, row.attempt, row.key, row.manifest)
 
 
 def newest_first(job_id: str) -> Select[Checkpoint]:
@@ -37,6 +39,25 @@ def newest_first(job_id: str) -> Select[Checkpoint]:
 def newest_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
     """Return the first checkpoint by `newest_first`; none if the job has none."""
     return session.scalar(newest_first(job_id).limit(1))
+
+
+def trained_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
+    """Return the newest checkpoint behind step 0, whose weights are random; none if the job has none."""
+    return session.scalar(newest_first(job_id).where(Checkpoint.step > 0).limit(1))
+
+
+def awaits_policy() -> ColumnElement[bool]:
+    """Return the condition under which a job has to wait: it starts from a policy that its parent has yet to train."""
+    parent = aliased(Job)
+    own = select(Checkpoint.id).where(Checkpoint.job_id == Job.id)
+    trained = select(Checkpoint.id).where(Checkpoint.job_id == Job.parent_job_id, Checkpoint.step > 0)
+    return and_(
+        Job.needs_policy,
+        Job.parent_checkpoint_id.is_(None),
+        ~own.exists(),
+        select(parent.id).where(parent.id == Job.parent_job_id, parent.state.in_(OPEN)).exists(),
+        ~trained.exists(),
+    )
 
 
 def checkpoints_of(sessions: Sessions, job_id: str) -> list[CheckpointRef]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 CHANNEL = "naosprint_jobs"
 
 #: The revision of the schema that this code is written for.
-REVISION = "0002"
+REVISION = "0006"
 
 #: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F
@@ -63,10 +63,17 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
     @event.listens_for(engine, "checkout")
     def refuse_cut(connection: psycopg.Connection[Any], _record: object, _proxy: object) -> None:
         # Nobody speaks on an idle connection unless it ends: a look at its socket saves asking the server each time.
-        if connection.closed or select.select([connection.fileno()], [], [], 0)[0]:
+        if connection.closed or _has_input(connection.fileno()):
             raise InvalidatePoolError("the server has cut the connection")
 
     return engine
+
+
+def _has_input(descriptor: int) -> bool:
+    """Return whether a socket has something to read, or has ended; `select.select` refuses descriptors above 1,023."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(0))
 
 
 def limit_transactions(engine: Engine, seconds: float) -> None:

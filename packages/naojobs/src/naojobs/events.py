@@ -21,8 +21,8 @@ class EventKind:
 EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
     {
         "queued": EventKind(
-            "The job waits for a worker: it was submitted, resumed, retried, or requeued after a lost attempt.",
-            ("owner", "reason", "failures"),
+            "The job waits for a worker: it was submitted, resumed, retried, or requeued after an attempt.",
+            ("owner", "reason", "failures", "delay_s"),
         ),
         "notification_failed": EventKind(
             "The broker took no wake-up message; the job waits until a free worker polls the queue.", ("error",)
@@ -34,12 +34,11 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "checkpoint_unusable": EventKind(
             "A checkpoint is missing or damaged; the one before it is tried.", ("checkpoint_id", "step")
         ),
-        "started": EventKind(
-            "The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id", "dropped_metrics")
-        ),
+        "started": EventKind("The training starts at step 0; `checkpoint_id` is null.", ("step", "checkpoint_id")),
         "resumed": EventKind(
-            "The training resumes from a checkpoint; metrics beyond its step are dropped.",
-            ("step", "checkpoint_id", "dropped_metrics"),
+            "The training resumes from a checkpoint; metrics beyond its step stay until the next checkpoint. "
+            "`checkpoint_id` is null for one that has not reached the store yet.",
+            ("step", "checkpoint_id"),
         ),
         "running": EventKind("The training has begun."),
         "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),
@@ -50,7 +49,7 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "evaluating": EventKind("The training is over; its policy is being evaluated."),
         "evaluation": EventKind(
             "An evaluation has a new state, or its end was requested.",
-            ("evaluation_id", "state", "reason", "failures"),
+            ("evaluation_id", "state", "reason", "failures", "delay_s"),
         ),
         "succeeded": EventKind("The job has ended with all results recorded."),
         "failed": EventKind(

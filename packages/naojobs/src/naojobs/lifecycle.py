@@ -13,17 +13,20 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
-from naospec import EvaluationSpec, TrainingSpec, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, and_, func, select, update
+from sqlalchemy import ColumnElement, Select, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
-from naojobs.checkpoints import CheckpointRef, newest_checkpoint
+from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
+
+#: Seconds until the next attempt after one that a service was away for, doubled with each in a row up to the longest.
+POSTPONE_S, LONGEST_POSTPONE_S = 5.0, 300.0
 
 #: Seconds after a heartbeat at which a lease expires.
 DEFAULT_LEASE_S = 30.0
@@ -106,6 +109,7 @@ def _change(work: Job | Evaluation, target: WorkState) -> None:
     if target is WorkState.QUEUED:
         work.queued_at = func.now()
         work.finished_at = None
+        work.not_before = None
     if target in ENDED:
         work.finished_at = func.now()
         work.cancel_requested = False
@@ -269,7 +273,7 @@ def retry(sessions: Sessions, job_id: str) -> Job:
             hint = "use resume" if job.state is WorkState.PAUSED else "submit a new job to train again"
             raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
         _change(job, WorkState.QUEUED)
-        job.failures = 0
+        job.failures = job.postponed = 0
         job.error = None
         add_event(session, job, "queued", "retried by a user")
         session.flush()
@@ -283,6 +287,8 @@ def delete(sessions: Sessions, job_id: str) -> None:
     Raises NotFoundError, and ConflictError if the job is open, or if an open job starts from its policy.
     """
     with sessions.begin() as session:
+        # Children before their parent, as a claim locks them: the deletion changes their rows, too.
+        session.execute(select(Job.id).where(Job.parent_job_id == job_id).order_by(Job.id).with_for_update())
         job = _known(session, Job, job_id)
         if job.state not in ENDED:
             raise ConflictError(f"job {job_id} is {job.state}; cancel it first")
@@ -348,39 +354,52 @@ def claim_next(
 
     Several workers may look at once: each skips the rows that another is claiming.
     """
-    with sessions.begin() as session:
-        found: list[Job | Evaluation] = []
-        for model in models:
-            first = _waiting(model, capabilities).where(model.queue.in_(queues))
-            first = first.order_by(model.priority.desc(), model.queued_at).limit(1)
-            work = session.scalar(first.with_for_update(skip_locked=True))
-            found += [] if work is None else [work]
-        if not found:
-            return None
-        return _take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+    models = tuple(models)
+    while True:
+        with sessions.begin() as session:
+            found: list[Job | Evaluation] = []
+            for model in models:
+                first = _waiting(model, capabilities).where(model.queue.in_(queues))
+                first = first.order_by(model.priority.desc(), model.queued_at).limit(1)
+                work = session.scalar(first.with_for_update(skip_locked=True))
+                found += [] if work is None else [work]
+            if not found:
+                return None
+            taken = _take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+        if taken is not None:  # else it has left the queue, with the reason in its row
+            return taken
 
 
 def _waiting(model: type[Job] | type[Evaluation], capabilities: Capabilities | None) -> Any:
-    waiting = select(model).where(model.state == WorkState.QUEUED)
+    due = or_(model.not_before.is_(None), model.not_before <= func.now())
+    waiting = select(model).where(model.state == WorkState.QUEUED, due)
+    if model is Job:
+        waiting = waiting.where(~awaits_policy())
     return waiting if capabilities is None else waiting.where(capabilities.condition(model))
 
 
 def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim | None:
     """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
 
-    Work whose specification this version cannot read fails, and None is returned.
+    Work whose specification this version cannot read fails, as does a job that lacks the policy it starts from; then
+    None is returned.
     """
     try:
         read: type[TrainingSpec] | type[EvaluationSpec] = TrainingSpec if isinstance(work, Job) else EvaluationSpec
         spec = read.model_validate(work.spec)
         final = isinstance(work, Job) and work.evaluation
         evaluation = EvaluationSpec.model_validate(final) if final else None
-    except ValidationError as error:
-        work.error = f"the specification does not fit this version: {validation_words(error.errors())}"
-        _change(work, WorkState.FAILED)
-        if isinstance(work, Job):
-            add_event(session, work, "failed", work.error)
+    except (ValidationError, plugins.BrokenPluginError) as error:
+        words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
+        reason = f"the specification does not fit this version: {words}"
+        _refuse(session, work, reason)
         return None
+    own = parent = None
+    if isinstance(work, Job) and (own := newest_checkpoint(session, work.id)) is None and work.needs_policy:
+        parent = _parent_policy(session, work)
+        if parent is None:
+            _refuse(session, work, _missing_policy(work))
+            return None
     _change(work, WorkState.STARTING)
     work.attempt += 1
     work.lease_owner = worker
@@ -394,15 +413,6 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         assert isinstance(spec, EvaluationSpec)
         return EvaluationClaim(lease, spec, checkpoint, work.time_limit_s)
     add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
-    own, parent = newest_checkpoint(session, work.id), None
-    if own is None and work.parent_checkpoint_id is not None:
-        parent = session.get(Checkpoint, work.parent_checkpoint_id)
-    elif own is None and work.parent_job_id is not None:
-        # From now on this one is the parent, for every attempt: the lock and the reference keep it from being
-        # pruned by the parent job, which may still run.
-        session.execute(select(Job.id).where(Job.id == work.parent_job_id).with_for_update(key_share=True))
-        parent = newest_checkpoint(session, work.parent_job_id)
-        work.parent_checkpoint_id = parent.id if parent is not None else None
     assert isinstance(spec, TrainingSpec)
     return JobClaim(
         lease=lease,
@@ -412,6 +422,36 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         resume_from=CheckpointRef.of(own) if own else None,
         initial_policy=CheckpointRef.of(parent) if parent else None,
     )
+
+
+def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
+    """End queued work that no worker can begin."""
+    work.error = reason
+    _change(work, WorkState.FAILED)
+    if isinstance(work, Job):
+        add_event(session, work, "failed", reason)
+    else:
+        notify(session, work.job_id)  # no event: the job's row is not locked
+
+
+def _parent_policy(session: Session, job: Job) -> Checkpoint | None:
+    """Return the checkpoint whose policy a locked job starts from; none if there is none any more."""
+    if job.parent_checkpoint_id is not None:
+        return session.get(Checkpoint, job.parent_checkpoint_id)
+    if job.parent_job_id is None:
+        return None
+    # From now on this one is the parent, for every attempt: the lock and the reference keep it from being pruned by
+    # the parent job, which may still run.
+    session.execute(select(Job.id).where(Job.id == job.parent_job_id).with_for_update(key_share=True))
+    parent = trained_checkpoint(session, job.parent_job_id)
+    job.parent_checkpoint_id = parent.id if parent is not None else None
+    return parent
+
+
+def _missing_policy(job: Job) -> str:
+    if job.parent_job_id is None:
+        return "the job whose policy it starts from was deleted"
+    return f"job {job.parent_job_id}, whose policy it starts from, ended without a trained checkpoint"
 
 
 def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEASE_S) -> Requests:
@@ -454,7 +494,7 @@ def transition(
     """Change the state of leased work to `target`; return the state it had.
 
     The lease ends with every state outside `LEASED`. Use it with `queued` to requeue work without counting a failure
-    (a worker that shuts down); after a lost child process use `lose`.
+    (a worker that shuts down); after a lost child process use `lose`, after a service that was away `postpone`.
 
     Raises LeaseLostError, and ConflictError if the table of transitions does not allow it.
     """
@@ -482,30 +522,41 @@ def _settle(
         work.error = error
     elif target is WorkState.SUCCEEDED:
         work.error = None
-        work.failures = 0
+        work.failures = work.postponed = 0
     add_event(session, work, str(target), message or error or f"{source} -> {target}", data)
 
 
-def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
-    """Record that a training starts at `step` and drop the metrics beyond it, which will be measured again.
+def _begun(job: Job, step: int, resumed_from: str | None) -> Select[int]:
+    """Return the query of the event that this attempt has begun in this way."""
+    data = {"step": step, "checkpoint_id": resumed_from}
+    ways = ("started", "resumed")
+    same = (Event.job_id == job.id, Event.attempt == job.attempt, Event.kind.in_(ways), Event.data == data)
+    return select(Event.id).where(*same).limit(1)
 
-    Raises LeaseLostError.
+
+def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | None = None) -> None:
+    """Record that a training starts at `step`; with steps done but no `resumed_from` from a file on the worker's disk.
+
+    Metrics beyond it will be measured again; those of earlier attempts stay until a new checkpoint supersedes them
+    (`naojobs.records.write`). Raises LeaseLostError.
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
-        dropped = session.query(Metric).where(Metric.job_id == job.id, Metric.step > step).delete()
+        resumed = resumed_from is not None or step > 0
+        if session.scalar(_begun(job, step, resumed_from)) is not None:
+            return  # a commit that seemed to fail did not
         newest = session.scalar(
-            select(Metric).where(Metric.job_id == job.id).order_by(Metric.step.desc()).limit(1),
+            select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
         )
-        job.progress_step = step
+        job.progress_step = job.began_step = step
         job.latest_metrics = newest.values if newest is not None else {}
         job.updated_at = func.now()
         add_event(
             session,
             job,
-            "started" if resumed_from is None else "resumed",
-            f"{'starts at' if resumed_from is None else 'resumes from'} step {step}",
-            {"step": step, "checkpoint_id": resumed_from, "dropped_metrics": dropped},
+            "resumed" if resumed else "started",
+            f"{'resumes from' if resumed else 'starts at'} step {step}",
+            {"step": step, "checkpoint_id": resumed_from},
         )
 
 
@@ -518,13 +569,28 @@ def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
         return _lose(session, hold(session, lease), reason)
 
 
-def _lose(session: Session, work: Job | Evaluation, reason: str) -> WorkState:
-    work.failures += 1
+def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
+    """Queue work again whose attempt ended because a service was away; return the new state.
+
+    It counts no failed attempt. The next attempt begins after a delay, which grows while attempts end in this way.
+    Work that a user asked to cancel or pause ends that way instead. Raises LeaseLostError.
+    """
+    with sessions.begin() as session:
+        return _lose(session, hold(session, lease), reason, counts=False)
+
+
+def _lose(session: Session, work: Job | Evaluation, reason: str, *, counts: bool = True) -> WorkState:
+    work.failures += counts
     error = reason
+    delay_s = None
     if work.cancel_requested:
         target, message = WorkState.CANCELLED, f"{reason}; cancelled as requested"
     elif work.state is WorkState.PAUSING:
         target, message = WorkState.PAUSED, f"{reason}; paused as requested, at its last checkpoint"
+    elif not counts:
+        delay_s = min(POSTPONE_S * 2**work.postponed, LONGEST_POSTPONE_S)
+        work.postponed = min(work.postponed + 1, 30)
+        target, message = WorkState.QUEUED, f"{reason}; queued again, the next attempt begins in {delay_s:.0f} s"
     elif work.failures >= work.max_attempts:
         target = WorkState.FAILED
         error = message = f"{reason}; that was attempt {work.failures} of {work.max_attempts}"
@@ -532,7 +598,11 @@ def _lose(session: Session, work: Job | Evaluation, reason: str) -> WorkState:
         target = WorkState.QUEUED
         message = f"{reason}; queued again after attempt {work.failures} of {work.max_attempts}"
     data = {"reason": reason, "failures": work.failures}
+    if delay_s is not None:
+        data["delay_s"] = delay_s
     _settle(session, work, target, message=message, error=error, data=data)
+    if delay_s is not None:
+        work.not_before = func.now() + timedelta(seconds=delay_s)
     return target
 
 

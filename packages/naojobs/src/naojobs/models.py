@@ -106,8 +106,11 @@ class Work:
     )
     #: Number of claims. It never decreases: it fences off the writes of a worker that lost its lease.
     attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Number of attempts that ended by a lost worker or child process since the last submit or retry.
+    #: Number of attempts that ended by a lost worker or child process since the last submit, retry or new checkpoint.
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    #: Number of attempts in a row that ended because a service was away, and when the next one may begin.
+    postponed: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    not_before: Mapped[datetime | None]
     #: Number of failures at which the work fails for good.
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
     lease_owner: Mapped[str | None] = mapped_column(String(200))
@@ -140,12 +143,18 @@ class Job(Work, Base):
         ForeignKey("checkpoints.id", ondelete="SET NULL", use_alter=True),
         index=True,
     )
+    #: Whether it was submitted with a parent: it never starts without a policy, even when the parent has been deleted.
+    needs_policy: Mapped[bool] = mapped_column(server_default=text("false"))
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     #: SHA-256 of the request that had the key, to distinguish a repeated request from another one.
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     progress_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     total_steps: Mapped[int] = mapped_column(BigInteger)
+    #: Step at which the last attempt began.
+    began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    #: Id of the last batch of records, so that one that is written again adds nothing twice.
+    last_batch: Mapped[str | None] = mapped_column(String(64))
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
 

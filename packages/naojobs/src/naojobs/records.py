@@ -8,13 +8,14 @@ read misses nothing.
 from __future__ import annotations
 
 import math
+import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Any
 
 from naospec import EvaluationSpec
-from sqlalchemy import DateTime, bindparam, func, insert, select
+from sqlalchemy import DateTime, bindparam, delete, func, insert, select
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
 
@@ -75,6 +76,8 @@ class Batch:
     logs: list[LogLine] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
     checkpoints: list[StoredCheckpoint] = field(default_factory=list)
+    #: Distinguishes a repeated write, whose first commit may have succeeded unnoticed, from another batch.
+    id: str = field(default_factory=lambda: secrets.token_hex(8))
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -84,16 +87,19 @@ class Batch:
 def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     """Write all records of `batch` for a leased job in one transaction; return the ids of its checkpoints by step.
 
-    A repeated call replaces the metrics and keeps the checkpoints that are there. Metrics that are not finite are left
-    out. Raises LeaseLostError.
+    A repeated call replaces the metrics, keeps the checkpoints that are there and adds no log line or event again, if
+    no other batch was written in between. Metrics that are not finite are left
+    out. A new checkpoint supersedes the metrics that earlier attempts wrote beyond the step at which this one began.
+    Raises LeaseLostError.
     """
     with sessions.begin() as session:
         job = hold_job(session, lease)
         if batch.metrics:
             _write_metrics(session, job, batch.metrics)
-        if batch.logs:
+        repeated, job.last_batch = job.last_batch == batch.id, batch.id
+        if batch.logs and not repeated:
             session.execute(_INSERT_LOG, [_log_row(job, line) for line in batch.logs])
-        for event in batch.events:
+        for event in batch.events if not repeated else ():
             add_event(session, job, event.kind, event.message, event.data)
         ids = {stored.step: _write_checkpoint(session, job, stored) for stored in batch.checkpoints}
         notify(session, job.id)
@@ -169,6 +175,7 @@ def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
 
 def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> str:
     same = {"job_id": job.id, "step": stored.step, "attempt": job.attempt}
+    furthest = session.scalar(select(func.max(Checkpoint.step)).where(Checkpoint.job_id == job.id))
     new: str | None = session.scalar(
         upsert(Checkpoint)
         .values(id=new_id("ckpt"), key=stored.key, manifest=dict(stored.manifest), **same)
@@ -177,9 +184,19 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     )
     if new is None:
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
+    if stored.step > job.began_step:
+        _drop_superseded(session, job)
+    if furthest is None or stored.step > furthest:  # the attempts until now were worth something
+        job.failures = job.postponed = 0
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
+
+
+def _drop_superseded(session: Session, job: Job) -> None:
+    """Delete the metrics of earlier attempts beyond the step at which this one began."""
+    beyond = (Metric.job_id == job.id, Metric.attempt < job.attempt, Metric.step > job.began_step)
+    session.execute(delete(Metric).where(*beyond))
 
 
 # --- evaluations ------------------------------------------------------------------------------------------------------
@@ -250,6 +267,12 @@ def job_name(sessions: Sessions, job_id: str) -> str:
     """Return a job's name."""
     with sessions() as session:
         return session.execute(select(Job.name).where(Job.id == job_id)).scalar_one()
+
+
+def metrics_steps(sessions: Sessions, job_id: str) -> set[int]:
+    """Return the steps of a job's rows of metrics."""
+    with sessions() as session:
+        return set(session.scalars(select(Metric.step).where(Metric.job_id == job_id)))
 
 
 def metrics_until(sessions: Sessions, job_id: str, step: int) -> Iterator[dict[str, Any]]:

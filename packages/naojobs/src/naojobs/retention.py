@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
+from naospec import TrainingSpec
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
@@ -52,8 +53,9 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
         ).all()
         candidates = rows[wanted.last :]
         if wanted.every is not None:
-            stride = wanted.every * int(job.spec["runtime"]["checkpoint_interval_steps"])
-            rollout = int(job.spec["algorithm"]["n_envs"]) * int(job.spec["algorithm"]["n_steps"])
+            spec = TrainingSpec.model_validate(job.spec)  # an older version may have stored fewer settings
+            stride = wanted.every * spec.runtime.checkpoint_interval_steps
+            rollout = spec.rollout_steps
             # A checkpoint comes with the first update at or behind a multiple of the interval.
             candidates = [row for row in candidates if row.step % stride >= rollout]
         spared = _spared(session, job.id)
@@ -114,4 +116,6 @@ def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AG
             continue  # somebody else was faster
         _log.info("deleted %s: %d files that nothing refers to", prefix, count)
         gone.append(prefix)
+    if count := store.remove_unfinished(age_s):
+        _log.info("deleted %d files whose writing was interrupted", count)
     return gone

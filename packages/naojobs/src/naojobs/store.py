@@ -7,8 +7,9 @@ import json
 import os
 import re
 import secrets
+import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -31,7 +32,13 @@ MANIFEST_NAME = "manifest.json"
 ARTIFACTS = "jobs"
 #: Below it lie the files with which a store is tried out.
 PROBES = "probes"
+#: Seconds for which a store may be silent, and for which a request that it refuses is repeated.
+DEFAULT_DEADLINE_S = 60.0
+#: Larger files are uploaded in parts.
+LARGEST_PUT_BYTES = 64 << 20
 _CHUNK_BYTES = 1 << 20
+#: Names under which a local store writes files before they get their own.
+_UNFINISHED = re.compile(r".*#[0-9]+")
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
 
 
@@ -94,9 +101,17 @@ def check_key(key: str) -> str:
     return key
 
 
-def checkpoint_key(job_id: str, step: int, attempt: int) -> str:
+def new_nonce() -> str:
+    """Return a random part for the keys of one attempt.
+
+    A database that lost its last seconds gives an attempt's number again: its files must not replace earlier ones.
+    """
+    return secrets.token_hex(4)
+
+
+def checkpoint_key(job_id: str, step: int, attempt: int, nonce: str = "") -> str:
     """Return where the files of a checkpoint lie; it sorts by step, then by attempt."""
-    return check_key(f"{ARTIFACTS}/{job_id}/checkpoints/{step:012d}-{attempt}")
+    return check_key("-".join(filter(None, (f"{ARTIFACTS}/{job_id}/checkpoints/{step:012d}", str(attempt), nonce))))
 
 
 def job_prefix(job_id: str) -> str:
@@ -104,9 +119,9 @@ def job_prefix(job_id: str) -> str:
     return check_key(f"{ARTIFACTS}/{job_id}")
 
 
-def evaluation_key(job_id: str, evaluation_id: str, attempt: int) -> str:
+def evaluation_key(job_id: str, evaluation_id: str, attempt: int, nonce: str = "") -> str:
     """Return where the files of an evaluation lie."""
-    return check_key(f"{ARTIFACTS}/{job_id}/evaluations/{evaluation_id}-{attempt}")
+    return check_key("-".join(filter(None, (f"{ARTIFACTS}/{job_id}/evaluations/{evaluation_id}", str(attempt), nonce))))
 
 
 def artifact_of(key: str) -> str:
@@ -152,8 +167,11 @@ class ArtifactStore:
         self._store = store
 
     @classmethod
-    def from_settings(cls, settings: ServiceSettings) -> Self:
-        """Open the store that the settings name; makes the folder of a local one."""
+    def from_settings(cls, settings: ServiceSettings, *, deadline_s: float = DEFAULT_DEADLINE_S) -> Self:
+        """Open the store that the settings name; makes the folder of a local one.
+
+        A store that is silent for ``deadline_s`` seconds fails, as does one that refuses for longer.
+        """
         parts = urlsplit(settings.artifact_url)
         if parts.scheme == "file":
             return cls(LocalStore(unquote(parts.path), mkdir=True, automatic_cleanup=True))
@@ -170,9 +188,10 @@ class ArtifactStore:
             client_options={
                 "allow_http": (settings.s3_endpoint or "").startswith("http://"),
                 "timeout": timedelta(minutes=10),
-                "connect_timeout": timedelta(seconds=5),
+                "connect_timeout": timedelta(seconds=min(5.0, deadline_s)),
+                "read_timeout": timedelta(seconds=deadline_s),
             },
-            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=30)},
+            retry_config={"max_retries": 5, "retry_timeout": timedelta(seconds=min(30.0, deadline_s))},
             **options,
         )
         return cls(store)
@@ -208,7 +227,8 @@ class ArtifactStore:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
                 size = file.tell()
             with _store_errors(f"put {target}"):
-                obstore.put(self._store, target, path)
+                # One request is there as a whole or not at all; one in parts may leave some that nothing lists.
+                obstore.put(self._store, target, path, use_multipart=size > LARGEST_PUT_BYTES)
                 self._settle(target)
             entries.append(FileEntry(name=name, size=size, sha256=digest))
         manifest = Manifest(files=tuple(entries))
@@ -325,6 +345,21 @@ class ArtifactStore:
         with _store_errors(f"delete {key}"):
             obstore.delete(self._store, key)
         return 1
+
+    def remove_unfinished(self, age_s: float) -> int:
+        """Delete files of a local store whose writing was interrupted at least `age_s` ago; return how many.
+
+        They are in no list. An S3 server has none, since files are uploaded in one request up to `LARGEST_PUT_BYTES`.
+        """
+        count = 0
+        root = self.local_root
+        before = time.time() - age_s
+        for path in root.rglob("*#*") if root is not None else ():
+            with suppress(FileNotFoundError):
+                if _UNFINISHED.fullmatch(path.name) and path.stat().st_mtime < before:
+                    path.unlink()
+                    count += 1
+        return count
 
     def url_for(self, key: str, expires_in: timedelta = timedelta(minutes=15)) -> str | None:
         """Return a signed URL from which anybody may read `key` for a while, or none if the store has no such."""

@@ -187,6 +187,7 @@ def _submit(
             max_attempts=request.max_attempts,
             parent_job_id=request.parent_job_id,
             parent_checkpoint_id=request.parent_checkpoint_id,
+            needs_policy=request.parent_job_id is not None,
             group_id=group_id,
             idempotency_key=idempotency_key,
             idempotency_digest=digest,
@@ -247,20 +248,27 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
     parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
-    robot = parent.spec.get("robot", {}).get("name")
+    try:
+        theirs = TrainingSpec.model_validate(parent.spec)
+    except (ValidationError, plugins.BrokenPluginError):
+        raise InvalidError(
+            f"job {parent.id} was stored by a version whose specifications this one cannot read; use a newer job",
+            "parent_job_id",
+        ) from None
+    robot = theirs.robot.name
     if robot in plugins.names(plugins.ROBOTS):
-        family = plugins.load(plugins.ROBOTS, robot).family
+        family = theirs.robot_description.family
         if family != request.spec.robot_description.family:
             raise InvalidError(
                 f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
                 f"use a robot of family {family}",
                 "spec.robot",
             )
-    theirs = parent.spec.get("algorithm", {})
+    shape = theirs.algorithm.policy_shape()
     for name, value in request.spec.algorithm.policy_shape().items():
-        if theirs.get(name) != value:
+        if shape.get(name) != value:
             raise InvalidError(
-                f"the parent's policy has {name} {theirs.get(name)}, this job {value}; they must be the same",
+                f"the parent's policy has {name} {shape.get(name)}, this job {value}; they must be the same",
                 f"spec.algorithm.{name}",
             )
     if request.parent_checkpoint_id is not None:

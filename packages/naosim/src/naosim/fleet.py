@@ -20,8 +20,8 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from naosim.launchers import Address, Launcher, ServerHandle
-from naosim.simulator import Flags, Floats, ServerLostError
+from naosim.launchers import Address, Launcher, LauncherUnavailableError, ServerHandle
+from naosim.simulator import Flags, Floats, ServerLostError, ServersUnavailableError
 
 logger = logging.getLogger(__name__)
 
@@ -103,6 +103,8 @@ class Fleet(ABC):
         self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
         self._entering: Flags = np.zeros(n, dtype=np.bool_)  # environments whose server is being started
         self._handles: list[ServerHandle | None] = [None] * n
+        #: Environments whose server could not be started because nothing answered that starts servers.
+        self._unavailable: set[int] = set()
         self._lock = threading.RLock()
         self._idle = np.zeros((n, joints))
         """(n, joints) commands that hold the robots still."""
@@ -125,7 +127,7 @@ class Fleet(ABC):
             self._open(range(self.n))
             for row in range(self.n):
                 if self.failed[row]:
-                    raise ServerLostError(f"server {row}: {self.reason(row)}")
+                    raise self._lost(row)
         except BaseException:
             self.close()
             raise
@@ -261,8 +263,12 @@ class Fleet(ABC):
         self._open(lost)
         for row in lost:
             if self.failed[row]:
-                raise ServerLostError(f"server {row}: {self.reason(row)}")
+                raise self._lost(row)
         return lost
+
+    def _lost(self, row: int) -> ServerLostError:
+        error = ServersUnavailableError if row in self._unavailable else ServerLostError
+        return error(f"server {row}: {self.reason(row)}")
 
     @contextmanager
     def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
@@ -330,6 +336,7 @@ class Fleet(ABC):
         self._exchange.detach(row)
         deadline = time.monotonic() + self._start_timeout_s
         problem = ""
+        self._unavailable.discard(row)
         for _ in range(3):  # another process may take a port in the meantime
             handle, self._handles[row] = self._handles[row], None
             if handle is not None:
@@ -343,6 +350,9 @@ class Fleet(ABC):
                 self._enter(row, address, deadline)
             except OSError as error:
                 problem = str(error)
+                if isinstance(error, LauncherUnavailableError):
+                    self._unavailable.add(row)
+                    break
                 continue
             problem = self._exchange.failure(row)
             if not problem:

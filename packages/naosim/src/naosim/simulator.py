@@ -44,6 +44,10 @@ class ServerLostError(RuntimeError):
     """Loss of more servers than ``RuntimeOptions.max_server_failures``, or of one that cannot be replaced."""
 
 
+class ServersUnavailableError(ServerLostError):
+    """Loss of a server while nothing answers that could start another one."""
+
+
 class SimulatorParameters(Section):
     """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import logging
 import re
 import tarfile
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from datetime import datetime
+from functools import partial
+from typing import TypeVar
 
+from anyio import CapacityLimiter, to_thread
 from fastapi import Request
 from fastapi.responses import RedirectResponse, Response, StreamingResponse
 from naojobs.errors import NotFoundError
 from naojobs.store import ArtifactStore, FileEntry, Manifest
+from starlette.types import Receive, Scope, Send
 
 from naosprint_api.problems import FieldError, ProblemError
 
@@ -19,6 +23,9 @@ _log = logging.getLogger(__name__)
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 _BLOCK = 512
+_BINARY = "application/octet-stream"
+
+T = TypeVar("T")
 
 
 def parse_range(header: str, size: int) -> tuple[int, int] | None:
@@ -45,9 +52,42 @@ def parse_range(header: str, size: int) -> tuple[int, int] | None:
     return start, stop
 
 
+class StoredResponse(StreamingResponse):
+    """Response whose content comes from the store, read in the threads that are for it.
+
+    The store is opened before the response starts, so that one that fails becomes a problem document.
+    """
+
+    def __init__(
+        self,
+        open_content: Callable[[], Iterator[bytes]],
+        threads: CapacityLimiter,
+        status_code: int = 200,
+        *,
+        headers: Mapping[str, str],
+        media_type: str,
+    ) -> None:
+        super().__init__((), status_code, headers, media_type)
+        self._open_content = open_content
+        self._threads = threads
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Open the content and send it."""
+        self.body_iterator = self._pieces(await self._in_thread(self._open_content))
+        await super().__call__(scope, receive, send)
+
+    async def _pieces(self, content: Iterator[bytes]) -> AsyncIterator[bytes]:
+        while (piece := await self._in_thread(partial(next, content, None))) is not None:
+            yield piece
+
+    async def _in_thread(self, call: Callable[[], T]) -> T:
+        return await to_thread.run_sync(call, limiter=self._threads, abandon_on_cancel=True)
+
+
 def send_file(
     request: Request,
     store: ArtifactStore,
+    threads: CapacityLimiter,
     key: str,
     manifest: Manifest,
     name: str,
@@ -81,24 +121,23 @@ def send_file(
         part = parse_range(asked, entry.size)
     if part is None:
         headers["Content-Length"] = str(entry.size)
-        return StreamingResponse(store.stream(target), headers=headers, media_type="application/octet-stream")
+        return StoredResponse(partial(store.stream, target), threads, headers=headers, media_type=_BINARY)
     start, stop = part
     headers["Content-Length"] = str(stop - start)
     headers["Content-Range"] = f"bytes {start}-{stop - 1}/{entry.size}"
-    return StreamingResponse(
-        store.stream(target, start, stop), 206, headers=headers, media_type="application/octet-stream"
-    )
+    return StoredResponse(partial(store.stream, target, start, stop), threads, 206, headers=headers, media_type=_BINARY)
 
 
-def send_archive(store: ArtifactStore, key: str, manifest: Manifest, folder: str, at: datetime) -> Response:
+def send_archive(
+    store: ArtifactStore, threads: CapacityLimiter, key: str, manifest: Manifest, folder: str, at: datetime
+) -> Response:
     """Answer with all files of an artifact as one tar archive, its files below `folder`."""
     headers = {
         "Content-Disposition": f'attachment; filename="{folder}.tar"',
         "Content-Length": str(_archive_size(manifest, folder)),
     }
-    return StreamingResponse(
-        _archive(store, key, manifest, folder, at), headers=headers, media_type="application/x-tar"
-    )
+    content = partial(_archive, store, key, manifest, folder, at)
+    return StoredResponse(content, threads, headers=headers, media_type="application/x-tar")
 
 
 def _header(entry: FileEntry, folder: str, at: datetime | None = None) -> bytes:

@@ -13,7 +13,7 @@ from naojobs.errors import NotFoundError
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
-from sqlalchemy import Select, func, select
+from sqlalchemy import Select, func, select, tuple_
 
 from naosprint_api.results import results_of
 from naosprint_api.schemas import JobResult, MetricsPublic
@@ -63,19 +63,36 @@ def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str 
         return list(session.scalars(statement))
 
 
-def changed_jobs(sessions: Sessions, wanted: JobFilter, *, since: datetime, overlap_s: float = 10.0) -> list[Job]:
-    """Return jobs changed since then and a little before, oldest change first.
+#: Seconds before the newest change seen from which a follower looks again: `updated_at` is when a transaction began,
+#: so one that began earlier may show later.
+OVERLAP = timedelta(seconds=10)
 
-    `updated_at` is when a transaction began, so one that began earlier may show later: hence the overlap.
-    """
-    statement = (
-        wanted.apply(select(Job))
-        .where(Job.updated_at >= since - timedelta(seconds=overlap_s))
-        .order_by(Job.updated_at, Job.id)
-        .limit(1000)
-    )
+#: Changes that are read at a time.
+PAGE = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Last change of a job; changes are ordered by time, then by id."""
+
+    at: datetime
+    job_id: str = ""
+
+
+def changes(sessions: Sessions, wanted: JobFilter, *, after: Change) -> list[Change]:
+    """Return the changes behind `after`, oldest first, at most `PAGE` of them."""
+    place = tuple_(Job.updated_at, Job.id)
+    statement = wanted.apply(select(Job)).with_only_columns(Job.updated_at, Job.id)
+    statement = statement.where(place > (after.at, after.job_id)).order_by(Job.updated_at, Job.id).limit(PAGE)
     with sessions.begin() as session:
-        return list(session.scalars(statement))
+        return [Change(at, job_id) for at, job_id in session.execute(statement)]
+
+
+def jobs_of(sessions: Sessions, job_ids: Sequence[str]) -> list[Job]:
+    """Return these jobs, oldest change first; those that were deleted meanwhile are left out."""
+    with sessions.begin() as session:
+        found = select(Job).where(Job.id.in_(job_ids)).order_by(Job.updated_at, Job.id)
+        return list(session.scalars(found)) if job_ids else []
 
 
 def database_now(sessions: Sessions) -> datetime:

@@ -6,25 +6,33 @@ import logging
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 
+from anyio import CapacityLimiter, to_thread
 from naojobs.capabilities import waiting_reasons
-from naojobs.database import Sessions, make_engine, make_sessions
+from naojobs.database import REVISION, Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
 from naojobs.lifecycle import record_notification_failure
 from naojobs.models import Evaluation, Job
 from naojobs.notifications import Notifier, make_celery
 from naojobs.store import ArtifactStore, StoreError, job_prefix
-from sqlalchemy import Engine
+from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from naosprint_api.broadcast import Broadcaster
 from naosprint_api.feed import Feed
 from naosprint_api.limits import RateLimiter
+from naosprint_api.probes import Probe, Probes
 from naosprint_api.results import results_of
 from naosprint_api.schemas import EvaluationPublic, JobPublic
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_api.views import evaluation_view, job_view
+
+#: Seconds for which the store may be silent.
+STORE_DEADLINE_S = 5.0
+#: Threads that wait for the store, and for the broker, at a time.
+STORE_THREADS, BROKER_THREADS = 16, 4
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +52,10 @@ class Service:
     limiter: RateLimiter
     telemetry: Telemetry
     feed: Feed
+    probes: Probes
+    #: Threads for the store and for the broker: one that does not answer holds these, never those of requests.
+    store_threads: CapacityLimiter
+    broker_threads: CapacityLimiter
 
     @classmethod
     def build(cls, settings: ApiSettings) -> Service:
@@ -52,17 +64,27 @@ class Service:
             settings.sqlalchemy_url, pool_size=settings.database_pool_size, application_name="naosprint-api"
         )
         sessions, reads = make_sessions(engine), make_sessions(engine, read_only=True)
+        store = ArtifactStore.from_settings(settings, deadline_s=STORE_DEADLINE_S)
+        notifier = Notifier(make_celery(settings.broker_url.get_secret_value(), "naosprint_api"))
+        probes = (
+            Probe(("database", "schema_revision"), partial(_database_in_order, reads)),
+            Probe(("store",), partial(_store_in_order, store)),
+            Probe(("broker",), lambda: {"broker"} if notifier.reachable() else set()),
+        )
         return cls(
             settings=settings,
             engine=engine,
             sessions=sessions,
             reads=reads,
-            store=ArtifactStore.from_settings(settings),
-            notifier=Notifier(make_celery(settings.broker_url.get_secret_value(), "naosprint_api")),
+            store=store,
+            notifier=notifier,
             broadcaster=Broadcaster(settings.libpq_url),
             limiter=RateLimiter(settings.api_rate_per_s, settings.api_rate_burst),
             telemetry=Telemetry(reads),
             feed=Feed(reads, stale_s=settings.lease_s),
+            probes=Probes(probes),
+            store_threads=CapacityLimiter(STORE_THREADS),
+            broker_threads=CapacityLimiter(BROKER_THREADS),
         )
 
     @asynccontextmanager
@@ -76,8 +98,11 @@ class Service:
             self.notifier.close()
             self.engine.dispose()
 
-    def wake_up(self, *work: Job | Evaluation) -> None:
+    async def wake_up(self, *work: Job | Evaluation) -> None:
         """Send wake-up messages for queued work; a broker that is down is recorded with the first job, not raised."""
+        await to_thread.run_sync(partial(self._wake_up, *work), limiter=self.broker_threads)
+
+    def _wake_up(self, *work: Job | Evaluation) -> None:
         for item in work:
             error = self.notifier.wake_up(item.id, item.queue)
             if error is None:
@@ -110,11 +135,35 @@ class Service:
         """Return an evaluation with the reason why no worker can take it."""
         return self.show_evaluations([evaluation])[0]
 
-    def discard_artifacts(self, job_id: str) -> None:
+    async def discard_artifacts(self, job_id: str) -> None:
         """Delete the files of a deleted job; a store that fails keeps them until a worker sweeps."""
+        await to_thread.run_sync(partial(self._discard_artifacts, job_id), limiter=self.store_threads)
+
+    def _discard_artifacts(self, job_id: str) -> None:
         try:
             count = self.store.delete_prefix(job_prefix(job_id))
         except StoreError as error:
             _log.error("the files of the deleted job %s are still in the store: %s", job_id, error)
         else:
             _log.info("deleted job %s with %d files", job_id, count)
+
+
+def _database_in_order(sessions: Sessions) -> set[str]:
+    try:
+        with sessions.begin() as session:
+            session.execute(text("SELECT 1"))
+            try:
+                found = session.scalar(text("SELECT version_num FROM alembic_version"))
+            except SQLAlchemyError:
+                return {"database"}
+    except SQLAlchemyError:
+        return set()
+    return {"database", "schema_revision"} if found == REVISION else {"database"}
+
+
+def _store_in_order(store: ArtifactStore) -> set[str]:
+    try:
+        store.check()
+    except StoreError:
+        return set()
+    return {"store"}

@@ -22,10 +22,13 @@ from naojobs.database import Sessions, make_sessions
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Lease
 from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, MissingArtifactError, StoreError
+from naosim.launchers import LauncherUnavailableError
+from naosim.simulator import ServerLostError, ServersUnavailableError
 
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
-from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
+from naosprint_worker.progress import Progress
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
@@ -37,6 +40,10 @@ _SMALLEST_BLOCK = 4096
 
 class StopRequestedError(Exception):
     """Request to stop, raised where the child can stop at once."""
+
+
+class CheckpointsUnusableError(Exception):
+    """Failure of a job that has checkpoints of which none can be used."""
 
 
 class StopRequest:
@@ -90,6 +97,12 @@ class Services:
     store: ArtifactStore
     workdir: Path
     stop: StopRequest
+    progress: Progress
+
+    def step(self) -> bool:
+        """Mark progress, or a reason to wait; return whether this process was asked to stop."""
+        self.progress.mark()
+        return self.stop.requested()
 
     def fetch(
         self,
@@ -147,7 +160,7 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
     engine = open_engine(settings, pool_size=2, application_name="naosprint-child")
     try:
         store = ArtifactStore.from_settings(settings)
-        return int(work(Services(settings, make_sessions(engine), store, workdir, stop)))
+        return int(work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir))))
     except Exception as error:
         code, outcome = judge(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
@@ -171,11 +184,18 @@ def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
         return ExitCode.DISK_FULL, Outcome("disk_full", message, text)
     if isinstance(error, TrainingDivergedError):
         return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
-    if isinstance(error, CheckpointError | CorruptArtifactError | MissingArtifactError):
+    if isinstance(error, CheckpointError | CheckpointsUnusableError | CorruptArtifactError | MissingArtifactError):
         return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
-    if isinstance(error, (PatienceExhaustedError, StoreError, *DATABASE_TROUBLE)):
-        return ExitCode.TRANSIENT, Outcome("service_unavailable", describe(error), text)
-    if isinstance(error, OSError | MemoryError):
+    away: tuple[type[Exception], ...] = (
+        PatienceExhaustedError,
+        StoreError,
+        LauncherUnavailableError,
+        ServersUnavailableError,
+        *DATABASE_TROUBLE,
+    )
+    if isinstance(error, away):
+        return ExitCode.TRANSIENT, Outcome(SERVICE_UNAVAILABLE, describe(error), text)
+    if isinstance(error, OSError | MemoryError | ServerLostError):
         return ExitCode.TRANSIENT, Outcome("system", describe(error), text)
     return ExitCode.PERMANENT, Outcome("error", describe(error), text)
 

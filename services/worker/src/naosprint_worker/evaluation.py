@@ -8,11 +8,11 @@ from typing import Any
 import naosprint
 from naospec import EvaluationSpec
 
-from naosprint_worker.child_process import StopRequest, StopRequestedError
+from naosprint_worker.child_process import Services, StopRequestedError
 
 
 def evaluate_into(
-    folder: Path, checkpoint: Path, spec: EvaluationSpec, *, threads: int, stop: StopRequest
+    folder: Path, checkpoint: Path, spec: EvaluationSpec, *, threads: int, services: Services
 ) -> dict[str, Any]:
     """Evaluate ``checkpoint``, write results and trajectories to ``folder`` and return the results.
 
@@ -20,7 +20,7 @@ def evaluate_into(
         StopRequestedError: this process was asked to stop meanwhile.
     """
     try:
-        evaluation = naosprint.evaluate(checkpoint, spec, threads=threads, stop=stop.requested)
+        evaluation = naosprint.evaluate(checkpoint, spec, threads=threads, stop=services.step)
     except InterruptedError as error:
         raise StopRequestedError from error
     evaluation.save(folder)

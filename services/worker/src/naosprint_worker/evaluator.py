@@ -11,7 +11,7 @@ from collections.abc import Callable
 from naojobs import lifecycle, records
 from naojobs.lifecycle import EvaluationClaim
 from naojobs.states import WorkState
-from naojobs.store import Manifest, StoreError, evaluation_key
+from naojobs.store import Manifest, StoreError, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import EvaluationAssignment
@@ -40,10 +40,10 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
         services.fetch(claim.checkpoint.key, checkpoint, Manifest.model_validate(claim.checkpoint.manifest))
     _database(services, lambda: lifecycle.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
     summary = evaluate_into(
-        result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, stop=services.stop
+        result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, services=services
     )
     add_report(services, result, lease.job_id, claim.checkpoint.step)
-    key = evaluation_key(lease.job_id, lease.id, lease.attempt)
+    key = evaluation_key(lease.job_id, lease.id, lease.attempt, new_nonce())
     manifest = retry(
         lambda: services.store.put_directory(key, result),
         what="storing the evaluation",

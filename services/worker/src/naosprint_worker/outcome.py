@@ -13,6 +13,9 @@ from pathlib import Path
 
 OUTCOME_FILE = "outcome.json"
 
+#: Kind of an outcome that is not the work's fault: store, database or Docker engine did not answer.
+SERVICE_UNAVAILABLE = "service_unavailable"
+
 
 class ExitCode(enum.IntEnum):
     """Exit statuses of a child (numbers from sysexits.h where one fits)."""

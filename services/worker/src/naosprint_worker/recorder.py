@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from naojobs.records import Batch, EventRecord, LogLine, MetricsRow, StoredCheckpoint
 
 from naosprint_worker.retry import describe, retry
+from naosprint_worker.spool import Entry, Spool
 
 logger = logging.getLogger(__name__)
 
@@ -26,6 +27,8 @@ T = TypeVar("T")
 MAX_PENDING_LOGS = 5_000
 #: Rows of one transaction.
 MAX_BATCH = 500
+#: Seconds between two calls of `stop` while a training waits.
+_LOOK_S = 0.5
 
 
 Item = MetricsRow | LogLine | EventRecord | StoredCheckpoint
@@ -47,34 +50,49 @@ class Sink(Protocol):
 class Recorder:
     """The reporter of a training in a worker (`naosprint.reporter.Reporter`).
 
-    Reporting never waits for the database or the store. One thread writes rows in batches, another uploads checkpoints;
-    a checkpoint's row is written after every metrics row reported before it, so a checkpoint that can be found has its
-    metrics. While a service fails, its thread tries again for ``patience_s`` seconds; then `failure` is set, `failed`
-    turns true and nothing more is accepted.
+    Reporting does not wait for the database or the store. One thread writes rows in batches, another uploads
+    checkpoints; a checkpoint's row is written after every metrics row reported before it, so a checkpoint that can be
+    found has its metrics.
+
+    While the store fails, checkpoints gather in ``spool`` for as long as it takes; above ``spool_bytes`` the call of
+    `checkpoint` waits, and with it the training. While the database fails, its thread tries again for ``patience_s``
+    seconds; then `failure` is set, `failed` turns true and only checkpoints are taken, into the spool.
     """
 
     def __init__(
         self,
         sink: Sink,
         *,
-        spool: Path,
+        spool: Spool,
+        spool_bytes: float = math.inf,
         flush_s: float = 1.0,
         patience_s: float = 300.0,
+        stop: Callable[[], bool] = lambda: False,
         on_failure: Callable[[], None] | None = None,
     ) -> None:
-        """Start the threads; checkpoints wait for their upload in ``spool``."""
+        """Start the threads; checkpoints wait in ``spool`` until they are recorded.
+
+        ``stop`` is called while a call waits, and ends the waiting for room.
+        """
         self._sink = sink
         self._spool = spool
         self._flush_s = flush_s
+        self._spool_bytes = spool_bytes
         self._patience_s = patience_s
+        self._stop = stop
         self._on_failure = on_failure
         self._changed = threading.Condition()
         self._rows: deque[Item] = deque()
-        self._uploads: deque[tuple[Path, int]] = deque()
+        #: Rows that are being written.
+        self._batch = Batch()
+        self._uploads: deque[Entry] = deque()
         self._taken: set[int] = set()
         self._previous: Path | None = None
+        #: Step of the last checkpoint in the spool: its metrics are there, too.
+        self._spooled_step = -1
         self._writing = False
         self._uploading = False
+        self._reported = False
         self._dropped = 0
         self._hurry = False
         self._closed = False
@@ -92,6 +110,7 @@ class Recorder:
 
     def metrics(self, row: dict[str, float]) -> None:
         """Record the metrics of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
+        self._reported = True
         values = {key: float(value) for key, value in row.items() if math.isfinite(value)}
         missing = sorted(row.keys() - values.keys())
         if missing:
@@ -99,23 +118,24 @@ class Recorder:
         self._put(MetricsRow(int(values["step"]), values))
 
     def checkpoint(self, path: Path, step: int) -> None:
-        """Take over a complete checkpoint directory for upload, and delete the directory of the one before it."""
+        """Take over a complete checkpoint directory for upload, and delete the directory of the one before it.
+
+        Waits while the spool is over its limit, with this checkpoint already in it.
+        """
         if step in self._taken:
-            return  # keys are immutable: a step is stored once in an attempt
+            return  # a step is stored once in an attempt
+        self._reported = True
         self._taken.add(step)
-        place = self._spool / f"{step:012d}"
-        self._spool.mkdir(parents=True, exist_ok=True)
-        unfinished = self._spool / f".{step:012d}"
-        # Hard links: no copy of the data, and independent of what happens to the original's names.
-        shutil.copytree(path, unfinished, copy_function=_link_or_copy)
-        unfinished.rename(place)
+        with self._changed:
+            waiting = [*self._batch.metrics, *(row for row in self._rows if isinstance(row, MetricsRow))]
+        entry = self._spool.add(path, step, [row for row in waiting if row.step > self._spooled_step])
+        self._spooled_step = step
         # Only the last one is of use to a training; hundreds of them would fill the disk.
         if self._previous is not None and self._previous != path:
             shutil.rmtree(self._previous, ignore_errors=True)
         self._previous = path
-        with self._changed:
-            self._uploads.append((place, step))
-            self._changed.notify_all()
+        self._enqueue(entry)
+        self._wait_for_room()
 
     def log(self, level: str, message: str) -> None:
         """Record a line of the job's log."""
@@ -127,9 +147,29 @@ class Recorder:
         """Take no checkpoint of ``step``: it is the one that the training resumed from."""
         self._taken.add(step)
 
+    def not_stored(self, step: int) -> None:
+        """Take a checkpoint of ``step`` after all: the one that is stored cannot be resumed from."""
+        self._taken.discard(step)
+
+    def adopt(self, entry: Entry, known: Collection[int] = ()) -> None:
+        """Record a checkpoint that an earlier attempt has left, which is in this attempt's spool now.
+
+        Its metrics of ``known`` steps are left out: they were recorded after all.
+        """
+        for row in entry.metrics():
+            if row.step not in known:
+                self._put(row)
+        self._taken.add(entry.step)
+        self._enqueue(entry)
+
     def event(self, kind: str, message: str, data: Mapping[str, object] | None = None) -> None:
         """Record an event of the attempt."""
         self._put(EventRecord(kind, message, data or {}))
+
+    @property
+    def reported(self) -> bool:
+        """Whether a training has reported metrics or a checkpoint."""
+        return self._reported
 
     @property
     def failed(self) -> bool:
@@ -146,7 +186,10 @@ class Recorder:
         with self._changed:
             self._hurry = True
             self._changed.notify_all()
-            done = self._changed.wait_for(lambda: self.failed or self._idle(), timeout_s)
+            until = math.inf if timeout_s is None else time.monotonic() + timeout_s
+            while not (done := self.failed or self._idle()) and (left_s := until - time.monotonic()) > 0:
+                self._changed.wait(min(left_s, _LOOK_S))
+                self._stop()
             self._hurry = False
         if self.failure is not None:
             raise self.failure
@@ -169,11 +212,32 @@ class Recorder:
         for thread in self._threads:
             thread.join(timeout=10)
 
+    def _enqueue(self, entry: Entry) -> None:
+        with self._changed:
+            if self._closed or self.failed:
+                return  # it stays in the spool, for the next attempt
+            self._uploads.append(entry)
+            self._changed.notify_all()
+
+    def _wait_for_room(self) -> None:
+        """Wait until the spool is within its limit, recording ends or this process is asked to stop."""
+        if self._spool.size <= self._spool_bytes or self.failed:
+            return
+        mib = self._spool.size / 2**20
+        message = f"{mib:.0f} MiB of checkpoints wait for the store, as many as may: the training pauses"
+        logger.warning(message)
+        self.log("warning", message)
+        began = time.monotonic()
+        with self._changed:
+            while self._spool.size > self._spool_bytes and not (self._closed or self.failed or self._stop()):
+                self._changed.wait(_LOOK_S)
+        self.log("info", f"the training continues after {time.monotonic() - began:.0f} s without a store")
+
     # The threads
 
     def _put(self, item: Item) -> None:
         with self._changed:
-            if self._closed or self.failed:
+            if self._closed or (self.failed and not isinstance(item, MetricsRow)):
                 return
             if isinstance(item, LogLine) and len(self._rows) >= MAX_PENDING_LOGS:
                 self._drop_oldest_log()
@@ -198,7 +262,6 @@ class Recorder:
                 logger.exception("recording ended")
             with self._changed:
                 self.failure = self.failure or error
-                self._rows.clear()
                 self._uploads.clear()
                 self._changed.notify_all()
             self._abandon.set()
@@ -213,13 +276,17 @@ class Recorder:
                     return
                 # Gather for a moment, unless somebody waits for it.
                 self._changed.wait_for(self._should_write, self._flush_s)
-                batch = self._gather()
+                batch = self._batch = self._gather()
                 self._writing = True
             if self._dropped:
                 dropped, self._dropped = self._dropped, 0
                 batch.logs.append(LogLine("warning", f"{dropped} log lines were dropped", datetime.now(UTC)))
-            self._persist(lambda batch=batch: self._sink.write(batch), "writing to the database")  # type: ignore[misc]
+            write = partial(self._sink.write, batch)
+            self._persist(write, "writing to the database", self._patience_s)
             with self._changed:
+                for stored in batch.checkpoints:
+                    self._spool.remove(stored.step)
+                self._batch = Batch()
                 self._writing = False
                 self._changed.notify_all()
 
@@ -246,24 +313,22 @@ class Recorder:
                 self._changed.wait_for(lambda: self._uploads or self._closed)
                 if self._closed:
                     return
-                directory, step = self._uploads.popleft()
+                entry = self._uploads.popleft()
                 self._uploading = True
-            stored = self._persist(
-                lambda directory=directory, step=step: self._sink.upload(directory, step),  # type: ignore[misc]
-                f"storing the checkpoint of step {step}",
-            )
+            upload = partial(self._sink.upload, entry.checkpoint, entry.step)
+            # A store may be away for a day: the checkpoint is safe on the disk meanwhile.
+            stored = self._persist(upload, f"storing the checkpoint of step {entry.step}", math.inf)
             self._put(stored)
             with self._changed:
                 self._uploading = False
                 self._changed.notify_all()
-            shutil.rmtree(directory, ignore_errors=True)
 
-    def _persist(self, call: Callable[[], T], what: str) -> T:
+    def _persist(self, call: Callable[[], T], what: str, patience_s: float) -> T:
         return retry(
             call,
             what=what,
             transient=self._sink.transient,
-            patience_s=self._patience_s,
+            patience_s=patience_s,
             stop=self._abandon,
             on_retry=lambda error, pause_s: self._warn(what, error, pause_s),
         )
@@ -277,10 +342,3 @@ class Recorder:
         message = f"{what} failed, next try in {pause_s:.1f} s: {describe(error)}"
         logger.warning(message)
         self.log("warning", message)
-
-
-def _link_or_copy(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copy2(source, target)

@@ -7,7 +7,9 @@ import math
 import os
 import shutil
 import sys
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from naojobs import lifecycle, records
@@ -23,7 +25,7 @@ from naosprint_worker.child import Child
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.orphans import OWNER_VARIABLE, Owner
-from naosprint_worker.outcome import ExitCode, describe_exit
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.supervisor import MIB, Ending, Intent, Supervisor
 
@@ -33,6 +35,9 @@ T = TypeVar("T")
 
 #: Seconds that an evaluator has to stop: it has nothing to save.
 EVALUATOR_GRACE_S = 5.0
+
+#: Seconds for which a worker that shuts down waits for the database.
+_LAST_PATIENCE_S = 10.0
 
 #: Module of the child process by kind of work.
 _PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
@@ -49,6 +54,7 @@ class Run:
         self._time_limit_s = math.inf if isinstance(claim, JobClaim) else claim.time_limit_s
         self._workdir = context.folder / f"{claim.lease.id}-{claim.lease.attempt}"
         sessions, lease_s = context.sessions, context.settings.lease_s
+        self._closing = threading.Event()
         self._supervisor = Supervisor(
             context.settings,
             start=self._start,
@@ -67,6 +73,7 @@ class Run:
 
     def shut_down(self) -> None:
         """End the attempt, a training with a checkpoint, and requeue the work; callable from a signal handler."""
+        self._closing.set()
         self._supervisor.shut_down()
 
     def run(self) -> None:
@@ -132,6 +139,15 @@ class Run:
             self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
         elif ending.returncode == ExitCode.PERMANENT:
             self._fail(ending, text)
+        elif ending.intent is Intent.STALLED:
+            self._log_ending(ending)
+            reason = f"the {self._program} made no step for {self._context.settings.worker_stall_s:g} s and was killed"
+            lifecycle.lose(self._context.sessions, self._lease, reason)
+        elif ending.intent is Intent.CUT_OFF:
+            reason = f"the database did not answer for {self._context.settings.worker_patience_s:g} s"
+            lifecycle.postpone(self._context.sessions, self._lease, f"{reason}{where}")
+        elif ending.outcome is not None and ending.outcome.kind == SERVICE_UNAVAILABLE:
+            lifecycle.postpone(self._context.sessions, self._lease, text)
         else:
             self._log_ending(ending)
             lifecycle.lose(self._context.sessions, self._lease, text)
@@ -174,12 +190,18 @@ class Run:
         )
 
     def _patiently(self, call: Callable[[], T]) -> T | None:
-        """Return ``call()`` once the database answers; give up after a while, since the lease will expire."""
+        """Return ``call()`` once the database answers, however long that takes; give up when the worker shuts down.
+
+        Its first answer may come shortly before the other workers take back leases that have expired.
+        """
         what = f"settling {self._lease.kind} {self._lease.id}"
+        longest_s = self._context.settings.lease_s / 4
+        tries = partial(retry, call, what=what, transient=DATABASE_TROUBLE, max_delay_s=longest_s)
         try:
-            return retry(
-                call, what=what, transient=DATABASE_TROUBLE, patience_s=self._context.settings.worker_patience_s
-            )
+            try:
+                return tries(patience_s=math.inf, stop=self._closing)
+            except PatienceExhaustedError:
+                return tries(patience_s=_LAST_PATIENCE_S)
         except PatienceExhaustedError:
             logger.exception("%s; its lease will expire", what)
             return None

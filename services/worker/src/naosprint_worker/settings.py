@@ -51,7 +51,23 @@ class WorkerSettings(ServiceSettings):
         10.0, ge=0, le=600, description="Seconds that a training has for its last checkpoint when its worker has died."
     )
     worker_patience_s: float = Field(
-        300.0, gt=0, le=86400, description="Seconds for which a failing database or store is waited for."
+        300.0,
+        gt=0,
+        le=86400,
+        description="Seconds for which an attempt waits for a failing database, or for a store that it reads from; "
+        "checkpoints wait for the store as long as it takes.",
+    )
+    worker_stall_s: float = Field(
+        1800.0,
+        gt=0,
+        le=86400,
+        description="Seconds without a step after which a training or an evaluation is killed and tried again.",
+    )
+    worker_spool_mb: int = Field(
+        256,
+        ge=1,
+        description="MiB of checkpoints of one training that may wait on worker_dir's disk for a store that is away; "
+        "beyond it the training pauses until the store is back.",
     )
     worker_flush_s: float = Field(1.0, gt=0, le=60, description="Seconds of metrics and logs that one write gathers.")
     worker_memory_mb: int | None = Field(

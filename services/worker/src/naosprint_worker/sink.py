@@ -10,7 +10,7 @@ from naojobs.database import Sessions
 from naojobs.lifecycle import Lease
 from naojobs.records import Batch, StoredCheckpoint
 from naojobs.retention import Retention, prune_checkpoints
-from naojobs.store import ArtifactStore, StoreError, checkpoint_key
+from naojobs.store import ArtifactStore, StoreError, checkpoint_key, new_nonce
 
 from naosprint_worker.database import DATABASE_TROUBLE
 
@@ -33,6 +33,7 @@ class JobSink:
         self._store = store
         self._lease = lease
         self._retention = retention
+        self._nonce = new_nonce()
         self._checkpoint_ids: dict[int, str] = {}
 
     def write(self, batch: Batch) -> None:
@@ -42,7 +43,7 @@ class JobSink:
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
         """Write a checkpoint's files to the store, after deleting those that need not be kept."""
         self.prune()
-        key = checkpoint_key(self._lease.job_id, step, self._lease.attempt)
+        key = checkpoint_key(self._lease.job_id, step, self._lease.attempt, self._nonce)
         manifest = self._store.put_directory(key, directory)
         return StoredCheckpoint(step, key, manifest.model_dump(mode="json"))
 

@@ -19,6 +19,7 @@ from naojobs.states import WorkState
 from naosprint_worker.child import Child
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.outcome import ExitCode, Outcome, last_lines
+from naosprint_worker.progress import ProgressWatch
 from naosprint_worker.retry import describe
 from naosprint_worker.settings import WorkerSettings
 
@@ -45,10 +46,12 @@ class Intent(enum.IntEnum):
     TIME_LIMIT = 4
     #: A user requested its end.
     CANCEL = 5
+    #: It has made no step for too long.
+    STALLED = 6
     #: It holds more memory than it may.
-    MEMORY = 6
+    MEMORY = 7
     #: The lease is lost.
-    LEASE_LOST = 7
+    LEASE_LOST = 8
 
 
 @dataclass(frozen=True)
@@ -70,8 +73,9 @@ class Supervisor:
     """Supervisor of a child that works under a lease.
 
     ``beat`` renews the lease and returns the users' requests; ``look`` only reads them. Both may raise `LeaseLostError`
-    and database errors. Losing the lease kills the child at once; for every other reason, ``time_limit_s`` among them,
-    it is asked to stop and has ``grace_s`` seconds (``worker_stop_grace_s`` by default) before it is killed.
+    and database errors. A lost lease, or ``worker_stall_s`` seconds without a step, kill the child at once; for every
+    other reason, ``time_limit_s`` among them, it is asked to stop and has ``grace_s`` seconds
+    (``worker_stop_grace_s`` by default) before it is killed.
     """
 
     def __init__(
@@ -134,6 +138,7 @@ class Supervisor:
     def _watch(self, child: Child) -> None:
         settings = self._settings
         started = contact = beaten = time.monotonic()
+        progress = ProgressWatch(self._workdir)
         while child.runs():
             self._wake.wait(settings.worker_poll_s)
             self._wake.clear()
@@ -164,6 +169,9 @@ class Supervisor:
             if self._shutdown:
                 self._stop(child, Intent.SHUTDOWN)
             self._check_memory(child)
+            if progress.look() > settings.worker_stall_s and self._kill_at is None and self._intent < Intent.STALLED:
+                self._intent = Intent.STALLED
+                child.kill()  # a stopped process hears of no other signal
             if self._kill_at is not None and time.monotonic() >= self._kill_at and child.runs():
                 self._overstayed = True
                 child.kill()

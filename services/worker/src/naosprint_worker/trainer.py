@@ -6,8 +6,10 @@ Run as ``python -m naosprint_worker.trainer --workdir FOLDER`` by a worker, with
 from __future__ import annotations
 
 import logging
+import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -18,12 +20,12 @@ from naojobs.checkpoints import CheckpointRef, checkpoints_of
 from naojobs.errors import ConflictError
 from naojobs.ids import same_id
 from naojobs.states import WorkState
-from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key
+from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key, new_nonce
 from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import TrainingAssignment
-from naosprint_worker.child_process import Services, StopRequestedError, run_child
+from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_TROUBLE
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode, Outcome
@@ -31,10 +33,28 @@ from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
+from naosprint_worker.spool import Entry, Spool, link_or_copy
+from naosprint_worker.supervisor import MIB
 
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
+
+
+#: Share of the grace period in which a stopped training waits for its last records to be stored.
+_FLUSH_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Checkpoint that an attempt resumes from."""
+
+    step: int
+    #: Its id; none if it is not recorded yet.
+    checkpoint_id: str | None
+    folder: Path
+    #: Checkpoints up to this one that the attempt before could not store.
+    waiting: Sequence[Entry] = ()
 
 
 class Attempt:
@@ -45,12 +65,19 @@ class Attempt:
         self._services = services
         self._assignment = assignment
         self._lease = assignment.lease
+        #: The recorded checkpoint that was resumed from, and the steps of all by id.
+        self._resumed_from: str | None = None
+        self._steps: dict[str, int] = {}
         self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
+        settings = services.settings
+        self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease.job_id, assignment.lease.attempt)
         self._recorder = Recorder(
             self._sink,
-            spool=services.workdir / "spool",
-            flush_s=services.settings.worker_flush_s,
-            patience_s=services.settings.worker_patience_s,
+            spool=self._spool,
+            spool_bytes=settings.worker_spool_mb * MIB,
+            flush_s=settings.worker_flush_s,
+            patience_s=settings.worker_patience_s,
+            stop=services.step,
         )
 
     def run(self) -> ExitCode:
@@ -61,53 +88,89 @@ class Attempt:
             code = ExitCode.STOPPED
         finally:
             self._recorder.abandon()
+            self._spool.close()
         if code is ExitCode.STOPPED:
             self._services.requeue_if_orphaned(self._lease)
         return code
 
     def _run(self) -> ExitCode:
+        from naosprint import CheckpointError  # loads NumPy, which has to wait for `quiet_openmp`
+
+        refused: dict[str, Exception] = {}
+        while True:
+            try:
+                return self._train(refused)
+            except CheckpointError as error:
+                # Whole, but not to be resumed from, by this version at least: the one before it may be.
+                if self._resumed_from is None or self._recorder.reported:
+                    raise
+                refused[self._resumed_from] = error
+                self._recorder.not_stored(self._steps[self._resumed_from])
+                self._note_unusable(self._resumed_from, error)
+
+    def _train(self, refused: Mapping[str, Exception]) -> ExitCode:
+        """Train from the newest checkpoint that is not ``refused``, and evaluate."""
         services, spec, lease = self._services, self._assignment.spec, self._lease
         with services.stop.interruptible():
             train = naosprint.train  # loads PyTorch, which takes a while: still part of starting
-            resume = self._fetch_resume()
-            initial = None if resume else self._fetch_initial_policy()
-            reference, folder = resume or (None, None)
-            if reference is not None:
-                self._recorder.already_stored(reference.step)
+            start = self._fetch_resume(refused)
+            initial = None if start else self._fetch_initial_policy()
+            step, resumed_from = (start.step, start.checkpoint_id) if start else (0, None)
+            self._resumed_from = resumed_from
+            if resumed_from is not None:
+                self._recorder.already_stored(step)
             self._database(
-                lambda: lifecycle.begin(
-                    services.sessions,
-                    lease,
-                    step=reference.step if reference else 0,
-                    resumed_from=reference.id if reference else None,
-                ),
+                lambda: lifecycle.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
                 "starting the attempt",
             )
+            if start and start.waiting:
+                known = self._database(
+                    lambda: records.metrics_steps(services.sessions, lease.job_id), "listing the metrics"
+                )
+                for entry in start.waiting:
+                    self._recorder.adopt(entry, known)
             self._enter(WorkState.RUNNING, "training")
         result = train(
             spec,
             workdir=services.workdir / "training",
             reporter=self._recorder,
-            resume=folder,
+            resume=start.folder if start else None,
             initial_policy=initial,
-            stop=lambda: services.stop.requested() or self._recorder.failed,
+            stop=lambda: services.step() or self._recorder.failed,
         )
-        self._recorder.flush(services.settings.worker_patience_s * 2)
-        self._database(self._sink.prune, "removing old checkpoints")
         if result.status == "stopped":
-            Outcome("stopped", f"stopped at step {result.steps}").leave(services.workdir)
-            return ExitCode.STOPPED
+            return self._stopped(result.steps)
+        with services.stop.interruptible():
+            self._recorder.flush()
+        self._database(self._sink.prune, "removing old checkpoints")
         evaluation = self._assignment.evaluation
         if evaluation is not None:
-            checkpoint_id = self._sink.checkpoint_id(result.steps) or (reference.id if reference else None)
+            checkpoint_id = self._sink.checkpoint_id(result.steps) or resumed_from
             if checkpoint_id is None:
                 raise RuntimeError(f"training ended at step {result.steps} without reporting a checkpoint of it")
             if services.stop.requested():
                 raise StopRequestedError
             self._enter(WorkState.EVALUATING, f"evaluating {evaluation.episodes} episodes")
             self._evaluate(result, checkpoint_id, evaluation)
-        self._recorder.close(services.settings.worker_patience_s * 2)
+        with services.stop.interruptible():
+            self._recorder.close()
         return ExitCode.FINISHED
+
+    def _stopped(self, step: int) -> ExitCode:
+        """Record what there is within the grace period; what the store does not take stays for the next attempt."""
+        services = self._services
+        settings = services.settings
+        grace_s = settings.worker_orphan_grace_s if services.stop.orphaned else settings.worker_stop_grace_s
+        message = f"stopped at step {step}"
+        try:
+            self._recorder.flush(_FLUSH_SHARE * grace_s)
+            self._database(self._sink.prune, "removing old checkpoints")
+        except TimeoutError:
+            mib = self._spool.size / MIB
+            message += f"; {mib:.1f} MiB of checkpoints wait on the worker's disk"
+            logger.warning("the store does not answer: %s", message)
+        Outcome("stopped", message).leave(services.workdir)
+        return ExitCode.STOPPED
 
     def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
@@ -117,10 +180,10 @@ class Attempt:
             return
         folder = services.workdir / "evaluation"
         threads = self._assignment.spec.runtime.simulator_threads
-        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, stop=services.stop)
+        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services)
         warn = partial(self._recorder.log, "warning")
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
-        key = evaluation_key(lease.job_id, identifier, lease.attempt)
+        key = evaluation_key(lease.job_id, identifier, lease.attempt, new_nonce())
         manifest = retry(
             lambda: services.store.put_directory(key, folder),
             what="storing the evaluation",
@@ -144,20 +207,73 @@ class Attempt:
 
     # Start
 
-    def _fetch_resume(self) -> tuple[CheckpointRef, Path] | None:
-        """Download the newest checkpoint of this job that is undamaged; record those that are not."""
-        for reference in self._database(
+    def _fetch_resume(self, refused: Mapping[str, Exception]) -> _Start | None:
+        """Find the newest checkpoint of this job that is undamaged, on this disk or in the store; record damaged ones.
+
+        Returns:
+            The checkpoint and its files; none for a job that has no checkpoint yet.
+
+        Raises:
+            CheckpointsUnusableError: all are damaged or gone. To start again would give up what was trained.
+        """
+        listed = self._database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
-        ):
+        )
+        self._steps.update((reference.id, reference.step) for reference in listed)
+        last: Exception | None = None
+        waiting = self._take_over(listed)
+        if waiting:
+            newest = waiting[-1]
+            # A copy: the entry is deleted once it is in the store.
+            folder = self._services.workdir / "fetched" / newest.folder.name
+            shutil.copytree(newest.checkpoint, folder, copy_function=link_or_copy)
+            return _Start(newest.step, None, folder, waiting)
+        for reference in listed:
+            if reference.id in refused:
+                last = last or refused[reference.id]
+                continue
             try:
-                return reference, self._fetch(reference)
+                return _Start(reference.step, reference.id, self._fetch(reference))
             except (CorruptArtifactError, MissingArtifactError) as error:
-                self._recorder.event(
-                    "checkpoint_unusable",
-                    f"checkpoint at step {reference.step} cannot be used: {error}",
-                    {"checkpoint_id": reference.id, "step": reference.step},
-                )
+                self._note_unusable(reference.id, error)
+                last = last or error
+        if last is not None:
+            raise CheckpointsUnusableError(
+                f"none of its {len(listed)} checkpoints can be used; restore their files and retry the job, or submit "
+                f"a new one; the newest: {last}"
+            )
         return None
+
+    def _note_unusable(self, checkpoint_id: str, error: Exception) -> None:
+        step = self._steps[checkpoint_id]
+        self._recorder.event(
+            "checkpoint_unusable",
+            f"checkpoint at step {step} cannot be used: {error}",
+            {"checkpoint_id": checkpoint_id, "step": step},
+        )
+
+    def _take_over(self, recorded: Sequence[CheckpointRef]) -> list[Entry]:
+        """Move what the attempt before has left on this disk into this attempt's spool.
+
+        Only what continues the recorded checkpoints counts: the job may have gone on elsewhere meanwhile.
+        """
+        from naosprint.rl.checkpoint import CheckpointError, verify_checkpoint  # loads NumPy, which is loaded by now
+
+        newest = max((reference.step for reference in recorded), default=-1)
+        attempt = max((reference.attempt for reference in recorded), default=0)
+        taken = []
+        for entry in self._spool.left_by_others(attempt):
+            if entry.step <= newest:
+                continue
+            try:
+                verify_checkpoint(entry.checkpoint)
+                taken.append(self._spool.adopt(entry))
+            except (CheckpointError, OSError) as error:
+                message = f"checkpoint at step {entry.step} on the worker's disk cannot be used: {error}"
+                self._recorder.event("checkpoint_unusable", message, {"step": entry.step})
+                break  # what comes behind it would lack its metrics
+        self._spool.discard_others()
+        return taken
 
     def _fetch_initial_policy(self) -> Path | None:
         reference = self._assignment.initial_policy

@@ -17,7 +17,7 @@ from naojobs.models import Evaluation, Job, WorkKind
 from naojobs.store import ArtifactStore, StoreError
 from sqlalchemy import Engine
 
-from naosprint_worker import __version__
+from naosprint_worker import __version__, spool
 from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_TROUBLE, open_engine
@@ -187,7 +187,9 @@ class Worker:
         )
 
     def _sweep_store(self) -> None:
-        """Delete files that no row refers to: of jobs that were deleted while the store was away, of cut uploads."""
+        """Delete files that no row refers to, for example of jobs deleted while the store was away, and old spools."""
+        for folder in spool.sweep(self._settings.worker_dir, self._context.sessions):
+            logger.info("deleted %s: its job needs it no more", folder)
         try:
             retention.sweep(self._context.sessions, self._store)
         except StoreError as error:

@@ -425,7 +425,9 @@ class Supervisor:
 
     def _doze(self, seconds: float | None) -> None:
         """Wait for a signal, for a limited time."""
-        select.select([self._wake_read], [], [], seconds)
+        poll = select.poll()  # `select.select` refuses descriptors above 1,023
+        poll.register(self._wake_read, select.POLLIN)
+        poll.poll(None if seconds is None else 1000 * seconds)
         with contextlib.suppress(BlockingIOError):
             while self._wake_read.recv(4096):
                 pass

@@ -13,7 +13,7 @@ from naosim.launchers.environment import (
     require_servers,
 )
 from naosim.launchers.process import PortLease, ProcessLauncher
-from naosim.launchers.server import Address, Launcher, ServerHandle, ServerProgram
+from naosim.launchers.server import Address, Launcher, LauncherUnavailableError, ServerHandle, ServerProgram
 
 __all__ = [
     "LABELS_VARIABLE",
@@ -22,6 +22,7 @@ __all__ = [
     "ContainerSettings",
     "DockerLauncher",
     "Launcher",
+    "LauncherUnavailableError",
     "PortLease",
     "ProcessLauncher",
     "Reaper",

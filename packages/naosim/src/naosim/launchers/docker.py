@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from naosim.launchers.server import Address, ServerHandle, ServerProgram
+from naosim.launchers.server import Address, LauncherUnavailableError, ServerHandle, ServerProgram
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +37,10 @@ PREFIX = "naosim-"
 OWN_NETWORK = "own"
 """As a network's name: one that the launcher makes, joins, and removes with its last server."""
 _STOP_S = 2
+
+
+#: Statuses of a proxy whose engine does not answer.
+_AWAY = (502, 503, 504)
 
 
 @dataclass(frozen=True)
@@ -390,12 +394,15 @@ def _age_s(network: Mapping[str, Any]) -> float:
 
 @contextlib.contextmanager
 def _engine_errors() -> Iterator[None]:
-    """Turn the SDK's errors into OSError, which every launcher raises."""
+    """Turn the SDK's errors into OSError, which every launcher raises, and those of an engine that does not answer."""
     try:
         yield
-    except OSError:
-        raise
     except Exception as error:
-        if type(error).__module__.partition(".")[0] not in ("docker", "requests", "urllib3"):
+        module = type(error).__module__.partition(".")[0]
+        if module not in ("docker", "requests", "urllib3"):
             raise
-        raise OSError(f"Docker: {error}") from error
+        # Errors of the engine have a status, those of the way to it none; a proxy answers for one that is away.
+        status = getattr(error, "status_code", None)
+        unreached = module != "docker" or type(error).__name__ == "DockerException"
+        away = unreached if status is None else status in _AWAY
+        raise (LauncherUnavailableError if away else OSError)(f"Docker: {error}") from error

@@ -8,6 +8,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 
+class LauncherUnavailableError(OSError):
+    """Failure of an engine that starts servers to answer; it may come back."""
+
+
 @dataclass(frozen=True)
 class Address:
     """Where a server listens."""

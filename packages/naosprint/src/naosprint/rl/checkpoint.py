@@ -202,6 +202,18 @@ def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyAr
     return read_arrays(path)
 
 
+def verify_checkpoint(directory: Path) -> Manifest:
+    """Read every file of the checkpoint in ``directory``; return its manifest.
+
+    Raises:
+        CheckpointError: if something is missing or damaged.
+    """
+    manifest = read_manifest(directory)
+    for name in manifest.files:
+        read_file(directory, manifest, name)
+    return manifest
+
+
 def read_arrays(path: Path) -> dict[str, AnyArray]:
     """Read a ``.npz`` file of plain numbers without trusting its content.
 

@@ -65,7 +65,7 @@ def get_checkpoint_file(
     """Download a file of a checkpoint; a Range header gets a part of it."""
     row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
     manifest = Manifest.model_validate(row.manifest)
-    return send_file(request, service.store, row.key, manifest, name, presigned=presigned)
+    return send_file(request, service.store, service.store_threads, row.key, manifest, name, presigned=presigned)
 
 
 @router.get("/checkpoints/{checkpoint_id}/archive", response_class=Response, responses=_ARCHIVE)
@@ -73,7 +73,9 @@ def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, servi
     """Download all files of a checkpoint as a tar archive."""
     row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
     manifest = Manifest.model_validate(row.manifest)
-    return send_archive(service.store, row.key, manifest, f"{row.job_id}-{row.step}", row.created_at)
+    return send_archive(
+        service.store, service.store_threads, row.key, manifest, f"{row.job_id}-{row.step}", row.created_at
+    )
 
 
 @router.get("/jobs/{job_id}/evaluations", responses=_READ)
@@ -135,7 +137,7 @@ def get_evaluation_file(
 ) -> Response:
     """Download a file of an evaluation; a Range header gets a part of it."""
     key, manifest = _finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
-    return send_file(request, service.store, key, manifest, name, presigned=presigned)
+    return send_file(request, service.store, service.store_threads, key, manifest, name, presigned=presigned)
 
 
 @router.get("/evaluations/{evaluation_id}/archive", response_class=Response, responses=_ARCHIVE)
@@ -143,4 +145,4 @@ def get_evaluation_archive(evaluation_id: EvaluationId, principal: Reader, servi
     """Download all files of an evaluation as a tar archive."""
     row = queries.visible_evaluation(service.reads, principal, evaluation_id)
     key, manifest = _finished(row)
-    return send_archive(service.store, key, manifest, evaluation_id, row.created_at)
+    return send_archive(service.store, service.store_threads, key, manifest, evaluation_id, row.created_at)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -147,9 +148,21 @@ async def stream_jobs(
     return EventStream(_news_of_all(service, wanted, since))
 
 
-def _changed_jobs(service: Service, wanted: queries.JobFilter, since: datetime) -> tuple[list[Job], list[JobPublic]]:
-    rows = queries.changed_jobs(service.reads, wanted, since=since)
-    return rows, service.show_jobs(rows)
+@dataclass(frozen=True, slots=True)
+class _Page:
+    """Changes behind a place, and the changed jobs that the follower has not been sent yet."""
+
+    changes: list[queries.Change]
+    jobs: list[Job]
+    shown: list[JobPublic]
+
+
+def _read_page(
+    service: Service, wanted: queries.JobFilter, after: queries.Change, sent: Mapping[str, datetime]
+) -> _Page:
+    changes = queries.changes(service.reads, wanted, after=after)
+    jobs = queries.jobs_of(service.reads, [change.job_id for change in changes if sent.get(change.job_id) != change.at])
+    return _Page(changes, jobs, service.show_jobs(jobs))
 
 
 async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datetime) -> AsyncIterator[bytes]:
@@ -157,18 +170,25 @@ async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datet
     with _follower(service), service.broadcaster.subscribe() as subscription:
         yield _message("ready", {"since": since.isoformat()}, since.isoformat())
         while not service.broadcaster.closing:
-            rows, shown = await service.feed.in_thread(partial(_changed_jobs, service, wanted, since))
-            news: list[bytes] = []
-            for job, view in zip(rows, shown, strict=True):
-                since = max(since, job.updated_at)
-                if sent.get(job.id) != job.updated_at:
+            place = queries.Change(since - queries.OVERLAP)
+            seen: set[str] = set()
+            full = True
+            while full and not service.broadcaster.closing:
+                page = await service.feed.in_thread(partial(_read_page, service, wanted, place, sent))
+                news: list[bytes] = []
+                for job, view in zip(page.jobs, page.shown, strict=True):
                     sent[job.id] = job.updated_at
                     text = view.model_dump_json()
                     news.append(format_sse_event(event="job", data_str=text, id=since.isoformat()))
+                if page.changes:
+                    place = page.changes[-1]
+                    since = max(since, place.at)
+                seen.update(change.job_id for change in page.changes)
+                if news:
+                    yield b"".join(news)
+                full = len(page.changes) == queries.PAGE
             # What lies outside the overlap is not read again, so it need not be remembered.
-            sent = {job.id: job.updated_at for job in rows}
-            if news:
-                yield b"".join(news)
+            sent = {job_id: at for job_id, at in sent.items() if job_id in seen}
             if not await service.broadcaster.wait(subscription):
                 yield KEEPALIVE_COMMENT
             deleted, subscription.deleted = subscription.deleted, {}

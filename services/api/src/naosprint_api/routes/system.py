@@ -7,12 +7,8 @@ from typing import Literal
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from naojobs import registry
-from naojobs.database import REVISION
-from naojobs.store import StoreError
 from naojobs.tokens import Scope
 from pydantic import BaseModel, Field
-from sqlalchemy import text
-from sqlalchemy.exc import SQLAlchemyError
 
 from naosprint_api import __version__
 from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
@@ -56,34 +52,14 @@ def health() -> Health:
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready"}})
-def readiness(service: ServiceDep, response: Response) -> Readiness:
-    """Check that the database, the store and the broker answer."""
-    database: Check = "failed"
-    revision: Check = "failed"
-    store: Check = "failed"
-    try:
-        with service.reads.begin() as session:
-            session.execute(text("SELECT 1"))
-            database = "ok"
-            found = session.scalar(text("SELECT version_num FROM alembic_version"))
-            revision = "ok" if found == REVISION else "failed"
-    except SQLAlchemyError:
-        pass
-    try:
-        service.store.check()
-        store = "ok"
-    except StoreError:
-        pass
-    ready = database == revision == store == "ok"
+async def readiness(service: ServiceDep, response: Response) -> Readiness:
+    """Report whether the database, the store and the broker answer; results are shared for a second."""
+    results = await service.probes.results()
+    checks: dict[str, Check] = {name: "ok" if good else "failed" for name, good in results.items()}
+    ready = all(results[name] for name in ("database", "schema_revision", "store"))
     if not ready:
         response.status_code = 503
-    return Readiness(
-        ready=ready,
-        database=database,
-        schema_revision=revision,
-        store=store,
-        broker="ok" if service.notifier.reachable() else "failed",
-    )
+    return Readiness(ready=ready, **checks)
 
 
 def may_read_figures(request: Request, service: ServiceDep) -> None:

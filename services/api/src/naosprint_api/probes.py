@@ -1,0 +1,66 @@
+"""Probes of the services that the API depends on."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import anyio
+
+#: Seconds within which a service has to answer.
+DEADLINE_S = 3.0
+#: Seconds for which a result is good enough for others who ask.
+KEEP_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Check of one service."""
+
+    #: What the check reports on.
+    names: Sequence[str]
+    #: Returns which of the names are in order; an error counts as none.
+    check: Callable[[], set[str]]
+
+
+class Probes:
+    """Results of probes, shared by all who ask at the same time or shortly after.
+
+    However many ask, a service is asked once at a time: one that does not answer holds one thread.
+    """
+
+    def __init__(self, probes: Sequence[Probe], *, deadline_s: float = DEADLINE_S, keep_s: float = KEEP_S) -> None:
+        self._probes = [(probe, anyio.CapacityLimiter(1)) for probe in probes]
+        self._deadline_s = deadline_s
+        self._keep_s = keep_s
+        self._task: asyncio.Task[Mapping[str, bool]] | None = None
+        self._latest: tuple[float, Mapping[str, bool]] | None = None
+
+    async def results(self) -> Mapping[str, bool]:
+        """Return by name whether it is in order."""
+        if self._latest is not None and time.monotonic() - self._latest[0] < self._keep_s:
+            return self._latest[1]
+        if self._task is None:
+            self._task = asyncio.create_task(self._ask())
+        # One that leaves must not take the probes away from the others.
+        return await asyncio.shield(self._task)
+
+    async def _ask(self) -> Mapping[str, bool]:
+        good: set[str] = set()
+
+        async def ask(probe: Probe, limiter: anyio.CapacityLimiter) -> None:
+            # A thread that is left behind keeps its place until the service answers.
+            with anyio.move_on_after(self._deadline_s):
+                good.update(await anyio.to_thread.run_sync(probe.check, limiter=limiter, abandon_on_cancel=True))
+
+        try:
+            async with anyio.create_task_group() as group:
+                for probe, limiter in self._probes:
+                    group.start_soon(ask, probe, limiter)
+            results = {name: name in good for probe, _ in self._probes for name in probe.names}
+            self._latest = time.monotonic(), results
+            return results
+        finally:
+            self._task = None
