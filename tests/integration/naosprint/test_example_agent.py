@@ -112,8 +112,9 @@ def test_the_agent_plays_as_the_policy_does_in_the_simulator(
         seen, actions, targets = recorded(path, address)
     assert RESULT.fullmatch(capsys.readouterr().out)
     assert 20 < len(seen) < 1000
+    section = {"name": simulator, **({"exact": True} if simulator == "embedded" else {})}
     environment = open_environment(
-        TrainingSpec.model_validate({"robot": robot, "simulator": simulator, "task": "sprint1"}), 1, threads=1
+        TrainingSpec.model_validate({"robot": robot, "simulator": section, "task": "sprint1"}), 1, threads=1
     )
     environment.load_starts(environment.task.starts(1, 0, 0.0))
     environment.restart(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))

@@ -66,7 +66,7 @@ def swinging(robot: Robot, steps: int, n: int = 1) -> np.ndarray:
 def test_servers_conform(check: Check, robot: Robot) -> None:
     # A robot at rest does not change if it waits for another simulator's servers. A K1 sways on its ankles for 10 s,
     # and the targets amplify it.
-    settle_steps, tolerance_deg = {"t1": (150, 0.1), "k1": (450, 2.0)}[robot.name]
+    settle_steps, tolerance_deg = {"t1": (150, 0.1), "k1": (450, 1.0)}[robot.name]
     check(Subject(lambda n: remote(robot, n, settle_steps=settle_steps), lose, tolerance_deg=tolerance_deg))
 
 
