@@ -1,4 +1,4 @@
-"""Let work wait whose last attempt ended because a service was away.
+"""Postpone work whose last attempt ended because a service was unavailable.
 
 Revision: 0005
 Revises: 0004

@@ -178,6 +178,21 @@ struct Net {
     }
   }
 
+  // Add the gradient of all rows. `differentiate(sample, outputs, errors)` fills in the derivatives by one sample's outputs.
+  template <class Differentiate>
+  void pass(const float* observations, const Rows& rows, Differentiate differentiate) {
+    const std::size_t width = static_cast<std::size_t>(out.back());
+    for (int first = 0; first < rows.count; first += kTile) {
+      const int count = rows.count - first < kTile ? rows.count - first : kTile;
+      const std::int64_t* index = rows.index + first;
+      gather(observations, index, count);
+      run();
+      std::memset(errors.back(), 0, sizeof(float) * kTile * width);
+      for (int r = 0; r < count; ++r) differentiate(index[r], values.back() + r * width, errors.back() + r * width);
+      learn();
+    }
+  }
+
   void write_gradient() const {
     for (std::size_t l = 0; l < layers.size(); ++l)
       for (int r = 0; r < layers[l].outputs; ++r) {
@@ -191,7 +206,7 @@ struct Net {
 ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float* log_std_gradient, const Rollout& rollout, const Rows& rows,
                   bool normalize_advantages, float clip_range, Workspace& workspace) {
   Net net(layers, workspace);
-  const int actions = layers.back().outputs, width = net.out.back();
+  const int actions = layers.back().outputs;
   float mean = 0.0f, factor = 1.0f;
   if (normalize_advantages) {
     double sum = 0.0, squares = 0.0;
@@ -215,40 +230,30 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
   double loss = 0.0, kl = 0.0;
   int clipped = 0;
   std::vector<double> spread(static_cast<std::size_t>(actions), 0.0);
-  for (int first = 0; first < rows.count; first += kTile) {
-    const int count = rows.count - first < kTile ? rows.count - first : kTile;
-    const std::int64_t* index = rows.index + first;
-    net.gather(rollout.observations, index, count);
-    net.run();
-    float *outputs = net.values.back(), *errors = net.errors.back();
-    std::memset(errors, 0, sizeof(float) * kTile * static_cast<std::size_t>(width));
-    for (int r = 0; r < count; ++r) {
-      const float* action = rollout.actions + index[r] * actions;
-      float *output = outputs + static_cast<std::size_t>(r) * width, *error = errors + static_cast<std::size_t>(r) * width;
-      float squares = 0.0f;
-      for (int j = 0; j < actions; ++j) {
-        const float deviation = (action[j] - output[j]) * precision[j];
-        squares = std::fma(deviation, deviation, squares);  // explicit, or vectors would be added up in another way
-        error[j] = deviation;
-      }
-      const float log_ratio = -0.5f * squares - constant - rollout.log_probs[index[r]];
-      const float ratio = std::exp(log_ratio);
-      const float advantage = (rollout.advantages[index[r]] - mean) * factor;
-      const float held = ratio < low ? low : ratio > high ? high : ratio;
-      const float free = advantage * ratio, bound = advantage * held;
-      loss -= static_cast<double>(free < bound ? free : bound);
-      kl += static_cast<double>((ratio - 1.0f) - log_ratio);
-      clipped += std::fabs(ratio - 1.0f) > clip_range;
-      const bool counts = (ratio >= low && ratio <= high) || free < bound;
-      const float by_log_prob = counts ? -share * advantage * ratio : 0.0f;
-      for (int j = 0; j < actions; ++j) {
-        const float deviation = error[j];
-        spread[j] += static_cast<double>(by_log_prob * (deviation * deviation - 1.0f));
-        error[j] = by_log_prob * deviation * precision[j];
-      }
+  net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {
+    const float* action = rollout.actions + sample * actions;
+    float squares = 0.0f;
+    for (int j = 0; j < actions; ++j) {
+      const float deviation = (action[j] - output[j]) * precision[j];
+      squares = std::fma(deviation, deviation, squares);  // explicit, or vectors would be added up in another way
+      error[j] = deviation;
     }
-    net.learn();
-  }
+    const float log_ratio = -0.5f * squares - constant - rollout.log_probs[sample];
+    const float ratio = std::exp(log_ratio);
+    const float advantage = (rollout.advantages[sample] - mean) * factor;
+    const float held = ratio < low ? low : ratio > high ? high : ratio;
+    const float free = advantage * ratio, bound = advantage * held;
+    loss -= static_cast<double>(free < bound ? free : bound);
+    kl += static_cast<double>((ratio - 1.0f) - log_ratio);
+    clipped += std::fabs(ratio - 1.0f) > clip_range;
+    const bool counts = (ratio >= low && ratio <= high) || free < bound;
+    const float by_log_prob = counts ? -share * advantage * ratio : 0.0f;
+    for (int j = 0; j < actions; ++j) {
+      const float deviation = error[j];
+      spread[j] += static_cast<double>(by_log_prob * (deviation * deviation - 1.0f));
+      error[j] = by_log_prob * deviation * precision[j];
+    }
+  });
   net.write_gradient();
   if (log_std_gradient != nullptr)
     for (int j = 0; j < actions; ++j) log_std_gradient[j] = static_cast<float>(spread[j]);
@@ -257,23 +262,13 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
 
 double critic(const std::vector<Layer>& layers, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace) {
   Net net(layers, workspace);
-  const int width = net.out.back();
   const float factor = 2.0f * coefficient / static_cast<float>(rows.count);
   double squares = 0.0;
-  for (int first = 0; first < rows.count; first += kTile) {
-    const int count = rows.count - first < kTile ? rows.count - first : kTile;
-    const std::int64_t* index = rows.index + first;
-    net.gather(rollout.observations, index, count);
-    net.run();
-    float *outputs = net.values.back(), *errors = net.errors.back();
-    std::memset(errors, 0, sizeof(float) * kTile * static_cast<std::size_t>(width));
-    for (int r = 0; r < count; ++r) {
-      const float error = outputs[static_cast<std::size_t>(r) * width] - rollout.returns[index[r]];
-      squares += static_cast<double>(error) * static_cast<double>(error);
-      errors[static_cast<std::size_t>(r) * width] = factor * error;
-    }
-    net.learn();
-  }
+  net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {
+    const float off = *output - rollout.returns[sample];
+    squares += static_cast<double>(off) * static_cast<double>(off);
+    *error = factor * off;
+  });
   net.write_gradient();
   return squares / rows.count;
 }

@@ -205,7 +205,7 @@ class Intruder:
         return self.result.exception(30)
 
 
-def test_deleting_a_job_whose_child_is_claimed_meanwhile_deadlocks_nobody(
+def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
     sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
 ) -> None:
     parent = running.lease.job_id
@@ -224,7 +224,7 @@ def test_deleting_a_job_whose_child_is_claimed_meanwhile_deadlocks_nobody(
     assert get(sessions, child.id).error == "the job whose policy it starts from was deleted"
 
 
-def test_deleting_a_job_whose_evaluation_ends_meanwhile_deadlocks_nobody(sessions: Sessions, running: JobClaim) -> None:
+def test_deleting_a_job_while_its_evaluation_ends_causes_no_deadlock(sessions: Sessions, running: JobClaim) -> None:
     job_id = running.lease.job_id
     records.record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, job_id)

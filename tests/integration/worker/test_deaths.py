@@ -43,7 +43,7 @@ def wait_gone(process: psutil.Process) -> None:
 
 
 def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
-    """Once it goes on by itself; the second time without a new checkpoint is once too often, and a retry goes on."""
+    """The first loss is retried; the second without a new checkpoint fails the job, which a user can then retry."""
     job_id = start_job(service, max_attempts=2)
     with service.sessions.begin() as session:  # of the next attempt: no checkpoint before its end
         job = session.get_one(Job, job_id, with_for_update=True)
