@@ -196,6 +196,13 @@ class Simulator(ABC):
         """Return the (n,) robots of which neither foot touches the ground."""
         return np.asarray((self.foot_forces() < CONTACT_N).all(axis=1))
 
+    def flight(self) -> Flags:
+        """Return the (n,) robots with both feet off the ground in two successive measurements of the latest step.
+
+        A simulator that measures once a step returns :meth:`airborne`.
+        """
+        return self.airborne()
+
     def torque_shares(self, rows: slice | Ints) -> Floats:
         """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1.
 

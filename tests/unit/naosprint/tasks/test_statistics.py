@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from naosprint.tasks.statistics import bootstrap_mean, wilson
+from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,13 @@ def test_bootstrap_works_in_blocks() -> None:
     low, high = bootstrap_mean(values, confidence=0.95, resamples=100, rng=np.random.default_rng(0))
     assert low < values.mean() < high
     assert high - low == pytest.approx(2 * 1.96 / np.sqrt(300_000), rel=0.4)
+
+
+def test_the_median_lies_between_its_ranks_as_often_as_stated() -> None:
+    assert median_ranks(1, 0.95) == (0, 0)
+    rng = np.random.default_rng(2)
+    for n in (15, 60, 201):
+        low, high = median_ranks(n, 0.9)
+        ordered = np.sort(rng.exponential(size=(2000, n)), axis=1)
+        covered = (ordered[:, low] <= np.log(2.0)) & (np.log(2.0) <= ordered[:, high])
+        assert 0.86 < covered.mean() < 0.96

@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import EmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import World, library, torque_shares, world_of
-from naosim.simulator import Simulator, Truth
+from naosim.simulator import CONTACT_N, Simulator, Truth
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -194,6 +194,11 @@ class MujocoSimulator(Simulator):
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""
         return self.batch.foot_frames
+
+    def flight(self) -> Flags:
+        """Return the (n,) robots with both feet off the ground in two successive frames of 5 ms of the latest step."""
+        off = (self.batch.foot_frames < CONTACT_N).all(axis=2)
+        return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1))
 
     # worlds can diverge
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosprint.tasks.metrics import Metric, Result
-from naosprint.tasks.statistics import bootstrap_mean, wilson
+from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,6 +78,22 @@ class Statistics:
             low=float(values.min()),
             high=float(values.max()),
             episodes=len(values),
+        )
+
+    def median(self, metric: Metric, values: FloatArray | Sequence[float]) -> Result:
+        """Return the median of one value per episode, with the interval between two of the sorted values."""
+        ordered = np.sort(np.asarray(values, dtype=np.float64))
+        n = len(ordered)
+        if not n:
+            return Result(metric, None)
+        low, high = median_ranks(n, self.confidence)
+        return Result(
+            metric,
+            float(np.median(ordered)),
+            interval=(float(ordered[low]), float(ordered[high])),
+            low=float(ordered[0]),
+            high=float(ordered[-1]),
+            episodes=n,
         )
 
     def rate(self, metric: Metric, flags: BoolArray) -> Result:

@@ -41,3 +41,12 @@ def wilson(successes: int, trials: int, confidence: float) -> tuple[float, float
     low = 0.0 if successes == 0 else centre - reach
     high = 1.0 if successes == trials else centre + reach
     return low, high
+
+
+def median_ranks(n: int, confidence: float) -> tuple[int, int]:
+    """Return the indices of the sorted n values, n at least 1, between which the median lies.
+
+    The number of values below the median is binomial; its normal approximation is used. Conover (1999), section 3.2.
+    """
+    reach = NormalDist().inv_cdf(0.5 + confidence / 2.0) * math.sqrt(n) / 2.0
+    return max(0, math.ceil(n / 2.0 - reach) - 1), min(n - 1, math.ceil(n / 2.0 + reach) - 1)

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from naosprint.tasks.observations import ObservationBlock
 
 TRACKING_SCALE = 0.25
-"""Squared error at which a tracking reward has fallen to 1/e, (m/s)^2 or (rad/s)^2."""
+"""Squared error at which the narrow part of a tracking reward has fallen to 1/e, (m/s)^2 or (rad/s)^2."""
+
+FLIGHT_SPEED_MPS = 1.0
+"""Commanded forward speed from which flight is rewarded, m/s."""
 
 OFFSET_LIMIT_M = 0.5
 """Largest distance from the commanded path that is observed and penalized, metres."""
@@ -33,14 +36,11 @@ OFFSET_LIMIT_M = 0.5
 SETTLED_S = 2.0
 """Time after which speed and error are measured in evaluations, seconds."""
 
-FLIGHT_STEPS = 1
-"""Successive steps with both feet off the ground that count as flight."""
-
 ERROR = Metric(
     "velocity_error_mps", "Velocity error", "m/s", "Mean distance between commanded and actual velocity.", 2, "lower"
 )
 SPEED = Metric("forward_mps", "Forward speed", "m/s", "Mean speed in the commanded heading.", 2)
-SPEED_RATIO = Metric(
+SETTLED_SPEED = Metric(
     "forward_settled_mps",
     "Forward speed after 2 s",
     "m/s",
@@ -59,6 +59,35 @@ RMSE_WHOLE = Metric(
     3,
     "lower",
     live=False,
+)
+MEDIAN_SPEED = Metric(
+    "median_forward_mps",
+    "Median forward speed after 2 s",
+    "m/s",
+    "Median over the episodes of the mean forward speed after two seconds; 0 where an episode is shorter.",
+    2,
+    live=False,
+)
+MEDIAN_RMSE = Metric(
+    "median_rmse_mps",
+    "Median RMSE",
+    "m/s",
+    "Median over the episodes of the RMSE after two seconds.",
+    3,
+    "lower",
+    live=False,
+)
+MEDIAN_RMSE_WHOLE = Metric(
+    "median_rmse_whole_mps",
+    "Median RMSE, start included",
+    "m/s",
+    "Median over the episodes of the RMSE over the whole episode.",
+    3,
+    "lower",
+    live=False,
+)
+MEDIAN_DRIFT = Metric(
+    "median_drift_m", "Median drift", "m", "Median over the episodes of the drift.", 2, "lower", live=False
 )
 TURN_RMSE = Metric(
     "turn_rmse_rad_s",
@@ -83,7 +112,7 @@ FLIGHT_RATE = Metric(
     "flight_rate",
     "Episodes with flight",
     "%",
-    "Fraction of episodes in which both feet leave the ground.",
+    "Fraction of episodes in which both feet are off the ground for two successive contact measurements.",
     1,
     "higher",
     "rate",
@@ -159,6 +188,12 @@ class VelocitySettings(FallSettings):
     turn_weight: float = Field(
         default=0.5, ge=0.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
     )
+    flight_weight: float = Field(
+        default=0.0,
+        ge=0.0,
+        title="Flight weight",
+        description=f"Reward per step with both feet off the ground at commands of {FLIGHT_SPEED_MPS:g} m/s and more.",
+    )
     path_penalty: float = Field(
         default=1.0,
         ge=0.0,
@@ -211,6 +246,7 @@ class Velocity(Task):
         "command_sideways",
         "command_turn",
         "offset_m",
+        "flight",
     )
     presentation = Presentation(
         charts=(
@@ -290,15 +326,21 @@ class Velocity(Task):
         settings = self.parameters
 
         def track(rows: slice) -> FloatArray:
-            error = self._velocity[rows, :2] - self.command[rows, :2]
-            return np.asarray(np.exp(-np.square(error).sum(axis=1) / TRACKING_SCALE))
+            squared = np.square(self._velocity[rows, :2] - self.command[rows, :2]).sum(axis=1)
+            # the Gaussian alone has no slope for a robot that stands and should run at 2 m/s
+            return np.asarray(0.5 * np.exp(-squared / TRACKING_SCALE) + 0.5 / (1.0 + np.sqrt(squared)))
 
         def turn(rows: slice) -> FloatArray:
             return np.asarray(np.exp(-np.square(self._velocity[rows, 2] - self.command[rows, 2]) / TRACKING_SCALE))
 
+        def flight(rows: slice) -> FloatArray:
+            fast = self.command[rows, 0] >= FLIGHT_SPEED_MPS
+            return (self.world.simulator.flight()[rows] & fast).astype(np.float64)
+
         return (
             RewardTerm("track_velocity", 1.0, track),
             RewardTerm("track_turn", settings.turn_weight, turn),
+            RewardTerm("flight", settings.flight_weight, flight),
             RewardTerm(
                 "path", -settings.path_penalty, lambda rows: np.minimum(np.abs(self._offset[rows]), OFFSET_LIMIT_M)
             ),
@@ -318,7 +360,7 @@ class Velocity(Task):
         self._draw(rows)
 
     def _draw(self, rows: IntArray) -> None:
-        """Draw new commands; heading and path begin again."""
+        """Draw new commands."""
         settings = self.parameters
         draws = uniform(self.seed, rows, self._draws[rows], 5)
         self._draws[rows] += 1
@@ -333,6 +375,10 @@ class Velocity(Task):
         )
         command[draws[:, 3] < settings.straight_fraction, 1:] = 0.0
         command[draws[:, 4] < settings.stand_fraction] = 0.0
+        self.set_command(rows, command)
+
+    def set_command(self, rows: IntArray, command: FloatArray) -> None:
+        """Give robots new commands, (k, 3) in m/s and rad/s; heading and path begin again."""
         self.command[rows] = command
         self._heading[rows] = self._yaw[rows]
         self._heading_error[rows] = 0.0
@@ -376,8 +422,9 @@ class Velocity(Task):
         )
 
     def trace_row(self, rows: IntArray) -> FloatArray:
-        """Return velocity, command, and distance from the path."""
-        return np.concatenate([self._velocity[rows], self.command[rows], self._offset[rows][:, None]], axis=1)
+        """Return velocity, command, distance from the path, and whether the robot flew."""
+        flight = self.world.simulator.flight()[rows]
+        return np.column_stack([self._velocity[rows], self.command[rows], self._offset[rows], flight])
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return how well the command was followed."""
@@ -392,18 +439,26 @@ class Velocity(Task):
 
         errors = [trace[1:, :2] - trace[1:, 3:5] for trace in episodes.trace]
         late = [trace[settled:] for trace in episodes.trace]
-        flight = [_longest(flags[1:]) >= FLIGHT_STEPS for flags in episodes.airborne]
+        flight = np.array([trace[1:, 7].any() for trace in episodes.trace])
+        rmse = [root_mean_square(each[:, :2] - each[:, 3:5]) for each in late]
+        rmse_whole = [root_mean_square(each) for each in errors]
+        speed = [each[:, 0].mean() if len(each) else np.nan for each in late]
+        drift = np.array([abs(trace[-1, 6]) for trace in episodes.trace])
         results = (
-            statistics.mean(RMSE, known([root_mean_square(each[:, :2] - each[:, 3:5]) for each in late])),
-            statistics.mean(RMSE_WHOLE, known([root_mean_square(each) for each in errors])),
+            statistics.mean(RMSE, known(rmse)),
+            statistics.mean(RMSE_WHOLE, known(rmse_whole)),
             statistics.mean(TURN_RMSE, known([root_mean_square(each[:, 2:3] - each[:, 5:6]) for each in late])),
             statistics.mean(SPEED, np.array([trace[1:, 0].mean() for trace in episodes.trace])),
-            statistics.mean(SPEED_RATIO, known([each[:, 0].mean() if len(each) else np.nan for each in late])),
-            statistics.mean(DRIFT, np.array([abs(trace[-1, 6]) for trace in episodes.trace])),
+            statistics.mean(SETTLED_SPEED, known(speed)),
+            statistics.mean(DRIFT, drift),
+            statistics.median(MEDIAN_SPEED, np.nan_to_num(speed)),
+            statistics.median(MEDIAN_RMSE, known(rmse)),
+            statistics.median(MEDIAN_RMSE_WHOLE, known(rmse_whole)),
+            statistics.median(MEDIAN_DRIFT, drift),
             statistics.rate(UPRIGHT, ~episodes.ends["fallen"]),
             statistics.rate(FALL_RATE, episodes.ends["fallen"]),
             statistics.mean(FLIGHT, np.array([flags[1:].mean() for flags in episodes.airborne])),
-            statistics.rate(FLIGHT_RATE, np.array(flight)),
+            statistics.rate(FLIGHT_RATE, flight),
         )
         return results, ()
 
@@ -411,9 +466,3 @@ class Velocity(Task):
 def _wrapped(angles: FloatArray) -> FloatArray:
     """Return angles in [-pi, pi)."""
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-def _longest(flags: BoolArray) -> int:
-    """Return the length of the longest run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
