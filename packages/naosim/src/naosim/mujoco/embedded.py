@@ -197,7 +197,7 @@ class MujocoSimulator(Simulator):
 
     def flight(self) -> Flags:
         """Return the (n,) robots with both feet off the ground in two successive frames of 5 ms of the latest step."""
-        off = (self.batch.foot_frames < CONTACT_N).all(axis=2)
+        off: Flags = np.asarray((self.batch.foot_frames < CONTACT_N).all(axis=2))
         return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1))
 
     # worlds can diverge
