@@ -293,7 +293,7 @@ class Velocity(Task):
             "errors": self._errors,
             "advance": self._advance_m,
         }
-        self._velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
+        self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
         self._tilt: FloatArray = np.zeros(n)
         self._heading_error: FloatArray = np.zeros(n)
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -326,12 +326,12 @@ class Velocity(Task):
         settings = self.parameters
 
         def track(rows: slice) -> FloatArray:
-            squared = np.square(self._velocity[rows, :2] - self.command[rows, :2]).sum(axis=1)
+            squared = np.square(self.velocity[rows, :2] - self.command[rows, :2]).sum(axis=1)
             # the Gaussian alone has no slope for a robot that stands and should run at 2 m/s
             return np.asarray(0.5 * np.exp(-squared / TRACKING_SCALE) + 0.5 / (1.0 + np.sqrt(squared)))
 
         def turn(rows: slice) -> FloatArray:
-            return np.asarray(np.exp(-np.square(self._velocity[rows, 2] - self.command[rows, 2]) / TRACKING_SCALE))
+            return np.asarray(np.exp(-np.square(self.velocity[rows, 2] - self.command[rows, 2]) / TRACKING_SCALE))
 
         def flight(rows: slice) -> FloatArray:
             fast = self.command[rows, 0] >= FLIGHT_SPEED_MPS
@@ -394,7 +394,7 @@ class Velocity(Task):
         forward = (cosine * moved[:, 0] + sine * moved[:, 1]) / STEP_S
         sideways = (cosine * moved[:, 1] - sine * moved[:, 0]) / STEP_S
         turned = _wrapped(yaw - self._yaw[rows]) / STEP_S
-        self._velocity[rows] = np.stack([forward, sideways, turned], axis=1)
+        self.velocity[rows] = np.stack([forward, sideways, turned], axis=1)
         self._offset[rows] += (sideways - command[:, 1]) * STEP_S
         self._heading[rows] = _wrapped(self._heading[rows] + command[:, 2] * STEP_S)
         self._heading_error[rows] = _wrapped(yaw - self._heading[rows])
@@ -424,7 +424,7 @@ class Velocity(Task):
     def trace_row(self, rows: IntArray) -> FloatArray:
         """Return velocity, command, distance from the path, and whether the robot flew."""
         flight = self.world.simulator.flight()[rows]
-        return np.column_stack([self._velocity[rows], self.command[rows], self._offset[rows], flight])
+        return np.column_stack([self.velocity[rows], self.command[rows], self._offset[rows], flight])
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return how well the command was followed."""
