@@ -7,9 +7,10 @@
 Gate R2 is written down in the public repository My3DProject, docs/run-policy-training.md: 200 held-out deterministic
 episodes of a policy at a command of 1.5 m/s for 10 s. To release, policies of three seeds pass. It names further
 commands without bounds; here each of them has to keep 95 % of the episodes upright, an RMSE of 0.35 m/s (and rad/s,
-where the robot turns), a drift of 0.25 m from the commanded path, and the speed itself within 0.15 m/s. RMSE and drift are medians over the episodes. The RMSE is that of the whole episode, the start
-from standing included; a robot that falls is measured until then. Flight is two successive frames of 5 ms without
-contact; a server reports no contacts, so there it is judged by the height of the soles every 20 ms.
+where the robot turns), a drift of 0.25 m from the commanded path, and the speed itself within 0.15 m/s. RMSE and drift
+are medians over the episodes. The RMSE is that of the whole episode, the start from standing included; a robot that
+falls is measured until then. Flight is two successive frames of 5 ms without contact; a server reports no contacts, so
+there it is judged by the height of the soles every 20 ms.
 """
 
 from __future__ import annotations
