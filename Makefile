@@ -6,7 +6,7 @@ PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosp
 SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) $(wildcard packages/*/CMakeLists.txt packages/*/cpp/*)
 INSTALLED := $(VENV)/.installed
 
-.PHONY: help install demo up test check lint types e2e readme docs bench sanitize clean
+.PHONY: help install demo up test check lint js format types e2e readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -32,9 +32,27 @@ test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, st
 
 check: lint types test  ## everything that must pass before a change lands
 
-lint: $(INSTALLED)
+lint: $(INSTALLED) js  ## linters and formatters of Python and JavaScript
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# Biome checks the dashboard's scripts. It is the one thing that comes from npm, and only for development.
+BIOME := services/api/node_modules/.package-lock.json
+$(BIOME): services/api/package-lock.json
+	npm ci --prefix services/api --silent --no-audit --no-fund
+
+ifneq ($(shell command -v npm),)
+js: $(BIOME)
+	cd services/api && npm run --silent check
+else
+js:
+	@echo "The dashboard's scripts were NOT checked: npm is not installed. Python is checked as usual."
+endif
+
+format: $(INSTALLED)  ## format Python and JavaScript
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	@if command -v npm >/dev/null; then $(MAKE) --silent $(BIOME) && cd services/api && npm run --silent format; fi
 
 types: $(INSTALLED)
 	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src)

@@ -7,7 +7,11 @@ const KEY = "naosprint.token";
 function stores() {
   const found = [];
   for (const name of ["sessionStorage", "localStorage"]) {
-    try { found.push(window[name]); } catch { /* storage refused by the browser */ }
+    try {
+      found.push(window[name]);
+    } catch {
+      /* storage refused by the browser */
+    }
   }
   return found;
 }
@@ -23,7 +27,11 @@ export function token() {
 export function setToken(value, remember) {
   clearToken();
   memory = value;
-  try { (remember ? localStorage : sessionStorage).setItem(KEY, value); } catch { /* memory only */ }
+  try {
+    (remember ? localStorage : sessionStorage).setItem(KEY, value);
+  } catch {
+    /* memory only */
+  }
 }
 
 export function clearToken() {
@@ -47,25 +55,41 @@ export class OfflineError extends Error {}
 
 let unauthorised = () => {};
 /** Set what happens on a 401 from any call but the sign-in's own. */
-export function onUnauthorised(handler) { unauthorised = handler; }
+export function onUnauthorised(handler) {
+  unauthorised = handler;
+}
 
 export const url = (path) => new URL(path.replace(/^\//, ""), ROOT);
 
 /** Fetch with the token; raise ApiError or OfflineError. Returns the Response. */
-export async function request(path, { method = "GET", body, headers = {}, signal, quiet401 = false, as = token() } = {}) {
+export async function request(
+  path,
+  { method = "GET", body, headers = {}, signal, quiet401 = false, as = token() } = {},
+) {
   const all = { Accept: "application/json", ...headers };
   if (as) all.Authorization = `Bearer ${as}`;
   if (body !== undefined) all["Content-Type"] = "application/json";
   let response;
   try {
-    response = await fetch(url(path), { method, headers: all, body: body === undefined ? undefined : JSON.stringify(body), signal, cache: "no-store", credentials: "omit" });
+    response = await fetch(url(path), {
+      method,
+      headers: all,
+      body: body === undefined ? undefined : JSON.stringify(body),
+      signal,
+      cache: "no-store",
+      credentials: "omit",
+    });
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new OfflineError("The service does not answer.");
   }
   if (response.ok) return response;
   let problem = {};
-  try { problem = await response.json(); } catch { /* no JSON body: the status must do */ }
+  try {
+    problem = await response.json();
+  } catch {
+    /* no JSON body: the status must do */
+  }
   const error = new ApiError(response.status, problem, response.headers.get("x-request-id"));
   if (response.status === 401 && !quiet401) unauthorised(error);
   throw error;
@@ -81,7 +105,8 @@ export async function call(path, options) {
 export function query(params) {
   const q = new URLSearchParams();
   for (const [key, value] of Object.entries(params)) {
-    for (const v of Array.isArray(value) ? value : [value]) if (v !== null && v !== undefined && v !== "") q.append(key, v);
+    for (const v of Array.isArray(value) ? value : [value])
+      if (v !== null && v !== undefined && v !== "") q.append(key, v);
   }
   const text = q.toString();
   return text ? `?${text}` : "";

@@ -1,4 +1,6 @@
-/** Line charts on a canvas (uPlot), themed by CSS tokens, with reference lines, bands, linked cursors and linked zoom. */
+/**
+ * Line charts on a canvas (uPlot), themed by CSS tokens, with reference lines, bands, linked cursors and linked zoom.
+ */
 
 import { h, setText } from "./dom.js";
 import { compact, fixed } from "./format.js";
@@ -18,10 +20,14 @@ export function faded(token, alpha) {
 export function smooth(values, weight) {
   if (!weight) return values;
   const out = new Array(values.length);
-  let mean = 0, norm = 0;
+  let mean = 0;
+  let norm = 0;
   for (let i = 0; i < values.length; i++) {
     const v = values[i];
-    if (v === null || v === undefined) { out[i] = null; continue; }
+    if (v === null || v === undefined) {
+      out[i] = null;
+      continue;
+    }
     mean = mean * weight + v * (1 - weight);
     norm = norm * weight + (1 - weight);
     out[i] = mean / norm;
@@ -30,26 +36,44 @@ export function smooth(values, weight) {
 }
 
 /**
- * Leave out points that no screen shows: of each of `width` runs of points between `from` and `to` only the lowest and highest of every series stay.
+ * Leave out points that no screen shows: of each of `width` runs of points between `from` and `to` only the lowest and
+ * highest of every series stay.
  * Outside of that range fewer runs do. The first and the last point always stay. Short columns come back as they are.
  */
 export function thin(columns, from, to, width) {
-  const x = columns[0], n = x.length, lines = columns.slice(1);
+  const x = columns[0];
+  const n = x.length;
+  const lines = columns.slice(1);
   if (n <= 4 * width || lines.length > 4) return columns;
   const at = (value) => {
-    let low = 0, high = n;
-    while (low < high) { const mid = (low + high) >> 1; if (x[mid] < value) low = mid + 1; else high = mid; }
+    let low = 0;
+    let high = n;
+    while (low < high) {
+      const mid = (low + high) >> 1;
+      if (x[mid] < value) low = mid + 1;
+      else high = mid;
+    }
     return low;
   };
-  const a = Math.max(0, at(from) - 1), b = Math.min(n, at(to) + 1), kept = [0];
-  const keep = (i) => { if (i > kept.at(-1)) kept.push(i); };
+  const a = Math.max(0, at(from) - 1);
+  const b = Math.min(n, at(to) + 1);
+  const kept = [0];
+  const keep = (i) => {
+    if (i > kept.at(-1)) kept.push(i);
+  };
   const section = (begin, end, runs) => {
     const size = (end - begin) / runs;
-    if (size <= 4) { for (let i = begin; i < end; i++) keep(i); return; }
+    if (size <= 4) {
+      for (let i = begin; i < end; i++) keep(i);
+      return;
+    }
     for (let k = 0; k < runs; k++) {
-      const low = begin + Math.floor(k * size), high = begin + Math.floor((k + 1) * size), picks = [low];
+      const low = begin + Math.floor(k * size);
+      const high = begin + Math.floor((k + 1) * size);
+      const picks = [low];
       for (const line of lines) {
-        let least = -1, most = -1;
+        let least = -1;
+        let most = -1;
         for (let i = low; i < high; i++) {
           const v = line[i];
           if (v === null || v === undefined) continue;
@@ -73,22 +97,22 @@ export function thin(columns, from, to, width) {
 const BUDGET_MS = 8;
 const waiting = new Set();
 const linked = new Map();
-let frame = 0;
+let _frame = 0;
 
 function schedule(chart) {
   waiting.add(chart);
-  frame ||= requestAnimationFrame(work);
+  _frame ||= requestAnimationFrame(work);
 }
 
 function work() {
-  frame = 0;
+  _frame = 0;
   const end = performance.now() + BUDGET_MS;
   for (const chart of waiting) {
     waiting.delete(chart);
     chart.draw();
     if (performance.now() > end) break;
   }
-  if (waiting.size) frame = requestAnimationFrame(work);
+  if (waiting.size) _frame = requestAnimationFrame(work);
 }
 
 const FONT = () => `11px ${getComputedStyle(document.body).fontFamily}`;
@@ -96,19 +120,50 @@ const FONT = () => `11px ${getComputedStyle(document.body).fontFamily}`;
 /**
  * One chart in a card.
  *
- * @param {{title: string, unit?: string, series: {label: string, token: string, raw?: boolean, width?: number, dash?: number[]}[], bands?: {series: [number, number], token: string}[],
- *   lines?: [string, string, string][], min?: number, max?: number, refs?: {y: number, label: string}[], format?: (v: number) => string, xFormat?: (v: number) => string, sync?: string, empty?: string, height?: string}} options
+ * @param {{title: string, unit?: string, series: {label: string, token: string, raw?: boolean, width?: number, dash?:
+ *   number[]}[], bands?: {series: [number, number], token: string}[],
+ *   lines?: [string, string, string][], min?: number, max?: number, refs?: {y: number, label: string}[], format?: (v:
+ *   number) => string, xFormat?: (v: number) => string, sync?: string, empty?: string, height?: string}} options
  */
 export class Chart {
   constructor(options) {
-    this.options = { format: (v) => fixed(v, 2), xFormat: compact, refs: [], bands: [], empty: "No figures yet.", ...options };
+    this.options = {
+      format: (v) => fixed(v, 2),
+      xFormat: compact,
+      refs: [],
+      bands: [],
+      empty: "No figures yet.",
+      ...options,
+    };
     this.now = h("span", { class: "now" });
     this.at = h("span", { class: "at" });
     this.none = h("div", { class: "none" }, this.options.empty);
-    this.plot = h("div", { class: ["plot", this.options.height], role: "img", "aria-label": `${options.title}: no figures yet` }, this.none);
-    this.element = h("section", { class: "card chart", "data-chart": options.key ?? options.title },
-      h("div", { class: "head" }, h("h3", null, options.title, options.unit ? h("span", { class: "unit" }, options.unit) : null),
-        options.lines ? h("span", { class: "legend" }, options.lines.map(([, label, token]) => h("span", null, h("i", { style: { background: `var(${token})` } }), label))) : null, this.at, this.now), this.plot);
+    this.plot = h(
+      "div",
+      { class: ["plot", this.options.height], role: "img", "aria-label": `${options.title}: no figures yet` },
+      this.none,
+    );
+    this.element = h(
+      "section",
+      { class: "card chart", "data-chart": options.key ?? options.title },
+      h(
+        "div",
+        { class: "head" },
+        h("h3", null, options.title, options.unit ? h("span", { class: "unit" }, options.unit) : null),
+        options.lines
+          ? h(
+              "span",
+              { class: "legend" },
+              options.lines.map(([, label, token]) =>
+                h("span", null, h("i", { style: { background: `var(${token})` } }), label),
+              ),
+            )
+          : null,
+        this.at,
+        this.now,
+      ),
+      this.plot,
+    );
     this.source = null;
     this.data = null; // all columns
     this.shown = null; // what is left of them for the width and zoom
@@ -117,12 +172,21 @@ export class Chart {
     this.visible = true;
     this.resize = new ResizeObserver(() => this.#fit());
     this.resize.observe(this.plot);
-    this.sight = new IntersectionObserver(([entry]) => { this.visible = entry.isIntersecting; if (this.visible && this.late) schedule(this); }, { rootMargin: "200px" });
+    this.sight = new IntersectionObserver(
+      ([entry]) => {
+        this.visible = entry.isIntersecting;
+        if (this.visible && this.late) schedule(this);
+      },
+      { rootMargin: "200px" },
+    );
     this.sight.observe(this.plot);
     const key = options.sync ?? this;
     linked.set(key, (linked.get(key) ?? new Set()).add(this));
     this.links = linked.get(key);
-    this.unlink = () => { this.links.delete(this); if (!this.links.size) linked.delete(key); };
+    this.unlink = () => {
+      this.links.delete(this);
+      if (!this.links.size) linked.delete(key);
+    };
     this.stopTheme = onTheme(() => this.u?.redraw(false, true));
   }
 
@@ -152,7 +216,10 @@ export class Chart {
   }
 
   #fit() {
-    if (!this.u) { if (this.source) schedule(this); return; }
+    if (!this.u) {
+      if (this.source) schedule(this);
+      return;
+    }
     const [width, height] = this.#size();
     if (width > 0 && (width !== this.u.width || height !== this.u.height)) {
       this.u.setSize({ width, height });
@@ -162,15 +229,18 @@ export class Chart {
 
   #size() {
     const style = getComputedStyle(this.plot);
-    return [Math.floor(this.plot.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight)),
-      Math.floor(this.plot.clientHeight - parseFloat(style.paddingTop) - parseFloat(style.paddingBottom))];
+    return [
+      Math.floor(this.plot.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight)),
+      Math.floor(this.plot.clientHeight - parseFloat(style.paddingTop) - parseFloat(style.paddingBottom)),
+    ];
   }
 
   /** Draw what was set last; out of sight it waits, once there is something to see. */
   draw() {
     this.late = Boolean(this.u) && !this.visible;
     if (this.late || !this.source) return;
-    const columns = (this.data = this.source());
+    const columns = this.source();
+    this.data = columns;
     const any = columns[0].length > 0 && columns.slice(1).some((c) => c.some((v) => v !== null && v !== undefined));
     this.none.hidden = any;
     if (!any) {
@@ -196,7 +266,13 @@ export class Chart {
     }
     this.#readout(null);
     const last = this.#last(columns);
-    this.plot.setAttribute("aria-label", `${this.options.title}: ${columns[0].length} points` + (last ? `, latest ${this.options.format(last.value)} ${this.options.unit ?? ""} at ${this.options.xFormat(last.x)}` : ""));
+    this.plot.setAttribute(
+      "aria-label",
+      `${this.options.title}: ${columns[0].length} points` +
+        (last
+          ? `, latest ${this.options.format(last.value)} ${this.options.unit ?? ""} at ${this.options.xFormat(last.x)}`
+          : ""),
+    );
   }
 
   /** The main series' value at a place, or the last one before it. */
@@ -217,40 +293,88 @@ export class Chart {
     setText(this.at, at && pointed ? this.options.xFormat(at.x) : "");
   }
 
-  #range(u, low, high) {
+  #range(_u, low, high) {
     const { min, max, refs } = this.options;
     if (low === null || high === null || low === undefined) return [min ?? 0, max ?? 1];
-    for (const ref of refs) if (ref.keep !== false) { low = Math.min(low, ref.y); high = Math.max(high, ref.y); }
-    if (low === high) { const d = Math.abs(low) * 0.1 || 1; low -= d; high += d; }
+    for (const ref of refs)
+      if (ref.keep !== false) {
+        low = Math.min(low, ref.y);
+        high = Math.max(high, ref.y);
+      }
+    if (low === high) {
+      const d = Math.abs(low) * 0.1 || 1;
+      low -= d;
+      high += d;
+    }
     const padding = (high - low) * 0.07;
-    return [min !== undefined ? Math.min(min, low) : low - padding, max !== undefined ? Math.max(max, high) : high + padding];
+    return [
+      min !== undefined ? Math.min(min, low) : low - padding,
+      max !== undefined ? Math.max(max, high) : high + padding,
+    ];
   }
 
   #config(width, height) {
     const o = this.options;
-    const axis = { stroke: () => color("--axis"), font: FONT(), grid: { stroke: () => color("--grid"), width: 1 }, ticks: { show: false }, gap: 6 };
+    const axis = {
+      stroke: () => color("--axis"),
+      font: FONT(),
+      grid: { stroke: () => color("--grid"), width: 1 },
+      ticks: { show: false },
+      gap: 6,
+    };
     return {
-      width, height, padding: [10, 8, 0, 0], legend: { show: false },
-      cursor: { y: false, points: { size: 7, width: 2, stroke: (u, i) => color(o.series[i - 1].token), fill: () => color("--surface") }, drag: { x: true, y: false, setScale: false },
+      width,
+      height,
+      padding: [10, 8, 0, 0],
+      legend: { show: false },
+      cursor: {
+        y: false,
+        points: { size: 7, width: 2, stroke: (_u, i) => color(o.series[i - 1].token), fill: () => color("--surface") },
+        drag: { x: true, y: false, setScale: false },
         // Pointers are linked by uPlot; zooms are ours, so that not all charts are drawn in one frame.
         bind: { dblclick: () => () => this.zoom(null) },
-        ...(o.sync ? { sync: { key: o.sync, scales: ["x", null], filters: { pub: (type) => type === "mousemove" || type === "mouseleave", sub: () => true } } } : {}) },
+        ...(o.sync
+          ? {
+              sync: {
+                key: o.sync,
+                scales: ["x", null],
+                filters: { pub: (type) => type === "mousemove" || type === "mouseleave", sub: () => true },
+              },
+            }
+          : {}),
+      },
       scales: { x: { time: false }, y: { range: (u, a, b) => this.#range(u, a, b) } },
       axes: [
-        { ...axis, size: 26, values: (u, ticks) => ticks.map((v) => o.xFormat(v)) },
-        { ...axis, size: (u, labels) => Math.max(46, 16 + 6.3 * Math.max(0, ...(labels ?? []).map((t) => t.length))), space: 34, values: (u, ticks) => ticks.map((v) => (o.axisFormat ?? compact)(v)) },
+        { ...axis, size: 26, values: (_u, ticks) => ticks.map((v) => o.xFormat(v)) },
+        {
+          ...axis,
+          size: (_u, labels) => Math.max(46, 16 + 6.3 * Math.max(0, ...(labels ?? []).map((t) => t.length))),
+          space: 34,
+          values: (_u, ticks) => ticks.map((v) => (o.axisFormat ?? compact)(v)),
+        },
       ],
-      series: [{}, ...o.series.map((line) => ({
-        label: line.label, spanGaps: true, width: line.width ?? (line.raw ? 1 : 1.75), dash: line.dash, points: { show: false },
-        stroke: () => (line.raw ? faded(line.token, 0.28) : line.token.startsWith("--") ? color(line.token) : line.token), paths: line.hidden ? () => null : undefined,
-      }))],
+      series: [
+        {},
+        ...o.series.map((line) => ({
+          label: line.label,
+          spanGaps: true,
+          width: line.width ?? (line.raw ? 1 : 1.75),
+          dash: line.dash,
+          points: { show: false },
+          stroke: () =>
+            line.raw ? faded(line.token, 0.28) : line.token.startsWith("--") ? color(line.token) : line.token,
+          paths: line.hidden ? () => null : undefined,
+        })),
+      ],
       bands: o.bands.map((band) => ({ series: band.series, fill: () => faded(band.token, 0.15) })),
       hooks: {
         setCursor: [(u) => this.#readout(u.cursor.idx)],
-        setSelect: [(u) => {
-          const { left, width: wide } = u.select;
-          if (wide >= 4) this.zoom([u.posToVal(left, "x"), u.posToVal(left + wide, "x")]);
-        }],
+        setSelect: [
+          (u) => {
+            const { left, width: wide } = u.select;
+            if (wide >= 4) this.zoom([u.posToVal(left, "x"), u.posToVal(left + wide, "x")]);
+          },
+        ],
         drawClear: [(u) => this.#drawRefs(u)],
       },
     };

@@ -14,20 +14,31 @@ export class Columns {
     this.columns = new Map(Object.entries(columns).filter(([name]) => !NOT_CURVES.has(name)));
   }
 
-  get length() { return this.step.length; }
+  get length() {
+    return this.step.length;
+  }
 
   /** Return one column, all null when unknown. */
-  get(name) { return this.columns.get(name) ?? new Array(this.step.length).fill(null); }
+  get(name) {
+    return this.columns.get(name) ?? new Array(this.step.length).fill(null);
+  }
 
-  has(name) { return this.columns.get(name)?.some((v) => v !== null && v !== undefined) ?? false; }
+  has(name) {
+    return this.columns.get(name)?.some((v) => v !== null && v !== undefined) ?? false;
+  }
 
-  /** Add a row; one whose step is not beyond the last replaces all from there on: the training went back to a checkpoint. */
+  /**
+   * Add a row; one whose step is not beyond the last replaces all from there on: the training went back to a
+   * checkpoint.
+   */
   push(row) {
     while (this.step.length && this.step.at(-1) >= row.step) {
       this.step.pop();
       for (const column of this.columns.values()) column.pop();
     }
-    for (const name of Object.keys(row)) if (!NOT_CURVES.has(name) && !this.columns.has(name)) this.columns.set(name, new Array(this.step.length).fill(null));
+    for (const name of Object.keys(row))
+      if (!NOT_CURVES.has(name) && !this.columns.has(name))
+        this.columns.set(name, new Array(this.step.length).fill(null));
     this.step.push(row.step);
     for (const [name, column] of this.columns) column.push(row[name] ?? null);
   }
@@ -43,6 +54,6 @@ export class Columns {
   csv() {
     const names = [...this.columns.keys()];
     const rows = this.step.map((step, i) => [step, ...names.map((n) => this.columns.get(n)[i] ?? "")].join(","));
-    return [["step", ...names].join(","), ...rows].join("\n") + "\n";
+    return `${[["step", ...names].join(","), ...rows].join("\n")}\n`;
   }
 }

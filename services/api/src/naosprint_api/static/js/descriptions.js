@@ -1,4 +1,7 @@
-/** What tasks and algorithms report of themselves: their metrics, charts and headlines. Nothing else in the dashboard names a metric of a task. */
+/**
+ * What tasks and algorithms report of themselves: their metrics, charts and headlines. Nothing else in the dashboard
+ * names a metric of a task.
+ */
 
 import { call } from "./api.js";
 import { words } from "./format.js";
@@ -13,7 +16,8 @@ const PACE = [
 const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "eta_s", "server_failures"]);
 
 /** Name of the plug-in of a specification's section; a specification of an older version may have none. */
-export const nameOf = (spec, section) => spec?.[section]?.name ?? (typeof spec?.[section] === "string" ? spec[section] : null) ?? "?";
+export const nameOf = (spec, section) =>
+  spec?.[section]?.name ?? (typeof spec?.[section] === "string" ? spec[section] : null) ?? "?";
 
 export class Descriptions {
   /** @param {object[]} tasks answer of `GET /tasks` @param {object[]} algorithms answer of `GET /algorithms` */
@@ -23,11 +27,17 @@ export class Descriptions {
   }
 
   /** A task's description; null if the service does not have the task. */
-  task(name) { return this.tasks.get(name) ?? null; }
+  task(name) {
+    return this.tasks.get(name) ?? null;
+  }
 
   /** All metrics of a specification by name. */
   metrics(spec) {
-    const known = [...(this.task(nameOf(spec, "task"))?.metrics ?? []), ...(this.algorithms.get(nameOf(spec, "algorithm"))?.metrics ?? []), ...PACE];
+    const known = [
+      ...(this.task(nameOf(spec, "task"))?.metrics ?? []),
+      ...(this.algorithms.get(nameOf(spec, "algorithm"))?.metrics ?? []),
+      ...PACE,
+    ];
     return new Map(known.map((m) => [m.name, m]));
   }
 
@@ -41,18 +51,41 @@ export class Descriptions {
    * Charts of a specification, the task's first.
    *
    * @param {object} spec
-   * @param {Iterable<string>} columns names of the columns that there are; those that nothing describes get a chart each
-   * @returns {{key: string, group: "task"|"learning"|"pace", title: string, metrics: object[], refs: {y: number, label: string}[]}[]}
+   * @param {Iterable<string>} columns names of the columns that there are; those that nothing describes get a chart
+   *   each
+   * @returns {{key: string, group: "task"|"learning"|"pace", title: string, metrics: object[], refs: {y: number, label:
+   *   string}[]}[]}
    */
   charts(spec, columns = []) {
-    const metrics = this.metrics(spec), task = this.task(nameOf(spec, "task")), algorithm = this.algorithms.get(nameOf(spec, "algorithm"));
-    const refs = (names) => (task?.references ?? []).filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
-    const make = (group) => (chart) => ({ key: chart.metrics[0], group, title: chart.title, metrics: chart.metrics.map((name) => metrics.get(name) ?? plain(name)), refs: group === "task" ? refs(chart.metrics) : [] });
-    const described = [...(task?.charts ?? []).map(make("task")), ...(algorithm?.charts ?? []).map(make("learning")),
-      ...[{ title: "Steps per second", metrics: ["steps_per_s"] }, { title: "Time per update", metrics: ["collect_s", "learn_s"] }].map(make("pace"))];
+    const metrics = this.metrics(spec);
+    const task = this.task(nameOf(spec, "task"));
+    const algorithm = this.algorithms.get(nameOf(spec, "algorithm"));
+    const refs = (names) =>
+      (task?.references ?? []).filter((r) => names.includes(r.metric)).map((r) => ({ y: r.value, label: r.title }));
+    const make = (group) => (chart) => ({
+      key: chart.metrics[0],
+      group,
+      title: chart.title,
+      metrics: chart.metrics.map((name) => metrics.get(name) ?? plain(name)),
+      refs: group === "task" ? refs(chart.metrics) : [],
+    });
+    const described = [
+      ...(task?.charts ?? []).map(make("task")),
+      ...(algorithm?.charts ?? []).map(make("learning")),
+      ...[
+        { title: "Steps per second", metrics: ["steps_per_s"] },
+        { title: "Time per update", metrics: ["collect_s", "learn_s"] },
+      ].map(make("pace")),
+    ];
     const covered = new Set([...metrics.keys(), ...described.flatMap((c) => c.metrics.map((m) => m.name))]);
-    const others = [...columns].filter((name) => !covered.has(name) && !PROGRESS.has(name)).map((name) => ({ title: words(name), metrics: [name] }));
-    return [...described.filter((c) => c.group === "task"), ...others.map(make("task")), ...described.filter((c) => c.group !== "task")];
+    const others = [...columns]
+      .filter((name) => !covered.has(name) && !PROGRESS.has(name))
+      .map((name) => ({ title: words(name), metrics: [name] }));
+    return [
+      ...described.filter((c) => c.group === "task"),
+      ...others.map(make("task")),
+      ...described.filter((c) => c.group !== "task"),
+    ];
   }
 }
 
@@ -62,7 +95,9 @@ export const plain = (name) => ({ name, title: words(name), unit: "", digits: nu
 /** Metrics of several groups, each once: the first of each group, then the second of each, and so on. */
 export function common(groups) {
   const found = new Map();
-  for (let rank = 0; groups.some((g) => rank < g.length); rank++) for (const group of groups) if (group[rank] && !found.has(group[rank].name)) found.set(group[rank].name, group[rank]);
+  for (let rank = 0; groups.some((g) => rank < g.length); rank++)
+    for (const group of groups)
+      if (group[rank] && !found.has(group[rank].name)) found.set(group[rank].name, group[rank]);
   return [...found.values()];
 }
 
@@ -70,9 +105,11 @@ let loading = null;
 
 /** The service's descriptions, asked for once; without an answer there are none, and names stand in for titles. */
 export function descriptions() {
-  loading ??= Promise.all([call("tasks"), call("algorithms")]).then(([tasks, algorithms]) => new Descriptions(tasks, algorithms)).catch(() => {
-    loading = null;
-    return new Descriptions();
-  });
+  loading ??= Promise.all([call("tasks"), call("algorithms")])
+    .then(([tasks, algorithms]) => new Descriptions(tasks, algorithms))
+    .catch(() => {
+      loading = null;
+      return new Descriptions();
+    });
   return loading;
 }

@@ -6,10 +6,15 @@ function assign(node, props, svg) {
   for (const [key, value] of Object.entries(props ?? {})) {
     if (value === null || value === undefined || value === false) continue;
     if (key.startsWith("on") && typeof value === "function") node.addEventListener(key.slice(2).toLowerCase(), value);
-    else if (key === "class") node.setAttribute("class", Array.isArray(value) ? value.filter(Boolean).join(" ") : value);
+    else if (key === "class")
+      node.setAttribute("class", Array.isArray(value) ? value.filter(Boolean).join(" ") : value);
     else if (key === "style") for (const [name, v] of Object.entries(value)) node.style.setProperty(name, v);
     else if (key === "dataset") Object.assign(node.dataset, value);
-    else if (!svg && (key === "value" || key === "checked" || key === "disabled" || key === "htmlFor" || key === "indeterminate")) node[key] = value;
+    else if (
+      !svg &&
+      (key === "value" || key === "checked" || key === "disabled" || key === "htmlFor" || key === "indeterminate")
+    )
+      node[key] = value;
     else node.setAttribute(key, value === true ? "" : String(value));
   }
 }
@@ -37,7 +42,16 @@ export function s(tag, props, ...kids) {
 }
 
 /** What tells one control from its neighbours when a part of the page is built anew. */
-const identity = (el) => [el.tagName, el.id, el.getAttribute("name"), el.getAttribute("href"), el.dataset.action, el.getAttribute("aria-label"), el.getAttribute("aria-label") ? null : el.textContent].join("|");
+const identity = (el) =>
+  [
+    el.tagName,
+    el.id,
+    el.getAttribute("name"),
+    el.getAttribute("href"),
+    el.dataset.action,
+    el.getAttribute("aria-label"),
+    el.getAttribute("aria-label") ? null : el.textContent,
+  ].join("|");
 
 /** Replace what is in `node`; the focus moves to the control that takes the place of the focused one. */
 export function fill(node, ...kids) {
@@ -45,7 +59,8 @@ export function fill(node, ...kids) {
   const key = held && held !== node && held !== document.body && node.contains(held) ? identity(held) : null;
   node.replaceChildren();
   append(node, kids);
-  if (key !== null) [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key)?.focus({ preventScroll: true });
+  if (key !== null)
+    [...node.querySelectorAll(held.tagName)].find((el) => identity(el) === key)?.focus({ preventScroll: true });
   return node;
 }
 
@@ -57,11 +72,16 @@ export function setText(node, text) {
 /** Tell whether the event comes from something the user types in. */
 export function isTyping(event) {
   const t = event.target;
-  return t instanceof HTMLElement && (t.isContentEditable || /^(INPUT|TEXTAREA|SELECT)$/.test(t.tagName)) && t.type !== "checkbox";
+  return (
+    t instanceof HTMLElement &&
+    (t.isContentEditable || /^(INPUT|TEXTAREA|SELECT)$/.test(t.tagName)) &&
+    t.type !== "checkbox"
+  );
 }
 
 /** A box that scrolls sideways on its own, reachable by keyboard. */
-export const scroller = (label, ...kids) => h("div", { class: "scroll-x", tabindex: 0, role: "region", "aria-label": label }, kids);
+export const scroller = (label, ...kids) =>
+  h("div", { class: "scroll-x", tabindex: 0, role: "region", "aria-label": label }, kids);
 
 const ICONS = {
   plus: "M8 3v10M3 8h10",
@@ -79,7 +99,8 @@ const ICONS = {
   out: "M6.5 2.8H3v10.4h3.5M7 8h6.4M10.8 5.2L13.6 8l-2.8 2.8",
   copy: "M5.5 5.5h7.7v7.7H5.5zM10.5 5.5V2.8H2.8v7.7h2.7",
   stop: "M4 4h8v8H4z",
-  branch: "M4.5 5.5v5M4.5 5.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM4.5 13.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM11.5 6.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM11.5 6.5c0 2.6-7 1.4-7 4",
+  branch:
+    "M4.5 5.5v5M4.5 5.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM4.5 13.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM11.5 6.5a1.5 1.5 0 1 0 0-3 1.5 1.5 0 0 0 0 3zM11.5 6.5c0 2.6-7 1.4-7 4",
   clock: "M8 13.6A5.6 5.6 0 1 0 8 2.4a5.6 5.6 0 0 0 0 11.2zM8 4.8V8l2.4 1.4",
   dash: "M4 8h8",
   key: "M5.2 10.8a2.8 2.8 0 1 0 0-5.6 2.8 2.8 0 0 0 0 5.6zM8 8h6v2.4M11.4 8v1.8",
@@ -87,14 +108,36 @@ const ICONS = {
 
 /** Return a 16 px line icon; decorative unless `label` is given. */
 export function icon(name, label) {
-  return s("svg", { class: "icon", viewBox: "0 0 16 16", width: 16, height: 16, "aria-hidden": label ? null : "true", role: label ? "img" : null, "aria-label": label },
-    s("path", { d: ICONS[name], fill: "none", stroke: "currentColor", "stroke-width": 1.5, "stroke-linecap": "round", "stroke-linejoin": "round" }));
+  return s(
+    "svg",
+    {
+      class: "icon",
+      viewBox: "0 0 16 16",
+      width: 16,
+      height: 16,
+      "aria-hidden": label ? null : "true",
+      role: label ? "img" : null,
+      "aria-label": label,
+    },
+    s("path", {
+      d: ICONS[name],
+      fill: "none",
+      stroke: "currentColor",
+      "stroke-width": 1.5,
+      "stroke-linecap": "round",
+      "stroke-linejoin": "round",
+    }),
+  );
 }
 
 /** Show a short message in the corner; errors stay until dismissed. */
 export function toast(message, kind = "info") {
-  const box = h("div", { class: ["toast", kind] }, h("span", null, message),
-    h("button", { class: "ghost small", "aria-label": "Dismiss", onclick: () => box.remove() }, icon("close")));
+  const box = h(
+    "div",
+    { class: ["toast", kind] },
+    h("span", null, message),
+    h("button", { class: "ghost small", "aria-label": "Dismiss", onclick: () => box.remove() }, icon("close")),
+  );
   document.getElementById("toasts").append(box);
   if (kind !== "error") setTimeout(() => box.remove(), 4000);
 }
@@ -102,13 +145,26 @@ export function toast(message, kind = "info") {
 /** Ask in a modal dialog; resolves true when confirmed. */
 export function confirmDialog({ title, body, action, danger = false }) {
   return new Promise((resolve) => {
-    const dialog = h("dialog", { class: "modal", "aria-labelledby": "dialog-title" },
-      h("form", { method: "dialog" },
-        h("h2", { id: "dialog-title" }, title), h("p", null, body),
-        h("div", { class: "row end" },
+    const dialog = h(
+      "dialog",
+      { class: "modal", "aria-labelledby": "dialog-title" },
+      h(
+        "form",
+        { method: "dialog" },
+        h("h2", { id: "dialog-title" }, title),
+        h("p", null, body),
+        h(
+          "div",
+          { class: "row end" },
           h("button", { value: "no" }, "Back"),
-          h("button", { value: "yes", class: danger ? "danger" : "primary" }, action))));
-    dialog.addEventListener("close", () => { dialog.remove(); resolve(dialog.returnValue === "yes"); });
+          h("button", { value: "yes", class: danger ? "danger" : "primary" }, action),
+        ),
+      ),
+    );
+    dialog.addEventListener("close", () => {
+      dialog.remove();
+      resolve(dialog.returnValue === "yes");
+    });
     document.body.append(dialog);
     dialog.showModal();
   });

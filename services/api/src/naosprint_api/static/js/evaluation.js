@@ -7,13 +7,18 @@ import { readNpz } from "./npz.js";
 export const hasResults = (summary) => Array.isArray(summary?.results);
 
 /**
- * The evaluation that stands for a job: of the finished ones with the most episodes, the newest. The service's `result` of a job and the command line choose the same.
+ * The evaluation that stands for a job: of the finished ones with the most episodes, the newest. The service's `result`
+ * of a job and the command line choose the same.
  *
  * @param {object[]} evaluations answer of `GET /jobs/{id}/evaluations`
  */
 export function representative(evaluations) {
   const episodes = (e) => e.summary?.episodes ?? 0;
-  return evaluations.filter((e) => e.state === "succeeded").sort((a, b) => episodes(b) - episodes(a) || b.finished_at.localeCompare(a.finished_at))[0] ?? null;
+  return (
+    evaluations
+      .filter((e) => e.state === "succeeded")
+      .sort((a, b) => episodes(b) - episodes(a) || b.finished_at.localeCompare(a.finished_at))[0] ?? null
+  );
 }
 
 /** Results that the task shows first; all of them if it names none. */
@@ -27,10 +32,17 @@ export function headline(summary) {
 /** Mean and interval of one column of a table at each value of its axis; values without a mean are left out. */
 export function profile(table, title) {
   const results = table.columns.find((c) => c.title === title)?.results ?? [];
-  return results.flatMap((r, i) => (r.value === null ? [] : [{ at: table.at[i], mean: r.value, low: r.interval?.[0] ?? r.value, high: r.interval?.[1] ?? r.value }]));
+  return results.flatMap((r, i) =>
+    r.value === null
+      ? []
+      : [{ at: table.at[i], mean: r.value, low: r.interval?.[0] ?? r.value, high: r.interval?.[1] ?? r.value }],
+  );
 }
 
-/** Mean of several profiles, its band one standard deviation between them, at values of the axis that at least half of them have; one alone stays as it is. */
+/**
+ * Mean of several profiles, its band one standard deviation between them, at values of the axis that at least half of
+ * them have; one alone stays as it is.
+ */
 export function meanProfile(profiles) {
   if (profiles.length === 1) return profiles[0];
   const places = [...new Set(profiles.flatMap((rows) => rows.map((r) => r.at)))].sort((a, b) => a - b);
@@ -58,7 +70,13 @@ export class Paths {
     const x = need("x");
     [this.count, this.length] = x.shape;
     this.cycle = arrays.get("cycle_s")?.data[0] ?? 0.02;
-    this.names = { x, y: need("y"), height: need("height"), left: need("left_foot_force"), right: need("right_foot_force") };
+    this.names = {
+      x,
+      y: need("y"),
+      height: need("height"),
+      left: need("left_foot_force"),
+      right: need("right_foot_force"),
+    };
     this.failed = arrays.get("failed")?.data ?? null;
     this.lines = lines;
     this.cache = new Map();
@@ -80,8 +98,19 @@ export class Paths {
     for (const key of Object.keys(rows)) rows[key] = rows[key].subarray(0, n);
     // A foot that lands on its edge is pushed sideways or down for a moment; it has contact all the same.
     for (const key of ["left", "right"]) rows[key] = rows[key].map(Math.abs);
-    const dx = rows.x[n - 1] - rows.x[0], dy = rows.y[n - 1] - rows.y[0], distance = Math.hypot(dx, dy);
-    const episode = { ...rows, samples: n, seconds: (n - 1) * this.cycle, dx, dy, distance, speed: n > 1 ? distance / ((n - 1) * this.cycle) : 0, failed: Boolean(this.failed?.[i]) };
+    const dx = rows.x[n - 1] - rows.x[0];
+    const dy = rows.y[n - 1] - rows.y[0];
+    const distance = Math.hypot(dx, dy);
+    const episode = {
+      ...rows,
+      samples: n,
+      seconds: (n - 1) * this.cycle,
+      dx,
+      dy,
+      distance,
+      speed: n > 1 ? distance / ((n - 1) * this.cycle) : 0,
+      failed: Boolean(this.failed?.[i]),
+    };
     this.cache.set(i, episode);
     return episode;
   }
@@ -89,24 +118,31 @@ export class Paths {
   /** Angle in degrees between an episode's displacement and the mean displacement of all. */
   deviation(i) {
     this.mean ??= this.all().reduce(([x, y], e) => [x + e.dx, y + e.dy], [0, 0]);
-    const { dx, dy } = this.episode(i), [mx, my] = this.mean;
+    const { dx, dy } = this.episode(i);
+    const [mx, my] = this.mean;
     return (Math.abs(Math.atan2(mx * dy - my * dx, mx * dx + my * dy)) * 180) / Math.PI;
   }
 
-  all() { return Array.from({ length: this.count }, (_, i) => this.episode(i)); }
+  all() {
+    return Array.from({ length: this.count }, (_, i) => this.episode(i));
+  }
 }
 
 /** What the gait of an episode includes besides running: its fall; null if it did not fall. */
-export const fallNote = (episode, seconds) => (episode.failed ? `ended in a fall after ${seconds} s; the values below include the fall` : null);
+export const fallNote = (episode, seconds) =>
+  episode.failed ? `ended in a fall after ${seconds} s; the values below include the fall` : null;
 
 /**
- * Describe the gait between two samples: touchdowns per second, share of time on the ground per foot, share in flight, stride length.
+ * Describe the gait between two samples: touchdowns per second, share of time on the ground per foot, share in flight,
+ * stride length.
  *
- * @returns {{stepRate: number|null, duty: [number, number], flight: number, stride: number|null, touchdowns: [number, number]}}
+ * @returns {{stepRate: number|null, duty: [number, number], flight: number, stride: number|null, touchdowns: [number,
+ *   number]}}
  */
 export function gait(episode, cycle, from = 0, to = episode.samples) {
   let flight = 0;
-  const ground = [0, 0], touchdowns = [0, 0];
+  const ground = [0, 0];
+  const touchdowns = [0, 0];
   for (let t = from; t < to; t++) {
     const on = [episode.left[t] >= CONTACT_N, episode.right[t] >= CONTACT_N];
     if (!on[0] && !on[1]) flight += 1;
@@ -117,7 +153,16 @@ export function gait(episode, cycle, from = 0, to = episode.samples) {
       if (t > from && before < CONTACT_N) touchdowns[foot] += 1;
     }
   }
-  const n = Math.max(1, to - from), seconds = n * cycle, steps = touchdowns[0] + touchdowns[1];
-  const last = Math.max(from, to - 1), moved = Math.hypot(episode.x[last] - episode.x[from], episode.y[last] - episode.y[from]);
-  return { stepRate: steps ? steps / seconds : null, duty: [ground[0] / n, ground[1] / n], flight: flight / n, stride: steps ? (2 * moved) / steps : null, touchdowns };
+  const n = Math.max(1, to - from);
+  const seconds = n * cycle;
+  const steps = touchdowns[0] + touchdowns[1];
+  const last = Math.max(from, to - 1);
+  const moved = Math.hypot(episode.x[last] - episode.x[from], episode.y[last] - episode.y[from]);
+  return {
+    stepRate: steps ? steps / seconds : null,
+    duty: [ground[0] / n, ground[1] / n],
+    flight: flight / n,
+    stride: steps ? (2 * moved) / steps : null,
+    touchdowns,
+  };
 }

@@ -10,7 +10,11 @@ export const integer = (v) => (missing(v) ? NONE : Math.round(v).toLocaleString(
 export function compact(v) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
-  for (const [unit, size] of [["G", 1e9], ["M", 1e6], ["k", 1e3]]) {
+  for (const [unit, size] of [
+    ["G", 1e9],
+    ["M", 1e6],
+    ["k", 1e3],
+  ]) {
     if (a >= size * 0.99995) {
       const x = v / size;
       return trim(Math.abs(x) >= 100 ? x.toFixed(0) : Math.abs(x) >= 10 ? x.toFixed(1) : x.toFixed(2)) + unit;
@@ -21,13 +25,23 @@ export function compact(v) {
 const trim = (t) => (t.includes(".") && !t.includes("e") ? t.replace(/0+$/, "").replace(/\.$/, "") : t);
 
 /** Fixed decimals. */
-export const fixed = (v, digits = 2) => (missing(v) ? NONE : v.toFixed(digits).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−"));
+export const fixed = (v, digits = 2) =>
+  missing(v)
+    ? NONE
+    : v
+        .toFixed(digits)
+        .replace(/^-(?=0(\.0*)?$)/, "")
+        .replace("-", "−");
 
 /** Significant digits, scientific when tiny. */
 export function significant(v, digits = 3) {
   if (missing(v)) return NONE;
   const a = Math.abs(v);
-  if (a !== 0 && (a < 1e-3 || a >= 1e6)) return v.toExponential(digits - 1).replace("e-", "e−").replace("e+", "e");
+  if (a !== 0 && (a < 1e-3 || a >= 1e6))
+    return v
+      .toExponential(digits - 1)
+      .replace("e-", "e−")
+      .replace("e+", "e");
   return trim(v.toPrecision(digits).replace(/e\+?(\d+)/, (_, e) => `e${e}`)).replace(/^-/, "−");
 }
 
@@ -36,7 +50,10 @@ export function metricText(metric, v) {
   if (missing(v)) return NONE;
   const value = metric.unit === "%" ? v * 100 : v;
   if (metric.digits === null || metric.digits === undefined) return significant(value, 4);
-  return value.toLocaleString("en-US", { minimumFractionDigits: metric.digits, maximumFractionDigits: metric.digits }).replace(/^-(?=0(\.0*)?$)/, "").replace("-", "−");
+  return value
+    .toLocaleString("en-US", { minimumFractionDigits: metric.digits, maximumFractionDigits: metric.digits })
+    .replace(/^-(?=0(\.0*)?$)/, "")
+    .replace("-", "−");
 }
 
 /** A metric's unit as it stands behind a number; empty for none. */
@@ -44,12 +61,14 @@ export const shownUnit = (metric) => metric.unit ?? "";
 
 /** A value of a metric with its unit: "4.03 m/s", "0.4 %", "0.5°". */
 export function withUnit(metric, v) {
-  const text = metricText(metric, v), unit = shownUnit(metric);
+  const text = metricText(metric, v);
+  const unit = shownUnit(metric);
   return text === NONE || !unit ? text : unit === "°" ? `${text}${unit}` : `${text} ${unit}`;
 }
 
 /** An interval of a metric: "0.50 to 0.75"; null without one. */
-export const intervalText = (metric, ends) => (ends ? `${metricText(metric, ends[0])} to ${metricText(metric, ends[1])}` : null);
+export const intervalText = (metric, ends) =>
+  ends ? `${metricText(metric, ends[0])} to ${metricText(metric, ends[1])}` : null;
 
 /** 0.0731 -> "7.3 %". */
 export const percent = (v, digits = 1) => (missing(v) ? NONE : `${(v * 100).toFixed(digits)} %`);
@@ -57,7 +76,8 @@ export const percent = (v, digits = 1) => (missing(v) ? NONE : `${(v * 100).toFi
 /** Seconds -> "42 s", "3 m 05 s", "1 h 04 m", "2 d 3 h". */
 export function duration(v) {
   if (missing(v) || v < 0) return NONE;
-  const t = Math.round(v), two = (n) => String(n).padStart(2, "0");
+  const t = Math.round(v);
+  const two = (n) => String(n).padStart(2, "0");
   if (t < 60) return `${t} s`;
   if (t < 3600) return `${Math.floor(t / 60)} m ${two(t % 60)} s`;
   if (t < 86400) return `${Math.floor(t / 3600)} h ${two(Math.floor((t % 3600) / 60))} m`;
@@ -67,19 +87,29 @@ export function duration(v) {
 /** Bytes -> "812 B", "1.4 MB" (decimal units). */
 export function bytes(v) {
   if (missing(v)) return NONE;
-  for (const [unit, size] of [["GB", 1e9], ["MB", 1e6], ["kB", 1e3]]) if (v >= size) return `${(v / size).toFixed(v >= 100 * size ? 0 : 1)} ${unit}`;
+  for (const [unit, size] of [
+    ["GB", 1e9],
+    ["MB", 1e6],
+    ["kB", 1e3],
+  ])
+    if (v >= size) return `${(v / size).toFixed(v >= 100 * size ? 0 : 1)} ${unit}`;
   return `${v} B`;
 }
 
 /** ISO time -> "just now", "4 min ago", "3 h ago", "12 Mar". */
 export function ago(iso) {
   if (!iso) return NONE;
-  const then = new Date(iso), dt = (Date.now() - then) / 1000;
+  const then = new Date(iso);
+  const dt = (Date.now() - then) / 1000;
   if (dt < 45) return "just now";
   if (dt < 3600) return `${Math.max(1, Math.round(dt / 60))} min ago`;
   if (dt < 86400) return `${Math.round(dt / 3600)} h ago`;
   if (dt < 7 * 86400) return `${Math.round(dt / 86400)} d ago`;
-  return then.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: then.getFullYear() === new Date().getFullYear() ? undefined : "numeric" });
+  return then.toLocaleDateString("en-GB", {
+    day: "numeric",
+    month: "short",
+    year: then.getFullYear() === new Date().getFullYear() ? undefined : "numeric",
+  });
 }
 
 /** ISO time -> "14:03:59" local. */
@@ -88,7 +118,8 @@ export const clock = (iso) => (iso ? new Date(iso).toLocaleTimeString("en-GB", {
 /** ISO time -> "2026-03-14 14:03:59" local. */
 export function stamp(iso) {
   if (!iso) return NONE;
-  const d = new Date(iso), two = (n) => String(n).padStart(2, "0");
+  const d = new Date(iso);
+  const two = (n) => String(n).padStart(2, "0");
   return `${d.getFullYear()}-${two(d.getMonth() + 1)}-${two(d.getDate())} ${two(d.getHours())}:${two(d.getMinutes())}:${two(d.getSeconds())}`;
 }
 

@@ -14,7 +14,9 @@ export const evaluated = (job) => (isEnded(job.state) && job.result) || null;
 /** What a job's list and tiles show of a metric: its value from the evaluation, else from training. */
 export function shownMetric(job, metric) {
   const found = evaluated(job)?.results.find((r) => r.name === metric.name);
-  return found ? { value: found.value, interval: found.interval, training: false } : { value: latest(job)[metric.name], interval: null, training: true };
+  return found
+    ? { value: found.value, interval: found.interval, training: false }
+    : { value: latest(job)[metric.name], interval: null, training: true };
 }
 
 /** Share of the steps that are done, 0 to 1. */
@@ -28,23 +30,56 @@ export function elapsed(job) {
 }
 
 /** Seconds until the training ends as the trainer sees it; null when not training. */
-export const remaining = (job) => (job.state === "running" ? latest(job).eta_s ?? null : null);
+export const remaining = (job) => (job.state === "running" ? (latest(job).eta_s ?? null) : null);
 
 /** Task, preset, robot and, unless it is the usual one, the simulator: "run · fast · nao-0". */
-export const summary = ({ spec }) => [nameOf(spec, "task"), spec.algorithm?.preset, nameOf(spec, "robot"), nameOf(spec, "simulator") === "embedded" ? null : nameOf(spec, "simulator")].filter((part) => part && part !== "?").join(" · ");
+export const summary = ({ spec }) =>
+  [
+    nameOf(spec, "task"),
+    spec.algorithm?.preset,
+    nameOf(spec, "robot"),
+    nameOf(spec, "simulator") === "embedded" ? null : nameOf(spec, "simulator"),
+  ]
+    .filter((part) => part && part !== "?")
+    .join(" · ");
 
 const QUESTIONS = {
-  cancel: (job) => ({ title: `Cancel ${job.name}?`, body: "The training stops at once. Checkpoints and metrics so far are kept, and the job can be retried from its last checkpoint.", action: "Cancel job", danger: true }),
-  delete: (job) => ({ title: `Delete ${job.name}?`, body: "Its metrics, log, checkpoints and evaluations are deleted. This cannot be undone.", action: "Delete job", danger: true }),
+  cancel: (job) => ({
+    title: `Cancel ${job.name}?`,
+    body: "The training stops at once. Checkpoints and metrics so far are kept, and the job can be retried from its last checkpoint.",
+    action: "Cancel job",
+    danger: true,
+  }),
+  delete: (job) => ({
+    title: `Delete ${job.name}?`,
+    body: "Its metrics, log, checkpoints and evaluations are deleted. This cannot be undone.",
+    action: "Delete job",
+    danger: true,
+  }),
 };
-const DONE = { pause: "will pause at its next checkpoint", resume: "is queued again", retry: "is queued again", cancel: "is being cancelled", delete: "was deleted" };
+const DONE = {
+  pause: "will pause at its next checkpoint",
+  resume: "is queued again",
+  retry: "is queued again",
+  cancel: "is being cancelled",
+  delete: "was deleted",
+};
 
-/** Ask the service for an action, after a question where work would be lost; returns the job as it is then, null for "no". */
+/**
+ * Ask the service for an action, after a question where work would be lost; returns the job as it is then, null for
+ * "no".
+ */
 export async function act(job, name) {
-  if (QUESTIONS[name] && !(name === "cancel" && job.state === "queued" && !job.progress_step) && !(await confirmDialog(QUESTIONS[name](job)))) return null;
+  if (
+    QUESTIONS[name] &&
+    !(name === "cancel" && job.state === "queued" && !job.progress_step) &&
+    !(await confirmDialog(QUESTIONS[name](job)))
+  )
+    return null;
   try {
     const path = `jobs/${encodeURIComponent(job.id)}`;
-    const answer = name === "delete" ? await call(path, { method: "DELETE" }) : await call(`${path}/${name}`, { method: "POST" });
+    const answer =
+      name === "delete" ? await call(path, { method: "DELETE" }) : await call(`${path}/${name}`, { method: "POST" });
     toast(`${job.name} ${DONE[name]}.`);
     return answer ?? job;
   } catch (error) {

@@ -57,16 +57,30 @@ async function show() {
   frame(found?.name);
   if (!found) {
     document.title = "Not found · naosprint";
-    fill(main, h("div", { class: "card empty" }, h("h1", null, "There is no such page"), h("p", null, `Nothing lives at ${path}.`), h("a", { class: "button primary", href: "#/" }, "Show all jobs")));
+    fill(
+      main,
+      h(
+        "div",
+        { class: "card empty" },
+        h("h1", null, "There is no such page"),
+        h("p", null, `Nothing lives at ${path}.`),
+        h("a", { class: "button primary", href: "#/" }, "Show all jobs"),
+      ),
+    );
     return;
   }
   const controller = new AbortController();
   current = { name: found.name, controller };
   try {
-    const module = await found.load().catch(() => { throw new OfflineError("A part of this page could not be loaded."); });
+    const module = await found.load().catch(() => {
+      throw new OfflineError("A part of this page could not be loaded.");
+    });
     if (mine !== turn) return;
     const view = await module.mount(main, { ...where, signal: controller.signal, go });
-    if (mine !== turn) { view?.destroy?.(); return; }
+    if (mine !== turn) {
+      view?.destroy?.();
+      return;
+    }
     current = { name: found.name, controller, destroy: view?.destroy, update: view?.update };
   } catch (error) {
     if (error.name === "AbortError" || mine !== turn) return;
@@ -90,10 +104,20 @@ function focusTitle() {
   scrollTo(0, 0);
 }
 
-const THEMES = { auto: ["light", "auto", "System theme"], light: ["dark", "sun", "Light theme"], dark: ["auto", "moon", "Dark theme"] };
+const THEMES = {
+  auto: ["light", "auto", "System theme"],
+  light: ["dark", "sun", "Light theme"],
+  dark: ["auto", "moon", "Dark theme"],
+};
 
 function themeButton() {
-  const button = h("button", { class: "ghost square", onclick: () => { setTheme(THEMES[theme()][0]); paint(); } });
+  const button = h("button", {
+    class: "ghost square",
+    onclick: () => {
+      setTheme(THEMES[theme()][0]);
+      paint();
+    },
+  });
   const paint = () => {
     const [, glyph, label] = THEMES[theme()];
     fill(button, icon(glyph));
@@ -109,19 +133,62 @@ onConnection((state) => {
   linkState.dataset.state = state;
   const words = { idle: "", live: "Live", connecting: "Connecting", offline: "No connection" };
   fill(linkState, h("span", null, words[state]));
-  linkState.title = { idle: "Nothing is followed here", live: "Figures arrive as they are made", connecting: "Connecting to the service", offline: "The service does not answer; trying again" }[state];
+  linkState.title = {
+    idle: "Nothing is followed here",
+    live: "Figures arrive as they are made",
+    connecting: "Connecting to the service",
+    offline: "The service does not answer; trying again",
+  }[state];
   linkState.hidden = state === "idle";
 });
 
 function frame(name) {
   const link = (href, text, key) => h("a", { href, "aria-current": key === name ? "page" : null }, text);
-  fill(top,
-    h("a", { class: "brand", href: "#/", "aria-label": "naosprint: all jobs" }, h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }), h("span", null, "naosprint")),
-    h("nav", { "aria-label": "Main" }, link("#/", "Jobs", "jobs"), link("#/compare", "Compare", "compare"), link("#/workers", "Workers", "workers"), link("#/policies", "Policies", "policies")),
-    h("span", { class: "space" }), linkState, themeButton(),
-    h("button", { class: "ghost square wide-only", "aria-label": "Keyboard shortcuts", title: "Keyboard shortcuts (?)", onclick: showKeys }, "?"),
-    h("button", { class: "ghost square", "aria-label": "Sign out", title: "Sign out", onclick: () => { clearToken(); leave(); signIn(); } }, icon("out")),
-    h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")));
+  fill(
+    top,
+    h(
+      "a",
+      { class: "brand", href: "#/", "aria-label": "naosprint: all jobs" },
+      h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }),
+      h("span", null, "naosprint"),
+    ),
+    h(
+      "nav",
+      { "aria-label": "Main" },
+      link("#/", "Jobs", "jobs"),
+      link("#/compare", "Compare", "compare"),
+      link("#/workers", "Workers", "workers"),
+      link("#/policies", "Policies", "policies"),
+    ),
+    h("span", { class: "space" }),
+    linkState,
+    themeButton(),
+    h(
+      "button",
+      {
+        class: "ghost square wide-only",
+        "aria-label": "Keyboard shortcuts",
+        title: "Keyboard shortcuts (?)",
+        onclick: showKeys,
+      },
+      "?",
+    ),
+    h(
+      "button",
+      {
+        class: "ghost square",
+        "aria-label": "Sign out",
+        title: "Sign out",
+        onclick: () => {
+          clearToken();
+          leave();
+          signIn();
+        },
+      },
+      icon("out"),
+    ),
+    h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")),
+  );
 }
 
 /** Show the sign-in form; the place stays in the address and is opened afterwards. */
@@ -131,14 +198,26 @@ function signIn(message) {
   fill(top);
   top.hidden = true;
   document.title = "Sign in · naosprint";
-  const input = h("input", { id: "token", name: "token", type: "password", autocomplete: "current-password", required: true, spellcheck: "false", "aria-describedby": "token-hint token-problem" });
+  const input = h("input", {
+    id: "token",
+    name: "token",
+    type: "password",
+    autocomplete: "current-password",
+    required: true,
+    spellcheck: "false",
+    "aria-describedby": "token-hint token-problem",
+  });
   const remember = h("input", { type: "checkbox", id: "remember" });
   const trouble = h("p", { class: "problem", id: "token-problem", role: "alert" }, message ?? "");
   const button = h("button", { class: "primary", type: "submit" }, "Sign in");
   const submit = async (event) => {
     event.preventDefault();
     const value = input.value.trim();
-    if (!value) { fill(trouble, "Paste a token first."); input.focus(); return; }
+    if (!value) {
+      fill(trouble, "Paste a token first.");
+      input.focus();
+      return;
+    }
     button.disabled = true;
     fill(trouble);
     try {
@@ -148,27 +227,107 @@ function signIn(message) {
       show();
     } catch (error) {
       input.setAttribute("aria-invalid", "true");
-      fill(trouble, error.status === 401 ? "The service does not know this token. Check that it is complete, not expired and not revoked." : error.status === 403 ? "This token may not read jobs. Ask for one with the scope “read”." : error.message);
+      fill(
+        trouble,
+        error.status === 401
+          ? "The service does not know this token. Check that it is complete, not expired and not revoked."
+          : error.status === 403
+            ? "This token may not read jobs. Ask for one with the scope “read”."
+            : error.message,
+      );
       input.focus();
       input.select();
     } finally {
       button.disabled = false;
     }
   };
-  fill(main, h("div", { class: "sign-in" }, h("form", { class: "card", onsubmit: submit, novalidate: true },
-    h("div", null, h("span", { class: "brand" }, h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }), "naosprint"), h("h1", { class: "sr" }, "Sign in to naosprint"),
-      h("p", { class: "soft" }, "Sign in with an access token to see and submit training jobs.")),
-    h("input", { type: "text", name: "username", autocomplete: "username", value: "naosprint", hidden: true, readonly: true, tabindex: -1 }), // password managers ask for a name
-    h("div", { class: "field" }, h("label", { for: "token" }, "Access token"), input, h("p", { class: "hint", id: "token-hint" }, h("code", null, "naoctl up"), " prints one when it starts the service on this machine; elsewhere ask your administrator."), trouble),
-    h("label", { class: "row", for: "remember" }, remember, "Keep me signed in on this device"), button)));
+  fill(
+    main,
+    h(
+      "div",
+      { class: "sign-in" },
+      h(
+        "form",
+        { class: "card", onsubmit: submit, novalidate: true },
+        h(
+          "div",
+          null,
+          h(
+            "span",
+            { class: "brand" },
+            h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }),
+            "naosprint",
+          ),
+          h("h1", { class: "sr" }, "Sign in to naosprint"),
+          h("p", { class: "soft" }, "Sign in with an access token to see and submit training jobs."),
+        ),
+        h("input", {
+          type: "text",
+          name: "username",
+          autocomplete: "username",
+          value: "naosprint",
+          hidden: true,
+          readonly: true,
+          tabindex: -1,
+        }), // password managers ask for a name
+        h(
+          "div",
+          { class: "field" },
+          h("label", { for: "token" }, "Access token"),
+          input,
+          h(
+            "p",
+            { class: "hint", id: "token-hint" },
+            h("code", null, "naoctl up"),
+            " prints one when it starts the service on this machine; elsewhere ask your administrator.",
+          ),
+          trouble,
+        ),
+        h("label", { class: "row", for: "remember" }, remember, "Keep me signed in on this device"),
+        button,
+      ),
+    ),
+  );
   input.focus();
 }
 
 function showKeys() {
   const key = (k) => h("span", { class: "kbd" }, k);
-  const rows = [[["n"], "New job"], [["g", "j"], "All jobs"], [["g", "c"], "Compare"], [["g", "w"], "Workers"], [["g", "p"], "Policies"], [["/"], "Search jobs"], [["j", "k"], "Next, previous job"], [["Enter"], "Open job"], [["x"], "Select job for comparison"], [["t"], "Change theme"], [["?"], "This list"]];
-  const dialog = h("dialog", { class: "modal", "aria-labelledby": "keys-title" }, h("form", { method: "dialog" }, h("h2", { id: "keys-title" }, "Keyboard"),
-    h("dl", { class: "keys" }, rows.map(([keys, text]) => [h("dt", null, keys.map((k) => [key(k), " "])), h("dd", null, text)])), h("div", { class: "row end" }, h("button", { value: "ok" }, "Close"))));
+  const rows = [
+    [["n"], "New job"],
+    [["g", "j"], "All jobs"],
+    [["g", "c"], "Compare"],
+    [["g", "w"], "Workers"],
+    [["g", "p"], "Policies"],
+    [["/"], "Search jobs"],
+    [["j", "k"], "Next, previous job"],
+    [["Enter"], "Open job"],
+    [["x"], "Select job for comparison"],
+    [["t"], "Change theme"],
+    [["?"], "This list"],
+  ];
+  const dialog = h(
+    "dialog",
+    { class: "modal", "aria-labelledby": "keys-title" },
+    h(
+      "form",
+      { method: "dialog" },
+      h("h2", { id: "keys-title" }, "Keyboard"),
+      h(
+        "dl",
+        { class: "keys" },
+        rows.map(([keys, text]) => [
+          h(
+            "dt",
+            null,
+            keys.map((k) => [key(k), " "]),
+          ),
+          h("dd", null, text),
+        ]),
+      ),
+      h("div", { class: "row end" }, h("button", { value: "ok" }, "Close")),
+    ),
+  );
   dialog.addEventListener("close", () => dialog.remove());
   document.body.append(dialog);
   dialog.showModal();
@@ -176,15 +335,34 @@ function showKeys() {
 
 let prefix = 0;
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || isTyping(event) || document.querySelector("dialog[open]") || !token()) return;
+  if (
+    event.ctrlKey ||
+    event.metaKey ||
+    event.altKey ||
+    isTyping(event) ||
+    document.querySelector("dialog[open]") ||
+    !token()
+  )
+    return;
   const after = Date.now() - prefix < 1200;
   prefix = 0;
   const aim = after && { j: "/", c: "/compare", w: "/workers", p: "/policies" }[event.key];
-  if (aim) { event.preventDefault(); go(aim); event.stopImmediatePropagation(); return; }
+  if (aim) {
+    event.preventDefault();
+    go(aim);
+    event.stopImmediatePropagation();
+    return;
+  }
   if (event.key === "g") prefix = Date.now();
-  else if (event.key === "n") { event.preventDefault(); go("/submit"); }
-  else if (event.key === "?") showKeys();
-  else if (event.key === "t") { setTheme(THEMES[theme()][0]); toast(THEMES[theme()][2]); frame(current?.name); }
+  else if (event.key === "n") {
+    event.preventDefault();
+    go("/submit");
+  } else if (event.key === "?") showKeys();
+  else if (event.key === "t") {
+    setTheme(THEMES[theme()][0]);
+    toast(THEMES[theme()][2]);
+    frame(current?.name);
+  }
 });
 
 onUnauthorised(() => {

@@ -3,18 +3,31 @@
 import * as T from "../vendor/three-0.187.0/three.min.js";
 import { color, onTheme } from "./theme.js";
 
-const FIELD = { length: 30, width: 20, circle: 2, boxLength: 1.8, boxWidth: 6, goalWidth: 2.1, goalHeight: 0.8, goalDepth: 0.6 };
+const FIELD = {
+  length: 30,
+  width: 20,
+  circle: 2,
+  boxLength: 1.8,
+  boxWidth: 6,
+  goalWidth: 2.1,
+  goalHeight: 0.8,
+  goalDepth: 0.6,
+};
 const LINE = 0.05; // width of the chalk, metres
 const METRES_PER_NEWTON = 0.0018;
 const CONTACT_N = 0.01;
 
 /** One recorded episode: what `replay.json` holds, unpacked. */
 export class Recording {
-  /** @param {object} document @param {number} front axis of a shape's frame that points to the robot's front: 0 for x, 1 for y */
+  /**
+   * @param {object} document @param {number} front axis of a shape's frame that points to the robot's front: 0 for x, 1
+   * for y
+   */
   constructor(document, front = 1) {
     const { frames, bodies } = document;
     if (document.format !== 2) throw new Error(`this page cannot read replay format ${document.format}`);
-    if (!(frames > 0) || document.position_m.length !== frames || document.rotation_wxyz.length !== frames) throw new Error("the replay is damaged");
+    if (!(frames > 0) || document.position_m.length !== frames || document.rotation_wxyz.length !== frames)
+      throw new Error("the replay is damaged");
     this.frames = frames;
     this.dt = document.dt_s;
     this.bodies = bodies;
@@ -34,7 +47,9 @@ export class Recording {
     return this.bodies.reduce((low, b, i) => (b.side === side && (low < 0 || height(i) < height(low)) ? i : low), -1);
   }
 
-  get seconds() { return (this.frames - 1) * this.dt; }
+  get seconds() {
+    return (this.frames - 1) * this.dt;
+  }
 
   /** Torso position at a frame. */
   torso(frame) {
@@ -44,23 +59,35 @@ export class Recording {
 
   /** Pose of a body at a frame: position and quaternion x, y, z, w. */
   pose(frame, body) {
-    const p = (frame * this.bodies.length + body) * 3, q = (frame * this.bodies.length + body) * 4, r = this.rotations;
+    const p = (frame * this.bodies.length + body) * 3;
+    const q = (frame * this.bodies.length + body) * 4;
+    const r = this.rotations;
     return { position: this.positions.subarray(p, p + 3), rotation: [r[q + 1], r[q + 2], r[q + 3], r[q]] };
   }
 
   /** Frames at which a foot touches down: 0 left, 1 right. */
   touchdowns(foot) {
     const out = [];
-    for (let t = 1; t < this.frames; t++) if (Math.abs(this.forces[t][foot]) >= CONTACT_N && Math.abs(this.forces[t - 1][foot]) < CONTACT_N) out.push(t);
+    for (let t = 1; t < this.frames; t++)
+      if (Math.abs(this.forces[t][foot]) >= CONTACT_N && Math.abs(this.forces[t - 1][foot]) < CONTACT_N) out.push(t);
     return out;
   }
 
   /** Where the robot runs at a frame without the sway of its steps: the mean of the torso's x and y over 0.8 s. */
   course() {
-    const half = Math.round(0.4 / this.dt), n = this.frames, out = new Float32Array(2 * n), sums = new Float64Array(2 * (n + 1));
-    for (let t = 0; t < n; t++) { const [x, y] = this.torso(t); sums[2 * t + 2] = sums[2 * t] + x; sums[2 * t + 3] = sums[2 * t + 1] + y; }
+    const half = Math.round(0.4 / this.dt);
+    const n = this.frames;
+    const out = new Float32Array(2 * n);
+    const sums = new Float64Array(2 * (n + 1));
     for (let t = 0; t < n; t++) {
-      const k = Math.min(half, t, n - 1 - t), a = t - k, b = t + k + 1;
+      const [x, y] = this.torso(t);
+      sums[2 * t + 2] = sums[2 * t] + x;
+      sums[2 * t + 3] = sums[2 * t + 1] + y;
+    }
+    for (let t = 0; t < n; t++) {
+      const k = Math.min(half, t, n - 1 - t);
+      const a = t - k;
+      const b = t + k + 1;
       for (const c of [0, 1]) out[2 * t + c] = (sums[2 * b + c] - sums[2 * a + c]) / (b - a);
     }
     return out;
@@ -68,23 +95,41 @@ export class Recording {
 
   /** Direction of the displacement in radians, as a multiple of a quarter turn: that of the marks on the ground. */
   get heading() {
-    const [x0, y0] = this.torso(0), [x1, y1] = this.torso(this.frames - 1);
-    return Math.hypot(x1 - x0, y1 - y0) < 0.5 ? 0 : (Math.round(Math.atan2(y1 - y0, x1 - x0) / (Math.PI / 2)) * Math.PI) / 2;
+    const [x0, y0] = this.torso(0);
+    const [x1, y1] = this.torso(this.frames - 1);
+    return Math.hypot(x1 - x0, y1 - y0) < 0.5
+      ? 0
+      : (Math.round(Math.atan2(y1 - y0, x1 - x0) / (Math.PI / 2)) * Math.PI) / 2;
   }
 
   /** Speed in m/s over a quarter of a second around a frame. */
   speed(frame) {
-    const half = Math.round(0.125 / this.dt), a = Math.max(0, frame - half), b = Math.min(this.frames - 1, frame + half);
-    const [xa, ya] = this.torso(a), [xb, yb] = this.torso(b);
+    const half = Math.round(0.125 / this.dt);
+    const a = Math.max(0, frame - half);
+    const b = Math.min(this.frames - 1, frame + half);
+    const [xa, ya] = this.torso(a);
+    const [xb, yb] = this.torso(b);
     return b > a ? Math.hypot(xb - xa, yb - ya) / ((b - a) * this.dt) : 0;
   }
 }
 
-/** Cameras relative to the robot's course, metres: where from and what is looked at. "field" stands still beside the field. */
+/**
+ * Cameras relative to the robot's course, metres: where from and what is looked at. "field" stands still beside the
+ * field.
+ */
 const CAMERAS = {
-  follow: [[-0.9, -1.02, 0.4], [0.12, 0, -0.07]],
-  side: [[0.05, -1.4, 0.05], [0.05, 0, -0.08]],
-  front: [[1.3, -0.5, 0.18], [0, 0, -0.07]],
+  follow: [
+    [-0.9, -1.02, 0.4],
+    [0.12, 0, -0.07],
+  ],
+  side: [
+    [0.05, -1.4, 0.05],
+    [0.05, 0, -0.08],
+  ],
+  front: [
+    [1.3, -0.5, 0.18],
+    [0, 0, -0.07],
+  ],
 };
 const FIELD_VIEW = [0, -0.76, 0.65]; // direction from the middle of the field to the camera that shows all of it
 const FOG = { near: [14, 46], field: [60, 130] };
@@ -102,31 +147,45 @@ function sketch(width, height, draw) {
 }
 
 /** Grass in shades of grey, to be tinted: two mown strips of a metre and the same grain at every visit. */
-const grass = () => sketch(512, 256, (c, w, h) => {
-  let state = 7;
-  const random = () => (state = (Math.imul(state, 1664525) + 1013904223) >>> 0) / 2 ** 32;
-  const picture = c.createImageData(w, h);
-  for (let i = 0; i < w * h; i++) {
-    const strip = i % w < w / 2 ? 0 : 13, value = 236 - strip + (random() - 0.5) * 8;
-    picture.data.set([value, value, value, 255], 4 * i);
-  }
-  c.putImageData(picture, 0, 0);
-});
+const grass = () =>
+  sketch(512, 256, (c, w, h) => {
+    let state = 7;
+    const random = () => {
+      state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+      return state / 2 ** 32;
+    };
+    const picture = c.createImageData(w, h);
+    for (let i = 0; i < w * h; i++) {
+      const strip = i % w < w / 2 ? 0 : 13;
+      const value = 236 - strip + (random() - 0.5) * 8;
+      picture.data.set([value, value, value, 255], 4 * i);
+    }
+    c.putImageData(picture, 0, 0);
+  });
 
-const checks = () => sketch(16, 128, (c, w, h) => {
-  for (let i = 0; i < 2; i++) for (let k = 0; k < 16; k++) { c.fillStyle = (i + k) % 2 ? "#16191d" : "#ffffff"; c.fillRect((i * w) / 2, (k * h) / 16, w / 2, h / 16); }
-});
+const checks = () =>
+  sketch(16, 128, (c, w, h) => {
+    for (let i = 0; i < 2; i++)
+      for (let k = 0; k < 16; k++) {
+        c.fillStyle = (i + k) % 2 ? "#16191d" : "#ffffff";
+        c.fillRect((i * w) / 2, (k * h) / 16, w / 2, h / 16);
+      }
+  });
 
-const lettering = (text) => sketch(256, 128, (c, w, h) => {
-  c.font = `600 92px ${getComputedStyle(document.body).fontFamily}`;
-  c.textAlign = "center";
-  c.textBaseline = "middle";
-  c.fillStyle = "#ffffff";
-  c.fillText(text, w / 2, h / 2 + 4);
-});
+const lettering = (text) =>
+  sketch(256, 128, (c, w, h) => {
+    c.font = `600 92px ${getComputedStyle(document.body).fontFamily}`;
+    c.textAlign = "center";
+    c.textBaseline = "middle";
+    c.fillStyle = "#ffffff";
+    c.fillText(text, w / 2, h / 2 + 4);
+  });
 
 export class Stage {
-  /** @param {HTMLElement} host @param {Recording} recording @param {{x_m: number, title: string}[]} lines across the field */
+  /**
+   * @param {HTMLElement} host @param {Recording} recording @param {{x_m: number, title: string}[]} lines across the
+   * field
+   */
   constructor(host, recording, lines = []) {
     this.host = host;
     this.recording = recording;
@@ -154,7 +213,10 @@ export class Stage {
     this.#course();
     this.#robot();
     this.#paint();
-    this.stopTheme = onTheme(() => { this.#paint(); this.render(); });
+    this.stopTheme = onTheme(() => {
+      this.#paint();
+      this.render();
+    });
     this.observer = new ResizeObserver(() => this.#fit());
     this.observer.observe(host);
     this.last = this.#anchor(0);
@@ -173,8 +235,14 @@ export class Stage {
     this.sun.shadow.normalBias = 0.004;
     this.sun.shadow.radius = 3;
     const geometry = new T.SphereGeometry(90, 32, 32).rotateX(Math.PI / 2);
-    geometry.setAttribute("color", new T.Float32BufferAttribute(new Float32Array(geometry.attributes.position.count * 3), 3));
-    this.dome = new T.Mesh(geometry, new T.MeshBasicMaterial({ vertexColors: true, side: T.BackSide, fog: false, depthWrite: false }));
+    geometry.setAttribute(
+      "color",
+      new T.Float32BufferAttribute(new Float32Array(geometry.attributes.position.count * 3), 3),
+    );
+    this.dome = new T.Mesh(
+      geometry,
+      new T.MeshBasicMaterial({ vertexColors: true, side: T.BackSide, fog: false, depthWrite: false }),
+    );
     this.dome.renderOrder = -2;
     this.scene.add(this.light, this.sun, this.sun.target, this.dome);
   }
@@ -194,11 +262,16 @@ export class Stage {
   }
 
   #ground() {
-    const { length, width } = FIELD, size = [140, 120], texture = grass();
+    const { length, width } = FIELD;
+    const size = [140, 120];
+    const texture = grass();
     texture.wrapS = texture.wrapT = T.RepeatWrapping;
     texture.repeat.set(size[0] / 2, size[1] / 1);
     // Drawn first and without depth: what is painted on a plane of this size would win and lose against it by rounding.
-    this.turf = new T.Mesh(new T.PlaneGeometry(...size), new T.MeshStandardMaterial({ roughness: 1, map: texture, depthWrite: false }));
+    this.turf = new T.Mesh(
+      new T.PlaneGeometry(...size),
+      new T.MeshStandardMaterial({ roughness: 1, map: texture, depthWrite: false }),
+    );
     this.turf.renderOrder = -1;
     this.turf.receiveShadow = true;
     this.scene.add(this.turf);
@@ -213,7 +286,8 @@ export class Stage {
     circle.position.z = 0.0006;
     this.scene.add(circle);
     for (const side of [-1, 1]) {
-      const edge = (side * length) / 2, inner = edge - side * FIELD.boxLength;
+      const edge = (side * length) / 2;
+      const inner = edge - side * FIELD.boxLength;
       strip(inner, 0, LINE, FIELD.boxWidth + LINE);
       for (const y of [-1, 1]) strip((edge + inner) / 2, (y * FIELD.boxWidth) / 2, FIELD.boxLength - LINE, LINE);
     }
@@ -223,7 +297,9 @@ export class Stage {
   }
 
   #goal(side) {
-    const { goalWidth: w, goalHeight: h, goalDepth: d } = FIELD, r = 0.03, goal = new T.Group();
+    const { goalWidth: w, goalHeight: h, goalDepth: d } = FIELD;
+    const r = 0.03;
+    const goal = new T.Group();
     const bar = (length, x, y, z, turn) => {
       const mesh = new T.Mesh(new T.CylinderGeometry(r, r, length, 16), this.frame);
       mesh.position.set(x, y, z);
@@ -232,12 +308,25 @@ export class Stage {
     };
     for (const y of [-1, 1]) bar(h, 0, (y * w) / 2, h / 2, true);
     bar(w + 2 * r, 0, 0, h, false);
-    const points = [], mesh = 0.12, columns = Math.round(w / mesh), rows = Math.round(h / mesh), deep = Math.round(d / mesh);
-    const y = (i) => -w / 2 + (w * i) / columns, z = (i) => (h * i) / rows, x = (i) => (d * i) / deep;
+    const points = [];
+    const mesh = 0.12;
+    const columns = Math.round(w / mesh);
+    const rows = Math.round(h / mesh);
+    const deep = Math.round(d / mesh);
+    const y = (i) => -w / 2 + (w * i) / columns;
+    const z = (i) => (h * i) / rows;
+    const x = (i) => (d * i) / deep;
     for (let i = 0; i <= columns; i++) points.push(d, y(i), 0, d, y(i), h, 0, y(i), h, d, y(i), h);
-    for (let i = 0; i <= rows; i++) points.push(d, -w / 2, z(i), d, w / 2, z(i), 0, -w / 2, z(i), d, -w / 2, z(i), 0, w / 2, z(i), d, w / 2, z(i));
-    for (let i = 0; i <= deep; i++) points.push(x(i), -w / 2, 0, x(i), -w / 2, h, x(i), w / 2, 0, x(i), w / 2, h, x(i), -w / 2, h, x(i), w / 2, h);
-    goal.add(new T.LineSegments(new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)), this.net));
+    for (let i = 0; i <= rows; i++)
+      points.push(d, -w / 2, z(i), d, w / 2, z(i), 0, -w / 2, z(i), d, -w / 2, z(i), 0, w / 2, z(i), d, w / 2, z(i));
+    for (let i = 0; i <= deep; i++)
+      points.push(x(i), -w / 2, 0, x(i), -w / 2, h, x(i), w / 2, 0, x(i), w / 2, h, x(i), -w / 2, h, x(i), w / 2, h);
+    goal.add(
+      new T.LineSegments(
+        new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)),
+        this.net,
+      ),
+    );
     goal.position.x = (side * FIELD.length) / 2;
     if (side < 0) goal.rotation.z = Math.PI;
     this.scene.add(goal);
@@ -246,7 +335,11 @@ export class Stage {
 
   /** What belongs to this run: start, metres in its direction, lines, the path and the footprints. */
   #course() {
-    const r = this.recording, [x0, y0] = r.torso(0), [x1, y1] = r.torso(r.frames - 1), { heading } = r, [cos, sin] = [Math.cos(heading), Math.sin(heading)];
+    const r = this.recording;
+    const [x0, y0] = r.torso(0);
+    const [x1, y1] = r.torso(r.frames - 1);
+    const { heading } = r;
+    const [cos, sin] = [Math.cos(heading), Math.sin(heading)];
     const far = Math.max(0, ...this.lines.map((l) => (l.x_m - x0) * cos), (x1 - x0) * cos + (y1 - y0) * sin + 2);
     const across = (along, aside, ...more) => {
       const mesh = this.#strip(x0 + along * cos - aside * sin, y0 + along * sin + aside * cos, ...more);
@@ -267,15 +360,25 @@ export class Stage {
     this.gate = this.#painted({ opacity: 0.9 });
     across(0, 0, 0.06, 4, this.gate, 3);
     for (const line of this.lines) this.#strip(line.x_m, y0, 0.5, 4, this.#painted({ map: checks(), opacity: 0.9 }), 3);
-    const points = [], index = [];
+    const points = [];
+    const index = [];
     for (let t = 0; t < r.frames; t++) {
-      const [x, y] = r.torso(t), before = r.torso(Math.max(0, t - 1)), after = r.torso(Math.min(r.frames - 1, t + 1));
-      const dx = after[0] - before[0], dy = after[1] - before[1], length = Math.hypot(dx, dy) || 1, nx = (-dy / length) * 0.008, ny = (dx / length) * 0.008;
+      const [x, y] = r.torso(t);
+      const before = r.torso(Math.max(0, t - 1));
+      const after = r.torso(Math.min(r.frames - 1, t + 1));
+      const dx = after[0] - before[0];
+      const dy = after[1] - before[1];
+      const length = Math.hypot(dx, dy) || 1;
+      const nx = (-dy / length) * 0.008;
+      const ny = (dx / length) * 0.008;
       points.push(x + nx, y + ny, 0, x - nx, y - ny, 0);
       if (t) index.push(2 * t - 2, 2 * t - 1, 2 * t, 2 * t, 2 * t - 1, 2 * t + 1);
     }
     this.trail = this.#painted({ opacity: 0.85, side: T.DoubleSide });
-    this.path = new T.Mesh(new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)).setIndex(index), this.trail);
+    this.path = new T.Mesh(
+      new T.BufferGeometry().setAttribute("position", new T.Float32BufferAttribute(points, 3)).setIndex(index),
+      this.trail,
+    );
     this.path.position.z = 0.0018;
     this.path.renderOrder = 3;
     this.path.frustumCulled = false;
@@ -285,9 +388,11 @@ export class Stage {
     for (const foot of [0, 1]) {
       const body = r.feet[foot];
       if (body < 0) continue;
-      const { shape, size_m: size } = r.bodies[body], [wide, long] = shape === "box" ? [size[1 - r.front], size[r.front]] : [0.08, 0.16];
+      const { shape, size_m: size } = r.bodies[body];
+      const [wide, long] = shape === "box" ? [size[1 - r.front], size[r.front]] : [0.08, 0.16];
       for (const frame of r.touchdowns(foot)) {
-        const { position, rotation } = r.pose(frame, body), ahead = new T.Vector3(1 - r.front, r.front, 0).applyQuaternion(new T.Quaternion(...rotation));
+        const { position, rotation } = r.pose(frame, body);
+        const ahead = new T.Vector3(1 - r.front, r.front, 0).applyQuaternion(new T.Quaternion(...rotation));
         const print = this.#strip(position[0], position[1], wide * 0.8, long, this.ink[foot], 2);
         print.rotation.z = Math.atan2(ahead.y, ahead.x) - Math.PI / 2;
         this.prints.push({ frame, print });
@@ -297,7 +402,8 @@ export class Stage {
 
   /** The robot from its shapes. What shows its face is added to the head and the torso. */
   #robot() {
-    const plastic = (options) => new T.MeshStandardMaterial({ roughness: 0.42, metalness: 0, ...options }), { feet, head, front, bodies } = this.recording;
+    const plastic = (options) => new T.MeshStandardMaterial({ roughness: 0.42, metalness: 0, ...options });
+    const { feet, head, front, bodies } = this.recording;
     this.shell = plastic();
     this.panel = plastic({ roughness: 0.55 });
     this.joint = plastic({ roughness: 0.7 });
@@ -311,7 +417,12 @@ export class Stage {
     this.parts = bodies.map((body, i) => {
       const [a, b, c] = body.size_m;
       // The beads between two joints touch nothing; drawn larger they look like the joints that they are.
-      const geometry = { box: () => new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3), capsule: () => new T.CapsuleGeometry(a, b, 8, 20).rotateX(Math.PI / 2), cylinder: () => new T.CylinderGeometry(a, a, b, 28).rotateX(Math.PI / 2) }[body.shape]?.() ?? new T.SphereGeometry(Math.max(a, 0.021), 32, 24);
+      const geometry =
+        {
+          box: () => new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3),
+          capsule: () => new T.CapsuleGeometry(a, b, 8, 20).rotateX(Math.PI / 2),
+          cylinder: () => new T.CylinderGeometry(a, a, b, 28).rotateX(Math.PI / 2),
+        }[body.shape]?.() ?? new T.SphereGeometry(Math.max(a, 0.021), 32, 24);
       const mesh = new T.Mesh(geometry, materialOf(body, i));
       mesh.castShadow = mesh.receiveShadow = true;
       this.scene.add(mesh);
@@ -331,9 +442,16 @@ export class Stage {
       facing(this.parts[0]).add(button);
     }
     this.arrows = [0, 1].map((side) => {
-      const arrow = new T.Group(), material = this.sides[side];
-      const shaft = new T.Mesh(new T.CylinderGeometry(0.007, 0.007, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5), material);
-      const tip = new T.Mesh(new T.CylinderGeometry(0, 0.02, 0.05, 20).rotateX(Math.PI / 2).translate(0, 0, 0.025), material);
+      const arrow = new T.Group();
+      const material = this.sides[side];
+      const shaft = new T.Mesh(
+        new T.CylinderGeometry(0.007, 0.007, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5),
+        material,
+      );
+      const tip = new T.Mesh(
+        new T.CylinderGeometry(0, 0.02, 0.05, 20).rotateX(Math.PI / 2).translate(0, 0, 0.025),
+        material,
+      );
       arrow.add(shaft, tip);
       this.scene.add(arrow);
       return { arrow, shaft, tip };
@@ -342,7 +460,8 @@ export class Stage {
 
   #face(head, radius) {
     const disc = (r, depth, material, [x, y, z]) => {
-      const mesh = new T.Mesh(new T.CylinderGeometry(r, r, depth, 28), material), out = new T.Vector3(x, y, z).normalize();
+      const mesh = new T.Mesh(new T.CylinderGeometry(r, r, depth, 28), material);
+      const out = new T.Vector3(x, y, z).normalize();
       mesh.quaternion.setFromUnitVectors(new T.Vector3(0, 1, 0), out);
       mesh.position.copy(out).multiplyScalar(radius * 0.985);
       head.add(mesh);
@@ -359,8 +478,11 @@ export class Stage {
 
   /** Take over the theme's colours. */
   #paint() {
-    const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5, horizon = new T.Color(dark ? "#1b242e" : "#e9f0f7"), zenith = new T.Color(dark ? "#0a0e14" : "#9dc3e8");
-    const { position, color: shade } = this.dome.geometry.attributes, mixed = new T.Color();
+    const dark = new T.Color(color("--surface")).getHSL({}).l < 0.5;
+    const horizon = new T.Color(dark ? "#1b242e" : "#e9f0f7");
+    const zenith = new T.Color(dark ? "#0a0e14" : "#9dc3e8");
+    const { position, color: shade } = this.dome.geometry.attributes;
+    const mixed = new T.Color();
     for (let i = 0; i < position.count; i++) {
       mixed.lerpColors(horizon, zenith, Math.min(1, Math.max(0, position.getZ(i) / 90) ** 0.6));
       shade.setXYZ(i, mixed.r, mixed.g, mixed.b);
@@ -381,7 +503,9 @@ export class Stage {
     this.panel.color.set(dark ? "#8e98a6" : "#b4bcc7");
     this.joint.color.set("#3c444f");
     this.glow.color.set("#39b8ff");
-    [this.sides, this.ink].forEach((pair) => pair.forEach((material, i) => material.color.set(color(i ? "--s2" : "--s1"))));
+    [this.sides, this.ink].forEach((pair) =>
+      pair.forEach((material, i) => material.color.set(color(i ? "--s2" : "--s1"))),
+    );
   }
 
   #fit() {
@@ -398,8 +522,16 @@ export class Stage {
 
   /** Where the camera takes the robot to be at a moment: on its course, at the height of its start. */
   #anchor(frame) {
-    const c = this.course, n = this.recording.frames, a = Math.max(0, Math.min(n - 1, Math.floor(frame))), b = Math.min(n - 1, a + 1), mix = frame - a;
-    return new T.Vector3(c[2 * a] + (c[2 * b] - c[2 * a]) * mix, c[2 * a + 1] + (c[2 * b + 1] - c[2 * a + 1]) * mix, this.recording.torso(0)[2]);
+    const c = this.course;
+    const n = this.recording.frames;
+    const a = Math.max(0, Math.min(n - 1, Math.floor(frame)));
+    const b = Math.min(n - 1, a + 1);
+    const mix = frame - a;
+    return new T.Vector3(
+      c[2 * a] + (c[2 * b] - c[2 * a]) * mix,
+      c[2 * a + 1] + (c[2 * b + 1] - c[2 * a + 1]) * mix,
+      this.recording.torso(0)[2],
+    );
   }
 
   /** Look from one of CAMERAS or at the whole "field", or stay where the camera is for "free". */
@@ -411,9 +543,14 @@ export class Stage {
     if (this.all) {
       const half = Math.tan((this.camera.fov * Math.PI) / 360);
       this.controls.target.set(0, 0, 0);
-      this.camera.position.set(...FIELD_VIEW).multiplyScalar(Math.max((0.6 * FIELD.length) / (half * this.camera.aspect), (0.36 * FIELD.width) / half));
+      this.camera.position
+        .set(...FIELD_VIEW)
+        .multiplyScalar(Math.max((0.6 * FIELD.length) / (half * this.camera.aspect), (0.36 * FIELD.width) / half));
     } else {
-      const up = new T.Vector3(0, 0, 1), [from, to] = CAMERAS[name].map((offset) => new T.Vector3(...offset).applyAxisAngle(up, this.recording.heading));
+      const up = new T.Vector3(0, 0, 1);
+      const [from, to] = CAMERAS[name].map((offset) =>
+        new T.Vector3(...offset).applyAxisAngle(up, this.recording.heading),
+      );
       this.controls.target.copy(this.last).add(to);
       this.camera.position.copy(this.last).add(from);
     }
@@ -424,24 +561,36 @@ export class Stage {
 
   /** A goal right before the camera would hide the start. */
   #clear() {
-    for (const goal of this.goals) goal.visible = !this.following || Math.abs(goal.position.x - this.camera.position.x) > 1.6 || Math.abs(this.camera.position.y) > FIELD.goalWidth;
+    for (const goal of this.goals)
+      goal.visible =
+        !this.following ||
+        Math.abs(goal.position.x - this.camera.position.x) > 1.6 ||
+        Math.abs(this.camera.position.y) > FIELD.goalWidth;
   }
 
   /** Show a moment; `frame` may lie between two recorded ones. */
   show(frame) {
-    const r = this.recording, a = Math.max(0, Math.min(r.frames - 1, Math.floor(frame))), b = Math.min(r.frames - 1, a + 1), mix = frame - a;
-    const qa = new T.Quaternion(), qb = new T.Quaternion();
+    const r = this.recording;
+    const a = Math.max(0, Math.min(r.frames - 1, Math.floor(frame)));
+    const b = Math.min(r.frames - 1, a + 1);
+    const mix = frame - a;
+    const qa = new T.Quaternion();
+    const qb = new T.Quaternion();
     this.parts.forEach((mesh, i) => {
-      const from = r.pose(a, i), to = r.pose(b, i);
+      const from = r.pose(a, i);
+      const to = r.pose(b, i);
       mesh.position.set(...[0, 1, 2].map((k) => from.position[k] + (to.position[k] - from.position[k]) * mix));
       mesh.quaternion.slerpQuaternions(qa.set(...from.rotation), qb.set(...to.rotation), mix);
     });
     this.arrows.forEach(({ arrow, shaft, tip }, i) => {
-      const force = Math.max(0, r.forces[a][i]), foot = this.parts[r.feet[i]];
+      const force = Math.max(0, r.forces[a][i]);
+      const foot = this.parts[r.feet[i]];
       arrow.visible = this.showForces && force > 0.5 && Boolean(foot);
       if (!arrow.visible) return;
       // Beside the foot: in its middle, the leg would hide it.
-      const out = i ? 0.075 : -0.075, aside = (r.front ? new T.Vector3(out, 0, 0) : new T.Vector3(0, -out, 0)).applyQuaternion(foot.quaternion), length = force * METRES_PER_NEWTON;
+      const out = i ? 0.075 : -0.075;
+      const aside = (r.front ? new T.Vector3(out, 0, 0) : new T.Vector3(0, -out, 0)).applyQuaternion(foot.quaternion);
+      const length = force * METRES_PER_NEWTON;
       arrow.position.set(foot.position.x + aside.x, foot.position.y + aside.y, 0.002);
       shaft.scale.z = Math.max(0.001, length - 0.05);
       tip.position.z = Math.max(0, length - 0.05);
@@ -465,7 +614,13 @@ export class Stage {
 
   render() {
     if (this.gone || this.pending) return;
-    this.pending = requestAnimationFrame(() => { this.pending = 0; if (!this.gone) { this.renderer.render(this.scene, this.camera); this.drawn = (this.drawn ?? 0) + 1; } });
+    this.pending = requestAnimationFrame(() => {
+      this.pending = 0;
+      if (!this.gone) {
+        this.renderer.render(this.scene, this.camera);
+        this.drawn = (this.drawn ?? 0) + 1;
+      }
+    });
   }
 
   destroy() {
@@ -474,7 +629,11 @@ export class Stage {
     this.observer.disconnect();
     this.stopTheme();
     this.controls.dispose();
-    this.scene.traverse((o) => { o.geometry?.dispose(); o.material?.map?.dispose(); o.material?.dispose?.(); });
+    this.scene.traverse((o) => {
+      o.geometry?.dispose();
+      o.material?.map?.dispose();
+      o.material?.dispose?.();
+    });
     this.renderer.dispose();
     this.renderer.forceContextLoss();
     this.renderer.domElement.remove();

@@ -7,7 +7,10 @@ export function resolve(schema, root) {
   let node = schema;
   for (let i = 0; i < 10 && node; i++) {
     if (node.$ref) {
-      const target = node.$ref.replace(/^#\//, "").split("/").reduce((at, key) => at?.[key], root);
+      const target = node.$ref
+        .replace(/^#\//, "")
+        .split("/")
+        .reduce((at, key) => at?.[key], root);
       const { $ref, ...rest } = node;
       node = { ...target, ...rest };
     } else if (node.allOf?.length === 1) {
@@ -18,7 +21,10 @@ export function resolve(schema, root) {
   return node;
 }
 
-/** The schema of one plug-in's section: the alternative of that name, for that robot where several differ by robot; null for what is no such section. */
+/**
+ * The schema of one plug-in's section: the alternative of that name, for that robot where several differ by robot; null
+ * for what is no such section.
+ */
 export function variant(section, name, robot, root) {
   const options = resolve(section, root)?.oneOf;
   if (!options) {
@@ -30,32 +36,63 @@ export function variant(section, name, robot, root) {
 }
 
 /** Names of the plug-ins that a section may choose, those that the robot can use. */
-export const choices = (section, robot) => [...new Set(section.oneOf.filter((o) => !robot || !o["x-robots"] || o["x-robots"].includes(robot)).map((o) => o.properties.name.const))];
+export const choices = (section, robot) => [
+  ...new Set(
+    section.oneOf
+      .filter((o) => !robot || !o["x-robots"] || o["x-robots"].includes(robot))
+      .map((o) => o.properties.name.const),
+  ),
+];
 
 /**
  * Describe one property as a field.
  *
- * @returns {{name: string, label: string, hint: string, unit: string|null, kind: "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[], low?: number, high?: number, openLow?: boolean, openHigh?: boolean, fallback: any}}
+ * @returns {{name: string, label: string, hint: string, unit: string|null, kind:
+ *   "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[], low?: number, high?:
+ *   number, openLow?: boolean, openHigh?: boolean, fallback: any}}
  */
 export function field(name, schema, root) {
   const outer = resolve(schema, root);
-  let inner = outer, nullable = false;
+  let inner = outer;
+  let nullable = false;
   if (outer.anyOf) {
     const options = outer.anyOf.map((o) => resolve(o, root));
     nullable = options.some((o) => o.type === "null");
     const rest = options.filter((o) => o.type !== "null");
-    inner = rest.length === 1 ? { ...rest[0], ...Object.fromEntries(Object.entries(outer).filter(([k]) => k !== "anyOf")) } : outer;
+    inner =
+      rest.length === 1
+        ? { ...rest[0], ...Object.fromEntries(Object.entries(outer).filter(([k]) => k !== "anyOf")) }
+        : outer;
   }
-  const low = inner.minimum ?? inner.exclusiveMinimum, high = inner.maximum ?? inner.exclusiveMaximum;
+  const low = inner.minimum ?? inner.exclusiveMinimum;
+  const high = inner.maximum ?? inner.exclusiveMaximum;
   // Without a title of its own a field gets one made of its name, with every word in capitals.
-  const made = name.split("_").map((word) => word.charAt(0).toUpperCase() + word.slice(1)).join(" "), given = outer.title && outer.title !== made ? outer.title : null;
-  const base = { name, label: given ?? words(name), hint: outer.description ?? "", unit: outer.unit ?? null, nullable, low, high, openLow: inner.exclusiveMinimum !== undefined, openHigh: inner.exclusiveMaximum !== undefined, fallback: outer.default };
+  const made = name
+    .split("_")
+    .map((word) => word.charAt(0).toUpperCase() + word.slice(1))
+    .join(" ");
+  const given = outer.title && outer.title !== made ? outer.title : null;
+  const base = {
+    name,
+    label: given ?? words(name),
+    hint: outer.description ?? "",
+    unit: outer.unit ?? null,
+    nullable,
+    low,
+    high,
+    openLow: inner.exclusiveMinimum !== undefined,
+    openHigh: inner.exclusiveMaximum !== undefined,
+    fallback: outer.default,
+  };
   const choices = inner.enum ?? (inner.const !== undefined ? [inner.const] : null);
-  if (choices) return { ...base, kind: "choice", choices: nullable ? [...choices.filter((c) => c !== null), null] : choices };
+  if (choices)
+    return { ...base, kind: "choice", choices: nullable ? [...choices.filter((c) => c !== null), null] : choices };
   if (inner.type === "boolean") return { ...base, kind: "flag" };
-  if (inner.type === "integer" && low !== undefined && high !== undefined && high - low <= 9) return { ...base, kind: "choice", choices: Array.from({ length: high - low + 1 }, (_, i) => low + i) };
+  if (inner.type === "integer" && low !== undefined && high !== undefined && high - low <= 9)
+    return { ...base, kind: "choice", choices: Array.from({ length: high - low + 1 }, (_, i) => low + i) };
   if (inner.type === "integer" || inner.type === "number") return { ...base, kind: inner.type };
-  if (inner.type === "object" || (inner.type === "array" && inner.items?.type !== "integer")) return { ...base, kind: "json" };
+  if (inner.type === "object" || (inner.type === "array" && inner.items?.type !== "integer"))
+    return { ...base, kind: "json" };
   if (inner.type === "array") return { ...base, kind: "list" };
   return { ...base, kind: "text" };
 }
@@ -67,14 +104,15 @@ export function number(text) {
   const match = /^([+-]?(?:\d[\d,_ ]*)?(?:\.\d*)?(?:e[+-]?\d+)?)\s*([kMmG]?)$/i.exec(text.trim());
   if (!match || !/\d/.test(match[1])) return NaN;
   const value = Number(match[1].replace(/[,_ ]/g, ""));
-  const scale = match[2] ? SUFFIX[match[2]] ?? SUFFIX[match[2].toLowerCase()] ?? 1 : 1;
+  const scale = match[2] ? (SUFFIX[match[2]] ?? SUFFIX[match[2].toLowerCase()] ?? 1) : 1;
   return Number((value * scale).toPrecision(15));
 }
 
 /** Show a value in its field. */
 export function toText(f, value) {
   if (value === null || value === undefined) return "";
-  if (f.kind === "json") return (Array.isArray(value) ? value.length : Object.keys(value).length) ? JSON.stringify(value) : "";
+  if (f.kind === "json")
+    return (Array.isArray(value) ? value.length : Object.keys(value).length) ? JSON.stringify(value) : "";
   if (f.kind === "list") return value.join(", ");
   if (f.kind === "integer" && Math.abs(value) >= 10_000) return value.toLocaleString("en-US");
   return String(value);
@@ -84,13 +122,24 @@ export function toText(f, value) {
 export function fromText(f, text) {
   const t = text.trim();
   if (f.kind === "list") {
-    const values = t === "" ? [] : t.split(/[\s,;×x]+/).filter(Boolean).map(Number);
-    if (values.some((v) => !Number.isInteger(v) || v < 1)) throw new Error("Whole numbers separated by commas, for example 64, 64");
+    const values =
+      t === ""
+        ? []
+        : t
+            .split(/[\s,;×x]+/)
+            .filter(Boolean)
+            .map(Number);
+    if (values.some((v) => !Number.isInteger(v) || v < 1))
+      throw new Error("Whole numbers separated by commas, for example 64, 64");
     return values;
   }
   if (f.kind === "json") {
     if (t === "") return f.nullable ? null : f.fallback;
-    try { return JSON.parse(t); } catch { throw new Error("Not JSON; for example " + (Array.isArray(f.fallback) ? "[{\"steps\": 1000000}]" : "{\"name\": 1}")); }
+    try {
+      return JSON.parse(t);
+    } catch {
+      throw new Error(`Not JSON; for example ${Array.isArray(f.fallback) ? '[{"steps": 1000000}]' : '{"name": 1}'}`);
+    }
   }
   if (f.kind === "text") return t === "" && f.nullable ? null : t;
   if (t === "") {
@@ -100,8 +149,10 @@ export function fromText(f, text) {
   const value = number(t);
   if (Number.isNaN(value)) throw new Error("Not a number; 250000, 250k and 2.5e5 all work");
   if (f.kind === "integer" && !Number.isInteger(value)) throw new Error("A whole number is needed here");
-  if (f.low !== undefined && (f.openLow ? value <= f.low : value < f.low)) throw new Error(`Must be ${f.openLow ? "more than" : "at least"} ${f.low}`);
-  if (f.high !== undefined && (f.openHigh ? value >= f.high : value > f.high)) throw new Error(`Must be ${f.openHigh ? "less than" : "at most"} ${f.high.toLocaleString("en-US")}`);
+  if (f.low !== undefined && (f.openLow ? value <= f.low : value < f.low))
+    throw new Error(`Must be ${f.openLow ? "more than" : "at least"} ${f.low}`);
+  if (f.high !== undefined && (f.openHigh ? value >= f.high : value > f.high))
+    throw new Error(`Must be ${f.openHigh ? "less than" : "at most"} ${f.high.toLocaleString("en-US")}`);
   return value;
 }
 

@@ -23,18 +23,24 @@ export const tone = (state) => STATES[state]?.tone ?? "grey";
 /** Name, icon and label of what a user may ask of a job now. */
 export function actionsFor(job) {
   const actions = [];
-  if (["queued", "starting", "running"].includes(job.state) && !job.pause_requested && !job.cancel_requested) actions.push({ name: "pause", icon: "pause", label: "Pause" });
+  if (["queued", "starting", "running"].includes(job.state) && !job.pause_requested && !job.cancel_requested)
+    actions.push({ name: "pause", icon: "pause", label: "Pause" });
   if (job.state === "paused") actions.push({ name: "resume", icon: "play", label: "Resume" });
   if (["failed", "cancelled"].includes(job.state)) actions.push({ name: "retry", icon: "retry", label: "Retry" });
-  if (!isEnded(job.state) && !job.cancel_requested) actions.push({ name: "cancel", icon: "close", label: "Cancel", danger: true });
+  if (!isEnded(job.state) && !job.cancel_requested)
+    actions.push({ name: "cancel", icon: "close", label: "Cancel", danger: true });
   return actions;
 }
 
 /** Return the state as a badge: glyph and word, never colour alone. */
 export function stateBadge(state, note) {
   const known = STATES[state] ?? { tone: "grey", glyph: "dash", label: state };
-  return h("span", { class: "state", "data-tone": known.tone, "data-state": state },
-    known.glyph ? icon(known.glyph) : h("span", { class: "pulse" }), note ?? known.label);
+  return h(
+    "span",
+    { class: "state", "data-tone": known.tone, "data-state": state },
+    known.glyph ? icon(known.glyph) : h("span", { class: "pulse" }),
+    note ?? known.label,
+  );
 }
 
 /** The state's word, saying when a request is still on its way. */

@@ -13,7 +13,8 @@ export class EventParser {
     this.#rest = lines.pop();
     for (const line of lines) {
       if (line === "") {
-        if (this.#event.data.length) events.push({ type: this.#event.type || "message", data: this.#event.data.join("\n"), id: this.#event.id });
+        if (this.#event.data.length)
+          events.push({ type: this.#event.type || "message", data: this.#event.data.join("\n"), id: this.#event.id });
         this.#event = { type: "", data: [], id: undefined };
         continue;
       }
@@ -42,7 +43,13 @@ export function onConnection(listener) {
 
 function publish() {
   const states = [...links].map((l) => l.state);
-  const state = !states.length ? "idle" : states.includes("offline") ? "offline" : states.includes("connecting") ? "connecting" : "live";
+  const state = !states.length
+    ? "idle"
+    : states.includes("offline")
+      ? "offline"
+      : states.includes("connecting")
+        ? "connecting"
+        : "live";
   for (const w of watchers) w(state);
 }
 
@@ -50,14 +57,20 @@ function publish() {
  * Follow a stream until `signal` aborts; reconnects with back-off and Last-Event-ID.
  *
  * @param {string} path
- * @param {{signal: AbortSignal, lastId?: string, onEvent: (type: string, data: any, id?: string) => void, onError?: (error: Error) => void}} options
+ * @param {{signal: AbortSignal, lastId?: string, onEvent: (type: string, data: any, id?: string) => void, onError?:
+ *   (error: Error) => void}} options
  *   onError gets errors that no retry cures (401, 403, 404); the stream ends then.
  */
 export async function follow(path, { signal, lastId, onEvent, onError }) {
   const link = { state: "connecting" };
   links.add(link);
   publish();
-  const set = (state) => { if (link.state !== state) { link.state = state; publish(); } };
+  const set = (state) => {
+    if (link.state !== state) {
+      link.state = state;
+      publish();
+    }
+  };
   let failures = 0;
   try {
     while (!signal.aborted) {
@@ -66,10 +79,16 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
       const attempt = new AbortController();
       const stop = () => attempt.abort();
       signal.addEventListener("abort", stop, { once: true });
-      let watchdog, rest, resting = false;
+      let watchdog;
+      let rest;
+      let resting = false;
       const onVisibility = () => {
         clearTimeout(rest);
-        if (document.hidden) rest = setTimeout(() => { resting = true; stop(); }, HIDDEN_MS);
+        if (document.hidden)
+          rest = setTimeout(() => {
+            resting = true;
+            stop();
+          }, HIDDEN_MS);
       };
       document.addEventListener("visibilitychange", onVisibility);
       try {
@@ -80,7 +99,10 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
         failures = 0;
         const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
         const parser = new EventParser();
-        const pet = () => { clearTimeout(watchdog); watchdog = setTimeout(stop, SILENCE_MS); };
+        const pet = () => {
+          clearTimeout(watchdog);
+          watchdog = setTimeout(stop, SILENCE_MS);
+        };
         pet();
         for (;;) {
           const { value, done } = await reader.read();
@@ -89,7 +111,11 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
           for (const event of parser.feed(value)) {
             if (event.id !== undefined) lastId = event.id;
             let data;
-            try { data = JSON.parse(event.data); } catch { data = event.data; }
+            try {
+              data = JSON.parse(event.data);
+            } catch {
+              data = event.data;
+            }
             onEvent(event.type, data, event.id);
             if (event.type === "end" || (event.type === "gone" && path.indexOf("jobs/stream") < 0)) return;
           }
@@ -121,7 +147,11 @@ export async function follow(path, { signal, lastId, onEvent, onError }) {
 function untilVisible(signal) {
   if (!document.hidden) return undefined;
   return new Promise((resolve) => {
-    const done = () => { document.removeEventListener("visibilitychange", done); signal.removeEventListener("abort", done); resolve(); };
+    const done = () => {
+      document.removeEventListener("visibilitychange", done);
+      signal.removeEventListener("abort", done);
+      resolve();
+    };
     document.addEventListener("visibilitychange", done);
     signal.addEventListener("abort", done);
   });
@@ -129,7 +159,12 @@ function untilVisible(signal) {
 
 function pause(ms, signal) {
   return new Promise((resolve) => {
-    const done = () => { clearTimeout(timer); window.removeEventListener("online", done); signal.removeEventListener("abort", done); resolve(); };
+    const done = () => {
+      clearTimeout(timer);
+      window.removeEventListener("online", done);
+      signal.removeEventListener("abort", done);
+      resolve();
+    };
     const timer = setTimeout(done, ms);
     window.addEventListener("online", done);
     signal.addEventListener("abort", done);

@@ -1,7 +1,9 @@
 // Runs before the first paint so that a stored theme never flashes; everything else is in theme.js.
-(function () {
+(() => {
   try {
-    var theme = localStorage.getItem("naosprint.theme");
+    const theme = localStorage.getItem("naosprint.theme");
     if (theme === "light" || theme === "dark") document.documentElement.dataset.theme = theme;
-  } catch (_) { /* storage refused: follow the system */ }
+  } catch (_) {
+    /* storage refused: follow the system */
+  }
 })();

@@ -13,7 +13,9 @@ export function setTheme(value) {
   try {
     if (value === "auto") localStorage.removeItem(KEY);
     else localStorage.setItem(KEY, value);
-  } catch { /* storage refused: lasts for this page */ }
+  } catch {
+    /* storage refused: lasts for this page */
+  }
   notify();
 }
 

@@ -6,25 +6,30 @@ import { Columns } from "../columns.js";
 import { chartOptions, X_AXES } from "../curves.js";
 import { common, descriptions, nameOf } from "../descriptions.js";
 import { fill, h, icon, scroller } from "../dom.js";
+import { headline, meanProfile, profile, representative } from "../evaluation.js";
+import { Figure, resultLines } from "../figures.js";
 import { compact, integer, metricText, shownUnit, withUnit } from "../format.js";
 import { latest, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
-import { headline, meanProfile, profile, representative } from "../evaluation.js";
-import { Figure, resultLines } from "../figures.js";
 import { loading, notice } from "./messages.js";
 import { axisOf } from "./results.js";
 import { flattened } from "./spec-list.js";
 
 const MAX_JOBS = 32;
 const GRID = 400;
-/** Lines of more points than these in all are drawn on a grid that they share: joined, each would get as many gaps as the others have points. */
-const MAX_JOINED = 6000, FINE_GRID = 1200;
+/**
+ * Lines of more points than these in all are drawn on a grid that they share: joined, each would get as many gaps as
+ * the others have points.
+ */
+const MAX_JOINED = 6000;
+const FINE_GRID = 1200;
 const DASHES = [undefined, [6, 4], [2, 3], [10, 4, 2, 4]];
 
 /** Most columns of metrics, and of results, in the table. */
-const MOST_METRICS = 3, MOST_RESULTS = 4;
+const MOST_METRICS = 3;
+const MOST_RESULTS = 4;
 
 /** What "group by" can do: the label that jobs of one group share. */
 const GROUPINGS = {
@@ -41,24 +46,40 @@ const GROUPINGS = {
 /** Paths that every list of jobs shows anyway. */
 const SHOWN = new Set(["seed", "task.name", "robot.name", "simulator.name", "algorithm.preset"]);
 let varying = [];
-const differing = (job) => { const values = flattened(job.spec); return varying.map((k) => ` · ${k.split(".").at(-1)} ${JSON.stringify(values[k] ?? null)}`).join(""); };
+const differing = (job) => {
+  const values = flattened(job.spec);
+  return varying.map((k) => ` · ${k.split(".").at(-1)} ${JSON.stringify(values[k] ?? null)}`).join("");
+};
 
 /** Read a curve at `x` by linear interpolation; null outside of it. */
 export function interpolate(xs, ys, x) {
-  let low = 0, high = xs.length - 1;
+  let low = 0;
+  let high = xs.length - 1;
   if (high < 0 || x < xs[0] || x > xs[high]) return null;
-  while (high - low > 1) { const mid = (low + high) >> 1; if (xs[mid] <= x) low = mid; else high = mid; }
-  const a = ys[low], b = ys[high];
+  while (high - low > 1) {
+    const mid = (low + high) >> 1;
+    if (xs[mid] <= x) low = mid;
+    else high = mid;
+  }
+  const a = ys[low];
+  const b = ys[high];
   if (a === null || b === null || xs[high] === xs[low]) return b ?? a;
   return a + ((b - a) * (x - xs[low])) / (xs[high] - xs[low]);
 }
 
 /** Mean and standard deviation of several curves on a common grid, where at least half of them have a value. */
 export function band(curves, grid) {
-  const mean = [], low = [], high = [];
+  const mean = [];
+  const low = [];
+  const high = [];
   for (const x of grid) {
     const values = curves.map(([xs, ys]) => interpolate(xs, ys, x)).filter((v) => v !== null);
-    if (values.length * 2 < curves.length || !values.length) { mean.push(null); low.push(null); high.push(null); continue; }
+    if (values.length * 2 < curves.length || !values.length) {
+      mean.push(null);
+      low.push(null);
+      high.push(null);
+      continue;
+    }
     const m = values.reduce((a, b) => a + b, 0) / values.length;
     const sd = values.length > 1 ? Math.sqrt(values.reduce((a, b) => a + (b - m) ** 2, 0) / (values.length - 1)) : 0;
     mean.push(m);
@@ -70,8 +91,13 @@ export function band(curves, grid) {
 
 /** Drop the x and y where y is missing. */
 function dense(xs, ys) {
-  const x = [], y = [];
-  for (let i = 0; i < xs.length; i++) if (ys[i] !== null && ys[i] !== undefined && xs[i] !== null) { x.push(xs[i]); y.push(ys[i]); }
+  const x = [];
+  const y = [];
+  for (let i = 0; i < xs.length; i++)
+    if (ys[i] !== null && ys[i] !== undefined && xs[i] !== null) {
+      x.push(xs[i]);
+      y.push(ys[i]);
+    }
   return [x, y];
 }
 
@@ -92,15 +118,26 @@ class CompareView {
   async start() {
     document.title = "Compare · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading jobs")));
-    if (this.group) this.ids = (await call(`jobs${query({ group: this.group, limit: 200 })}`, { signal: this.signal })).items.map((j) => j.id).toReversed();
+    if (this.group)
+      this.ids = (await call(`jobs${query({ group: this.group, limit: 200 })}`, { signal: this.signal })).items
+        .map((j) => j.id)
+        .toReversed();
     const missing = [];
     this.known = await descriptions();
-    await Promise.all(this.ids.slice(0, MAX_JOBS).map(async (id, i) => {
-      try { this.items[i] = await this.item(id); } catch (error) { if (error.name === "AbortError") throw error; missing.push(`${id}: ${error.message}`); }
-    }));
+    await Promise.all(
+      this.ids.slice(0, MAX_JOBS).map(async (id, i) => {
+        try {
+          this.items[i] = await this.item(id);
+        } catch (error) {
+          if (error.name === "AbortError") throw error;
+          missing.push(`${id}: ${error.message}`);
+        }
+      }),
+    );
     this.items = this.items.filter(Boolean);
     this.missing = missing;
-    if (this.ids.length > MAX_JOBS) this.missing.push(`Only the first ${MAX_JOBS} of ${this.ids.length} jobs are shown.`);
+    if (this.ids.length > MAX_JOBS)
+      this.missing.push(`Only the first ${MAX_JOBS} of ${this.ids.length} jobs are shown.`);
     this.build();
     follow("jobs/stream", { signal: this.signal, onEvent: (type, job) => type === "job" && this.onJob(job) });
     this.stopTheme = onTheme(() => this.paintTable());
@@ -109,7 +146,11 @@ class CompareView {
   async item(id) {
     const path = `jobs/${encodeURIComponent(id)}`;
     const get = (p, params = {}) => call(`${p}${query(params)}`, { signal: this.signal });
-    const [job, metrics, evaluation] = await Promise.all([get(path), get(`${path}/metrics`, { max_points: 1500 }), this.evaluation(id)]);
+    const [job, metrics, evaluation] = await Promise.all([
+      get(path),
+      get(`${path}/metrics`, { max_points: 1500 }),
+      this.evaluation(id),
+    ]);
     const columns = new Columns();
     columns.load(metrics.columns);
     return { job, metrics: columns, evaluation };
@@ -128,19 +169,87 @@ class CompareView {
   }
 
   build() {
-    const specs = this.items.map(({ job }) => flattened(job.spec)), paths = new Set(specs.flatMap((values) => Object.keys(values)));
-    varying = [...paths].filter((k) => !SHOWN.has(k) && !k.endsWith(".version") && new Set(specs.map((values) => JSON.stringify(values[k]))).size > 1);
-    this.picker = h("input", { type: "search", placeholder: "Add a job by name or id", "aria-label": "Add a job", list: "compare-found", autocomplete: "off", oninput: () => this.suggest(), onchange: () => this.add(this.picker.value) });
+    const specs = this.items.map(({ job }) => flattened(job.spec));
+    const paths = new Set(specs.flatMap((values) => Object.keys(values)));
+    varying = [...paths].filter(
+      (k) =>
+        !SHOWN.has(k) && !k.endsWith(".version") && new Set(specs.map((values) => JSON.stringify(values[k]))).size > 1,
+    );
+    this.picker = h("input", {
+      type: "search",
+      placeholder: "Add a job by name or id",
+      "aria-label": "Add a job",
+      list: "compare-found",
+      autocomplete: "off",
+      oninput: () => this.suggest(),
+      onchange: () => this.add(this.picker.value),
+    });
     this.found = h("datalist", { id: "compare-found" });
-    const head = h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Compare"), h("div", { class: "filters", style: { margin: 0 } }, h("div", { class: "search" }, icon("search"), this.picker, this.found)));
+    const head = h(
+      "div",
+      { class: "page-head" },
+      h("h1", { class: "grow" }, "Compare"),
+      h(
+        "div",
+        { class: "filters", style: { margin: 0 } },
+        h("div", { class: "search" }, icon("search"), this.picker, this.found),
+      ),
+    );
     if (!this.items.length) {
-      fill(this.root, head, this.missing.map((m) => notice("warn", "", m)), h("div", { class: "card empty" }, h("h2", null, "Nothing to compare yet"), h("p", null, "Select jobs in the list and press Compare, or add them here by name."), h("div", { class: "row" }, h("a", { class: "button primary", href: "#/" }, "Choose jobs"))));
+      fill(
+        this.root,
+        head,
+        this.missing.map((m) => notice("warn", "", m)),
+        h(
+          "div",
+          { class: "card empty" },
+          h("h2", null, "Nothing to compare yet"),
+          h("p", null, "Select jobs in the list and press Compare, or add them here by name."),
+          h("div", { class: "row" }, h("a", { class: "button primary", href: "#/" }, "Choose jobs")),
+        ),
+      );
       return;
     }
-    const grouping = h("select", { "aria-label": "Group by", style: { width: "auto" }, onchange: () => { this.by = grouping.value; this.rebuildCharts(); } }, Object.entries(GROUPINGS).map(([key, [label]]) => h("option", { value: key }, label)));
+    const grouping = h(
+      "select",
+      {
+        "aria-label": "Group by",
+        style: { width: "auto" },
+        onchange: () => {
+          this.by = grouping.value;
+          this.rebuildCharts();
+        },
+      },
+      Object.entries(GROUPINGS).map(([key, [label]]) => h("option", { value: key }, label)),
+    );
     grouping.value = this.by;
-    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => { this.x = key; Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key))); this.charts[0]?.chart.zoom(null); this.draw(); } }, axis.label));
-    const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
+    this.buttons = Object.entries(X_AXES).map(([key, axis]) =>
+      h(
+        "button",
+        {
+          "aria-pressed": String(key === this.x),
+          onclick: () => {
+            this.x = key;
+            Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key)));
+            this.charts[0]?.chart.zoom(null);
+            this.draw();
+          },
+        },
+        axis.label,
+      ),
+    );
+    const range = h("input", {
+      type: "range",
+      min: 0,
+      max: 0.98,
+      step: 0.02,
+      value: this.weight,
+      "aria-label": "Smoothing",
+      oninput: () => {
+        this.weight = Number(range.value);
+        this.draw();
+      },
+    });
     this.legend = h("div", { class: "legend" });
     this.grid = h("div", { class: "charts" });
     this.rows = scroller("Jobs compared");
@@ -148,11 +257,29 @@ class CompareView {
     this.pick = h("div", { class: "segments", role: "group", "aria-label": "Results" });
     this.figure = new Figure((width) => resultLines(width, this.series, this.axis));
     this.numbers = scroller("Results compared");
-    fill(this.root, head, this.missing.map((m) => notice("warn", "", m)),
+    fill(
+      this.root,
+      head,
+      this.missing.map((m) => notice("warn", "", m)),
       h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.rows),
-      h("div", { class: "chart-tools" }, h("label", null, "Group by", grouping), h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range),
-        h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => this.csv() }, icon("download"), "CSV")),
-      this.legend, h("div", { style: { height: "0.86rem" } }), this.evaluated, this.grid);
+      h(
+        "div",
+        { class: "chart-tools" },
+        h("label", null, "Group by", grouping),
+        h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons),
+        h("label", null, "Smoothing", range),
+        h(
+          "button",
+          { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => this.csv() },
+          icon("download"),
+          "CSV",
+        ),
+      ),
+      this.legend,
+      h("div", { style: { height: "0.86rem" } }),
+      this.evaluated,
+      this.grid,
+    );
     this.rebuildCharts();
   }
 
@@ -165,21 +292,52 @@ class CompareView {
       if (!map.has(label)) map.set(label, []);
       map.get(label).push(item);
     }
-    return [...map].map(([label, items], i) => ({ label: of ? label : items[0].job.name, items, token: PALETTE[i % PALETTE.length], dash: DASHES[Math.floor(i / PALETTE.length) % DASHES.length] }));
+    return [...map].map(([label, items], i) => ({
+      label: of ? label : items[0].job.name,
+      items,
+      token: PALETTE[i % PALETTE.length],
+      dash: DASHES[Math.floor(i / PALETTE.length) % DASHES.length],
+    }));
   }
 
   rebuildCharts() {
     for (const { chart } of this.charts) chart.destroy();
-    const groups = this.groups(), banded = this.by !== "none";
+    const groups = this.groups();
+    const banded = this.by !== "none";
     const charts = new Map();
-    for (const { job, metrics } of this.items) for (const c of this.known.charts(job.spec, metrics.columns.keys())) if (!charts.has(c.key)) charts.set(c.key, c);
+    for (const { job, metrics } of this.items)
+      for (const c of this.known.charts(job.spec, metrics.columns.keys())) if (!charts.has(c.key)) charts.set(c.key, c);
     const tasks = new Set(this.items.map(({ job }) => nameOf(job.spec, "task")));
-    this.charts = [...charts.values()].filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "task").map((curve) => ({ curve, chart: new Chart({
-      ...chartOptions({ ...curve, title: curve.metrics.length > 1 ? curve.metrics[0].title : curve.title, metrics: curve.metrics.slice(0, 1), refs: tasks.size === 1 ? curve.refs : [] }), sync: "compare", readout: false, xFormat: (v) => X_AXES[this.x].format(v),
-      series: groups.flatMap((g) => (banded ? [{ label: `${g.label} high`, token: g.token, hidden: true }, { label: `${g.label} low`, token: g.token, hidden: true }, { label: g.label, token: g.token, dash: g.dash, width: 2 }] : [{ label: g.label, token: g.token, dash: g.dash }])),
-      bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
-    }) }));
-    fill(this.grid, this.charts.map((c) => c.chart.element));
+    this.charts = [...charts.values()]
+      .filter((c) => this.items.some(({ metrics }) => metrics.has(c.key)) || c.group === "task")
+      .map((curve) => ({
+        curve,
+        chart: new Chart({
+          ...chartOptions({
+            ...curve,
+            title: curve.metrics.length > 1 ? curve.metrics[0].title : curve.title,
+            metrics: curve.metrics.slice(0, 1),
+            refs: tasks.size === 1 ? curve.refs : [],
+          }),
+          sync: "compare",
+          readout: false,
+          xFormat: (v) => X_AXES[this.x].format(v),
+          series: groups.flatMap((g) =>
+            banded
+              ? [
+                  { label: `${g.label} high`, token: g.token, hidden: true },
+                  { label: `${g.label} low`, token: g.token, hidden: true },
+                  { label: g.label, token: g.token, dash: g.dash, width: 2 },
+                ]
+              : [{ label: g.label, token: g.token, dash: g.dash }],
+          ),
+          bands: banded ? groups.map((g, i) => ({ series: [3 * i + 1, 3 * i + 2], token: g.token })) : [],
+        }),
+      }));
+    fill(
+      this.grid,
+      this.charts.map((c) => c.chart.element),
+    );
     this.paintTable();
     this.paintEvaluations();
     this.draw();
@@ -187,24 +345,114 @@ class CompareView {
 
   paintTable() {
     if (!this.rows) return;
-    const groups = this.groups(), banded = this.by !== "none";
+    const groups = this.groups();
+    const banded = this.by !== "none";
     const swatch = (g) => h("span", { class: "swatch", style: { background: color(g.token) } });
-    fill(this.legend, groups.map((g) => h("span", null, swatch(g), banded ? `${g.label} (${g.items.length})` : g.label)), banded ? h("span", { class: "muted" }, "Line: mean. Band: one standard deviation.") : null);
+    fill(
+      this.legend,
+      groups.map((g) => h("span", null, swatch(g), banded ? `${g.label} (${g.items.length})` : g.label)),
+      banded ? h("span", { class: "muted" }, "Line: mean. Band: one standard deviation.") : null,
+    );
     const metrics = common(this.items.map(({ job }) => this.known.listed(job.spec))).slice(0, MOST_METRICS);
     const results = common(this.items.map(({ evaluation }) => headline(evaluation?.summary))).slice(0, MOST_RESULTS);
     const cells = (item) => {
-      const m = latest(item.job), own = this.known.metrics(item.job.spec), found = new Map((item.evaluation?.summary?.results ?? []).map((r) => [r.name, r]));
-      return [compact(item.job.progress_step), ...metrics.map(({ name }) => (own.has(name) ? metricText(own.get(name), m[name]) : "–")), integer(m.steps_per_s), ...(results.length ? [integer(item.evaluation?.summary?.episodes)] : []), ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–"))];
+      const m = latest(item.job);
+      const own = this.known.metrics(item.job.spec);
+      const found = new Map((item.evaluation?.summary?.results ?? []).map((r) => [r.name, r]));
+      return [
+        compact(item.job.progress_step),
+        ...metrics.map(({ name }) => (own.has(name) ? metricText(own.get(name), m[name]) : "–")),
+        integer(m.steps_per_s),
+        ...(results.length ? [integer(item.evaluation?.summary?.episodes)] : []),
+        ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–")),
+      ];
     };
     const heading = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
-    const row = (g, item) => h("tr", { "data-job": item.job.id }, h("td", { class: "compare-name" }, h("div", { class: "row" }, swatch(g), h("div", null, h("a", { href: `#/jobs/${item.job.id}` }, item.job.name), h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job))))),
-      h("td", null, stateBadge(item.job.state, stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`))), cells(item).map((c) => h("td", { class: "num" }, c)),
-      h("td", { class: "num" }, h("button", { class: "ghost square", "aria-label": `Remove ${item.job.name} from the comparison`, onclick: () => this.remove(item.job.id) }, icon("close"))));
+    const row = (g, item) =>
+      h(
+        "tr",
+        { "data-job": item.job.id },
+        h(
+          "td",
+          { class: "compare-name" },
+          h(
+            "div",
+            { class: "row" },
+            swatch(g),
+            h(
+              "div",
+              null,
+              h("a", { href: `#/jobs/${item.job.id}` }, item.job.name),
+              h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job)),
+            ),
+          ),
+        ),
+        h(
+          "td",
+          null,
+          stateBadge(
+            item.job.state,
+            stateNote(item.job) ?? (isEnded(item.job.state) ? undefined : `${Math.floor(progress(item.job) * 100)} %`),
+          ),
+        ),
+        cells(item).map((c) => h("td", { class: "num" }, c)),
+        h(
+          "td",
+          { class: "num" },
+          h(
+            "button",
+            {
+              class: "ghost square",
+              "aria-label": `Remove ${item.job.name} from the comparison`,
+              onclick: () => this.remove(item.job.id),
+            },
+            icon("close"),
+          ),
+        ),
+      );
     const th = (t) => h("th", { scope: "col", class: "num" }, t);
-    fill(this.rows, h("table", null,
-      h("thead", null, h("tr", null, h("th", { rowspan: 2, scope: "col" }, "Job"), h("th", { rowspan: 2, scope: "col" }, "State"), h("th", { colspan: metrics.length + 2, scope: "colgroup", class: "group" }, "Training, latest episodes with exploration"), results.length ? h("th", { colspan: results.length + 1, scope: "colgroup", class: "group" }, "Evaluation") : null, h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove"))),
-        h("tr", null, ["Steps", ...metrics.map(heading), "Steps/s", ...(results.length ? ["Episodes"] : []), ...results.map(heading)].map(th))),
-      h("tbody", null, groups.flatMap((g) => g.items.map((item) => row(g, item))))));
+    fill(
+      this.rows,
+      h(
+        "table",
+        null,
+        h(
+          "thead",
+          null,
+          h(
+            "tr",
+            null,
+            h("th", { rowspan: 2, scope: "col" }, "Job"),
+            h("th", { rowspan: 2, scope: "col" }, "State"),
+            h(
+              "th",
+              { colspan: metrics.length + 2, scope: "colgroup", class: "group" },
+              "Training, latest episodes with exploration",
+            ),
+            results.length
+              ? h("th", { colspan: results.length + 1, scope: "colgroup", class: "group" }, "Evaluation")
+              : null,
+            h("th", { rowspan: 2 }, h("span", { class: "sr" }, "Remove")),
+          ),
+          h(
+            "tr",
+            null,
+            [
+              "Steps",
+              ...metrics.map(heading),
+              "Steps/s",
+              ...(results.length ? ["Episodes"] : []),
+              ...results.map(heading),
+            ].map(th),
+          ),
+        ),
+        h(
+          "tbody",
+          null,
+          groups.flatMap((g) => g.items.map((item) => row(g, item))),
+        ),
+      ),
+    );
   }
 
   /** Tables of results of the evaluations, by name, each with the columns that some job has. */
@@ -221,27 +469,131 @@ class CompareView {
 
   /** One column of a table of results, of the groups that have evaluations, over each other. */
   paintEvaluations() {
-    const options = [...this.tables().values()].flatMap(({ table, columns }) => [...columns].map((column) => ({ table, column, key: `${table.name} ${column}` })));
-    if (!options.length) { this.evaluated.replaceChildren(); return; }
-    const chosen = options.find((o) => o.key === this.chosen) ?? options[0], several = new Set(options.map((o) => o.table.name)).size > 1;
-    fill(this.pick, options.map((o) => h("button", { "data-value": o.key, "aria-pressed": String(o === chosen), onclick: () => { this.chosen = o.key; this.paintEvaluations(); } }, several ? `${o.table.title}: ${o.column}` : o.column)));
-    const of = (g) => g.items.map((i) => i.evaluation?.summary?.tables?.find((t) => t.name === chosen.table.name)).filter(Boolean).map((t) => profile(t, chosen.column)).filter((rows) => rows.length);
-    const groups = this.groups().map((g) => ({ ...g, profiles: of(g) })).filter((g) => g.profiles.length), { axis } = chosen.table;
+    const options = [...this.tables().values()].flatMap(({ table, columns }) =>
+      [...columns].map((column) => ({ table, column, key: `${table.name} ${column}` })),
+    );
+    if (!options.length) {
+      this.evaluated.replaceChildren();
+      return;
+    }
+    const chosen = options.find((o) => o.key === this.chosen) ?? options[0];
+    const several = new Set(options.map((o) => o.table.name)).size > 1;
+    fill(
+      this.pick,
+      options.map((o) =>
+        h(
+          "button",
+          {
+            "data-value": o.key,
+            "aria-pressed": String(o === chosen),
+            onclick: () => {
+              this.chosen = o.key;
+              this.paintEvaluations();
+            },
+          },
+          several ? `${o.table.title}: ${o.column}` : o.column,
+        ),
+      ),
+    );
+    const of = (g) =>
+      g.items
+        .map((i) => i.evaluation?.summary?.tables?.find((t) => t.name === chosen.table.name))
+        .filter(Boolean)
+        .map((t) => profile(t, chosen.column))
+        .filter((rows) => rows.length);
+    const groups = this.groups()
+      .map((g) => ({ ...g, profiles: of(g) }))
+      .filter((g) => g.profiles.length);
+    const { axis } = chosen.table;
     this.axis = axisOf(chosen.table);
-    this.series = groups.map((g) => ({ label: g.label, token: g.token, dash: g.dash?.join(" "), rows: meanProfile(g.profiles), count: g.profiles.length }));
+    this.series = groups.map((g) => ({
+      label: g.label,
+      token: g.token,
+      dash: g.dash?.join(" "),
+      rows: meanProfile(g.profiles),
+      count: g.profiles.length,
+    }));
     const places = [...new Set(this.series.flatMap((x) => x.rows.map((r) => r.at)))].sort((a, b) => a - b);
     const banded = groups.some((g) => g.profiles.length > 1);
-    if (!this.evaluated.firstChild) fill(this.evaluated, h("section", { class: "card", "data-part": "evaluations" }, h("div", { class: "card-head wrap" }, this.heading = h("h2"), this.pick), this.profiles = h("div", { class: "profiles" })));
+    if (!this.evaluated.firstChild) {
+      this.heading = h("h2");
+      this.profiles = h("div", { class: "profiles" });
+      fill(
+        this.evaluated,
+        h(
+          "section",
+          { class: "card", "data-part": "evaluations" },
+          h("div", { class: "card-head wrap" }, this.heading, this.pick),
+          this.profiles,
+        ),
+      );
+    }
     this.heading.textContent = `${chosen.table.title}, evaluated`;
     if (!places.length) {
       fill(this.profiles, h("p", { class: "pad muted" }, `No episode counts. ${chosen.table.description}`));
       return;
     }
     const { format, metric } = this.axis;
-    const cell = (r) => h("td", { class: "num", title: r ? `${format(r.low)} to ${withUnit(metric, r.high)}` : null }, r ? [format(r.mean), h("div", { class: "muted" }, `± ${format((r.high - r.low) / 2)}`)] : "–");
-    fill(this.numbers, h("table", { class: "plain" }, h("thead", null, h("tr", null, h("th", { scope: "col" }, [axis.title, shownUnit(metric)].filter(Boolean).join("; ")), places.map((at) => h("th", { scope: "col", class: "num" }, withUnit(axis, at))))),
-      h("tbody", null, this.series.map((x) => h("tr", null, h("th", { scope: "row", class: "compare-name" }, h("div", { class: "row" }, h("span", { class: "swatch", style: { background: `var(${x.token})` } }), h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null))), places.map((at) => cell(x.rows.find((r) => r.at === at))))))));
-    fill(this.profiles, h("div", { class: "pad" }, this.figure.element), h("div", null, this.numbers, h("p", { class: "pad muted" }, banded ? "Band: one standard deviation between the jobs of a group; of a single job, the interval of its evaluation." : "Band: the interval of the evaluation.")));
+    const cell = (r) =>
+      h(
+        "td",
+        { class: "num", title: r ? `${format(r.low)} to ${withUnit(metric, r.high)}` : null },
+        r ? [format(r.mean), h("div", { class: "muted" }, `± ${format((r.high - r.low) / 2)}`)] : "–",
+      );
+    fill(
+      this.numbers,
+      h(
+        "table",
+        { class: "plain" },
+        h(
+          "thead",
+          null,
+          h(
+            "tr",
+            null,
+            h("th", { scope: "col" }, [axis.title, shownUnit(metric)].filter(Boolean).join("; ")),
+            places.map((at) => h("th", { scope: "col", class: "num" }, withUnit(axis, at))),
+          ),
+        ),
+        h(
+          "tbody",
+          null,
+          this.series.map((x) =>
+            h(
+              "tr",
+              null,
+              h(
+                "th",
+                { scope: "row", class: "compare-name" },
+                h(
+                  "div",
+                  { class: "row" },
+                  h("span", { class: "swatch", style: { background: `var(${x.token})` } }),
+                  h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null),
+                ),
+              ),
+              places.map((at) => cell(x.rows.find((r) => r.at === at))),
+            ),
+          ),
+        ),
+      ),
+    );
+    fill(
+      this.profiles,
+      h("div", { class: "pad" }, this.figure.element),
+      h(
+        "div",
+        null,
+        this.numbers,
+        h(
+          "p",
+          { class: "pad muted" },
+          banded
+            ? "Band: one standard deviation between the jobs of a group; of a single job, the interval of its evaluation."
+            : "Band: the interval of the evaluation.",
+        ),
+      ),
+    );
     this.figure.redraw();
   }
 
@@ -252,18 +604,32 @@ class CompareView {
 
   /** What a chart shows of a curve: x, then a line for each job, or high, low and mean for each group. */
   columns(curve, groups) {
-    const axis = X_AXES[this.x], banded = this.by !== "none";
-    const curves = new Map(this.items.map((item) => {
-      const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
-      return [item, [x, smooth(y, this.weight)]];
-    }));
-    const all = [...curves.values()].filter(([x]) => x.length), points = all.reduce((sum, [x]) => sum + x.length, 0);
+    const axis = X_AXES[this.x];
+    const banded = this.by !== "none";
+    const curves = new Map(
+      this.items.map((item) => {
+        const [x, y] = dense(axis.column(item.metrics), item.metrics.get(curve.key));
+        return [item, [x, smooth(y, this.weight)]];
+      }),
+    );
+    const all = [...curves.values()].filter(([x]) => x.length);
+    const points = all.reduce((sum, [x]) => sum + x.length, 0);
     if (!points) return [[], ...groups.flatMap(() => (banded ? [[], [], []] : [[]]))];
-    const low = Math.min(...all.map(([x]) => x[0])), high = Math.max(...all.map(([x]) => x.at(-1)));
+    const low = Math.min(...all.map(([x]) => x[0]));
+    const high = Math.max(...all.map(([x]) => x.at(-1)));
     const grid = (count) => Array.from({ length: count }, (_, i) => low + ((high - low) * i) / (count - 1));
     if (banded) {
       const xs = grid(GRID);
-      return [xs, ...groups.flatMap((g) => { const b = band(g.items.map((item) => curves.get(item)), xs); return [b.high, b.low, b.mean]; })];
+      return [
+        xs,
+        ...groups.flatMap((g) => {
+          const b = band(
+            g.items.map((item) => curves.get(item)),
+            xs,
+          );
+          return [b.high, b.low, b.mean];
+        }),
+      ];
     }
     const tables = groups.map((g) => curves.get(g.items[0]));
     if (points > MAX_JOINED) {
@@ -280,11 +646,24 @@ class CompareView {
     if (!item) return;
     const ended = item.job.state !== job.state && isEnded(job.state);
     item.job = job;
-    if (ended) this.evaluation(job.id).then((e) => { item.evaluation = e; this.paintTable(); this.paintEvaluations(); }, () => { /* the next visit shows it */ });
+    if (ended)
+      this.evaluation(job.id).then(
+        (e) => {
+          item.evaluation = e;
+          this.paintTable();
+          this.paintEvaluations();
+        },
+        () => {
+          /* the next visit shows it */
+        },
+      );
     const row = latest(job);
     if (row.step !== undefined && row.step !== item.metrics.step.at(-1)) item.metrics.push(row);
     clearTimeout(this.refresh);
-    this.refresh = setTimeout(() => { this.paintTable(); this.draw(); }, 500);
+    this.refresh = setTimeout(() => {
+      this.paintTable();
+      this.draw();
+    }, 500);
   }
 
   suggest() {
@@ -294,8 +673,15 @@ class CompareView {
       if (!q || q.startsWith("job_")) return;
       try {
         const page = await call(`jobs${query({ q, limit: 20 })}`, { signal: this.signal });
-        fill(this.found, page.items.filter((j) => !this.ids.includes(j.id)).map((j) => h("option", { value: j.id }, `${j.name} · ${summary(j)} · ${j.state}`)));
-      } catch { /* suggestions are an extra */ }
+        fill(
+          this.found,
+          page.items
+            .filter((j) => !this.ids.includes(j.id))
+            .map((j) => h("option", { value: j.id }, `${j.name} · ${summary(j)} · ${j.state}`)),
+        );
+      } catch {
+        /* suggestions are an extra */
+      }
     }, 200);
   }
 
@@ -304,16 +690,25 @@ class CompareView {
     if (wanted.startsWith("job_")) this.open([...new Set([...this.ids, wanted])]);
   }
 
-  remove(id) { this.open(this.ids.filter((x) => x !== id)); }
+  remove(id) {
+    this.open(this.ids.filter((x) => x !== id));
+  }
 
-  open(ids) { this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`); }
+  open(ids) {
+    this.go(`/compare${query({ jobs: ids.join(","), by: this.by === "none" ? null : this.by })}`);
+  }
 
   csv() {
     const names = [...new Set(this.items.flatMap(({ metrics }) => [...metrics.columns.keys()]))];
-    const quote = (v) => (typeof v === "string" && /[",\n]/.test(v) ? `"${v.replace(/"/g, '""')}"` : v ?? "");
+    const quote = (v) => (typeof v === "string" && /[",\n]/.test(v) ? `"${v.replace(/"/g, '""')}"` : (v ?? ""));
     const lines = [["job", "name", "seed", "step", ...names].join(",")];
-    for (const { job, metrics } of this.items) metrics.step.forEach((step, i) => lines.push([job.id, quote(job.name), job.spec.seed, step, ...names.map((n) => metrics.get(n)[i] ?? "")].join(",")));
-    save(new Blob([lines.join("\n") + "\n"], { type: "text/csv" }), "comparison.csv");
+    for (const { job, metrics } of this.items)
+      metrics.step.forEach((step, i) =>
+        lines.push(
+          [job.id, quote(job.name), job.spec.seed, step, ...names.map((n) => metrics.get(n)[i] ?? "")].join(","),
+        ),
+      );
+    save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), "comparison.csv");
   }
 }
 

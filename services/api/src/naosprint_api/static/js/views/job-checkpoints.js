@@ -30,7 +30,19 @@ export class CheckpointsTab {
     if (this.gone) return;
     const { job, checkpoints } = this.store;
     if (!checkpoints?.length) {
-      fill(this.root, h("div", { class: "card empty" }, h("h2", null, "No checkpoint yet"), h("p", null, `One is saved every ${integer(job.spec.runtime?.checkpoint_interval_steps)} steps and at the end. A paused or interrupted job resumes from its newest checkpoint.`)));
+      fill(
+        this.root,
+        h(
+          "div",
+          { class: "card empty" },
+          h("h2", null, "No checkpoint yet"),
+          h(
+            "p",
+            null,
+            `One is saved every ${integer(job.spec.runtime?.checkpoint_interval_steps)} steps and at the end. A paused or interrupted job resumes from its newest checkpoint.`,
+          ),
+        ),
+      );
       return;
     }
     // Rows that are there stay, with what is open in them: checkpoints come in while somebody reads.
@@ -39,34 +51,126 @@ export class CheckpointsTab {
     checkpoints.forEach((c, i) => setText(rows[i].querySelector("[data-age]"), ago(c.created_at)));
     if (this.body?.isConnected) {
       for (const old of [...this.body.children]) if (!rows.includes(old)) old.remove();
-      rows.forEach((row, i) => { if (this.body.children[i] !== row) this.body.insertBefore(row, this.body.children[i] ?? null); });
+      rows.forEach((row, i) => {
+        if (this.body.children[i] !== row) this.body.insertBefore(row, this.body.children[i] ?? null);
+      });
       return;
     }
     this.body = h("tbody", null, rows);
-    fill(this.root, h("section", { class: "card" }, scroller("Checkpoints", h("table", null,
-      h("thead", null, h("tr", null, h("th", { class: "num", scope: "col" }, "Step"), h("th", { class: "num", scope: "col" }, "Attempt"), h("th", { scope: "col" }, "Saved"), h("th", { class: "num", scope: "col" }, "Size"), h("th", { scope: "col" }, "Files"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))),
-      this.body))),
-      h("div", { style: { "margin-top": "1rem" } }, notice("info", "From a terminal:", h("code", null, `naoctl download ${job.id}`), " ")));
+    fill(
+      this.root,
+      h(
+        "section",
+        { class: "card" },
+        scroller(
+          "Checkpoints",
+          h(
+            "table",
+            null,
+            h(
+              "thead",
+              null,
+              h(
+                "tr",
+                null,
+                h("th", { class: "num", scope: "col" }, "Step"),
+                h("th", { class: "num", scope: "col" }, "Attempt"),
+                h("th", { scope: "col" }, "Saved"),
+                h("th", { class: "num", scope: "col" }, "Size"),
+                h("th", { scope: "col" }, "Files"),
+                h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
+              ),
+            ),
+            this.body,
+          ),
+        ),
+      ),
+      h(
+        "div",
+        { style: { "margin-top": "1rem" } },
+        notice("info", "From a terminal:", h("code", null, `naoctl download ${job.id}`), " "),
+      ),
+    );
   }
 
   row(c) {
     const { job } = this.store;
-    const all = h("button", { class: "small", onclick: () => fetchInto(all, c.archive_url, `${job.name}-${c.step}.tar`) }, icon("download"), "Download");
-    const evaluate = h("button", { class: "small", onclick: async () => {
-      evaluate.disabled = true;
-      try {
-        await call(`${this.store.path}/evaluations`, { method: "POST", body: { checkpoint_id: c.id } });
-        toast(`Step ${integer(c.step)} will be evaluated.`);
-        this.store.loadEvaluations().catch(() => {});
-      } catch (error) { toast(error.message, "error"); } finally { evaluate.disabled = false; }
-    } }, "Evaluate");
-    const files = h("details", null, h("summary", { class: "muted" }, `${c.files.length} files`), h("ul", { class: "list" }, c.files.map((f) => {
-      const get = h("button", { class: "ghost square", "aria-label": `Download ${f.name}`, onclick: () => fetchInto(get, f.url, f.name) }, icon("download"));
-      return h("li", null, h("span", { class: "grow mono", title: `sha256 ${f.sha256}` }, f.name), h("span", { class: "muted nowrap" }, bytes(f.size)), get);
-    })));
-    return h("tr", { "data-checkpoint": c.id }, h("td", { class: "num" }, integer(c.step)), h("td", { class: "num" }, c.attempt), h("td", { class: "nowrap muted", "data-age": true, title: stamp(c.created_at) }, ago(c.created_at)), h("td", { class: "num" }, bytes(c.size)), h("td", null, files),
-      h("td", null, h("div", { class: "row end" }, all, evaluate, h("a", { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` }, icon("branch"), "Continue in a new job"))));
+    const all = h(
+      "button",
+      { class: "small", onclick: () => fetchInto(all, c.archive_url, `${job.name}-${c.step}.tar`) },
+      icon("download"),
+      "Download",
+    );
+    const evaluate = h(
+      "button",
+      {
+        class: "small",
+        onclick: async () => {
+          evaluate.disabled = true;
+          try {
+            await call(`${this.store.path}/evaluations`, { method: "POST", body: { checkpoint_id: c.id } });
+            toast(`Step ${integer(c.step)} will be evaluated.`);
+            this.store.loadEvaluations().catch(() => {});
+          } catch (error) {
+            toast(error.message, "error");
+          } finally {
+            evaluate.disabled = false;
+          }
+        },
+      },
+      "Evaluate",
+    );
+    const files = h(
+      "details",
+      null,
+      h("summary", { class: "muted" }, `${c.files.length} files`),
+      h(
+        "ul",
+        { class: "list" },
+        c.files.map((f) => {
+          const get = h(
+            "button",
+            { class: "ghost square", "aria-label": `Download ${f.name}`, onclick: () => fetchInto(get, f.url, f.name) },
+            icon("download"),
+          );
+          return h(
+            "li",
+            null,
+            h("span", { class: "grow mono", title: `sha256 ${f.sha256}` }, f.name),
+            h("span", { class: "muted nowrap" }, bytes(f.size)),
+            get,
+          );
+        }),
+      ),
+    );
+    return h(
+      "tr",
+      { "data-checkpoint": c.id },
+      h("td", { class: "num" }, integer(c.step)),
+      h("td", { class: "num" }, c.attempt),
+      h("td", { class: "nowrap muted", "data-age": true, title: stamp(c.created_at) }, ago(c.created_at)),
+      h("td", { class: "num" }, bytes(c.size)),
+      h("td", null, files),
+      h(
+        "td",
+        null,
+        h(
+          "div",
+          { class: "row end" },
+          all,
+          evaluate,
+          h(
+            "a",
+            { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` },
+            icon("branch"),
+            "Continue in a new job",
+          ),
+        ),
+      ),
+    );
   }
 
-  destroy() { this.gone = true; }
+  destroy() {
+    this.gone = true;
+  }
 }

@@ -12,37 +12,91 @@ export class CurvesTab {
     this.x = "step";
     this.weight = 0.6;
     this.grid = h("div");
-    this.buttons = Object.entries(X_AXES).map(([key, axis]) => h("button", { "aria-pressed": String(key === this.x), onclick: () => this.setX(key) }, axis.label));
-    const range = h("input", { type: "range", min: 0, max: 0.98, step: 0.02, value: this.weight, "aria-label": "Smoothing", oninput: () => { this.weight = Number(range.value); this.draw(); } });
-    fill(root,
-      h("div", { class: "chart-tools" }, h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons), h("label", null, "Smoothing", range), h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to reset"),
-        h("button", { class: "ghost small", style: { "margin-left": "auto" }, onclick: () => save(new Blob([store.metrics.csv()], { type: "text/csv" }), `${store.job.name}-metrics.csv`) }, icon("download"), "CSV")),
-      this.grid);
+    this.buttons = Object.entries(X_AXES).map(([key, axis]) =>
+      h("button", { "aria-pressed": String(key === this.x), onclick: () => this.setX(key) }, axis.label),
+    );
+    const range = h("input", {
+      type: "range",
+      min: 0,
+      max: 0.98,
+      step: 0.02,
+      value: this.weight,
+      "aria-label": "Smoothing",
+      oninput: () => {
+        this.weight = Number(range.value);
+        this.draw();
+      },
+    });
+    fill(
+      root,
+      h(
+        "div",
+        { class: "chart-tools" },
+        h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons),
+        h("label", null, "Smoothing", range),
+        h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to reset"),
+        h(
+          "button",
+          {
+            class: "ghost small",
+            style: { "margin-left": "auto" },
+            onclick: () => save(new Blob([store.metrics.csv()], { type: "text/csv" }), `${store.job.name}-metrics.csv`),
+          },
+          icon("download"),
+          "CSV",
+        ),
+      ),
+      this.grid,
+    );
     this.build();
     store.on("metrics", () => this.draw());
-    store.on("job", () => { for (const { chart } of this.charts) if (!store.metrics.length) chart.none.textContent = this.emptyText(); });
+    store.on("job", () => {
+      for (const { chart } of this.charts) if (!store.metrics.length) chart.none.textContent = this.emptyText();
+    });
     this.draw();
   }
 
   /** Make the charts that the task, the algorithm and the columns ask for; a new column may ask for another one. */
   build() {
-    const { store } = this, wanted = store.known.charts(store.job.spec, store.metrics.columns.keys()), key = wanted.map((c) => c.key).join();
+    const { store } = this;
+    const wanted = store.known.charts(store.job.spec, store.metrics.columns.keys());
+    const key = wanted.map((c) => c.key).join();
     if (key === this.key) return;
     this.key = key;
     for (const { chart } of this.charts ?? []) chart.destroy();
     const counts = {};
     this.charts = wanted.map((curve) => {
-      const options = chartOptions(curve, (counts[curve.group] = (counts[curve.group] ?? -1) + 1));
-      return { curve, options, chart: new Chart({
-        ...options, sync: `job-${store.id}`, mainSeries: options.lines ? 1 : 2, xFormat: (v) => X_AXES[this.x].format(v),
-        series: options.lines ? options.lines.map(([, label, token]) => ({ label, token })) : [{ label: "raw", token: options.token, raw: true }, { label: options.title, token: options.token }],
-        empty: this.emptyText(),
-      }) };
+      counts[curve.group] = (counts[curve.group] ?? -1) + 1;
+      const options = chartOptions(curve, counts[curve.group]);
+      return {
+        curve,
+        options,
+        chart: new Chart({
+          ...options,
+          sync: `job-${store.id}`,
+          mainSeries: options.lines ? 1 : 2,
+          xFormat: (v) => X_AXES[this.x].format(v),
+          series: options.lines
+            ? options.lines.map(([, label, token]) => ({ label, token }))
+            : [
+                { label: "raw", token: options.token, raw: true },
+                { label: options.title, token: options.token },
+              ],
+          empty: this.emptyText(),
+        }),
+      };
     });
-    fill(this.grid, GROUPS.map(([group, label]) => [
-      group === "task" ? h("h2", { class: "sr" }, label) : h("div", { class: "section" }, h("h2", null, label)),
-      h("div", { class: ["charts", group === "task" ? "four" : "three"] }, this.charts.filter((c) => c.curve.group === group).map((c) => c.chart.element)),
-    ]));
+    fill(
+      this.grid,
+      GROUPS.map(([group, label]) => [
+        group === "task" ? h("h2", { class: "sr" }, label) : h("div", { class: "section" }, h("h2", null, label)),
+        h(
+          "div",
+          { class: ["charts", group === "task" ? "four" : "three"] },
+          this.charts.filter((c) => c.curve.group === group).map((c) => c.chart.element),
+        ),
+      ]),
+    );
   }
 
   emptyText() {
@@ -62,7 +116,8 @@ export class CurvesTab {
   draw() {
     if (this.gone) return;
     this.build();
-    const m = this.store.metrics, axis = X_AXES[this.x];
+    const m = this.store.metrics;
+    const axis = X_AXES[this.x];
     for (const { curve, options, chart } of this.charts) {
       chart.setData(() => {
         const lines = curve.metrics.map(({ name }) => m.get(name));

@@ -12,7 +12,14 @@ import { fetchInto } from "./job-checkpoints.js";
 import { loading, notice } from "./messages.js";
 import { hasResults, headlineStats, levelOf, resultsTable, tableCards } from "./results.js";
 
-const TONES = { queued: "grey", starting: "violet", running: "violet", succeeded: "green", failed: "red", cancelled: "grey" };
+const TONES = {
+  queued: "grey",
+  starting: "violet",
+  running: "violet",
+  succeeded: "green",
+  failed: "red",
+  cancelled: "grey",
+};
 const WINDOW_S = 2;
 
 export class EvaluationTab {
@@ -23,7 +30,9 @@ export class EvaluationTab {
     this.wanted = sub ?? null;
     this.parts = [];
     for (const topic of ["evaluations", "checkpoints"]) store.on(topic, () => this.draw());
-    store.on("job", () => { if (!store.evaluations?.length) this.draw(); });
+    store.on("job", () => {
+      if (!store.evaluations?.length) this.draw();
+    });
     this.draw();
   }
 
@@ -42,9 +51,29 @@ export class EvaluationTab {
       if (key === this.key) return;
       this.key = key;
       this.clear();
-      const ask = h("button", { class: "primary", disabled: !checkpoints?.length, onclick: () => this.ask(ask) }, "Evaluate the newest checkpoint");
-      fill(this.root, h("div", { class: "card empty" }, h("h2", null, "Not evaluated yet"),
-        h("p", null, !isEnded(job.state) && job.evaluation ? `The final policy will run ${integer(job.evaluation.episodes)} episodes when the training ends. A checkpoint can be evaluated before that.` : checkpoints?.length ? "Run the newest policy over many episodes to measure how well it does its task." : "There is no checkpoint to evaluate."), h("div", { class: "row" }, ask)));
+      const ask = h(
+        "button",
+        { class: "primary", disabled: !checkpoints?.length, onclick: () => this.ask(ask) },
+        "Evaluate the newest checkpoint",
+      );
+      fill(
+        this.root,
+        h(
+          "div",
+          { class: "card empty" },
+          h("h2", null, "Not evaluated yet"),
+          h(
+            "p",
+            null,
+            !isEnded(job.state) && job.evaluation
+              ? `The final policy will run ${integer(job.evaluation.episodes)} episodes when the training ends. A checkpoint can be evaluated before that.`
+              : checkpoints?.length
+                ? "Run the newest policy over many episodes to measure how well it does its task."
+                : "There is no checkpoint to evaluate.",
+          ),
+          h("div", { class: "row" }, ask),
+        ),
+      );
       return;
     }
     const chosen = evaluations.find((e) => e.id === this.wanted) ?? representative(evaluations) ?? evaluations[0];
@@ -52,16 +81,47 @@ export class EvaluationTab {
     if (key === this.key) return;
     this.key = key;
     const steps = new Map((checkpoints ?? []).map((c) => [c.id, c.step]));
-    const again = h("button", { onclick: () => this.ask(again), disabled: !checkpoints?.length }, "Evaluate newest checkpoint");
+    const again = h(
+      "button",
+      { onclick: () => this.ask(again), disabled: !checkpoints?.length },
+      "Evaluate newest checkpoint",
+    );
     if (!this.list?.isConnected) {
       this.list = h("div", { class: "row wrap", style: { "margin-bottom": "1rem" } });
       fill(this.root, this.list);
       this.shown = null;
     }
-    fill(this.list,
-      evaluations.map((e) => h("a", { class: "button small", href: `#/jobs/${this.store.id}/evaluation/${e.id}`, "aria-current": e === chosen ? "true" : null, title: stamp(e.created_at), "data-evaluation": e.id, "data-episodes": e.spec.episodes },
-        h("span", { class: "state", "data-tone": TONES[e.state] }, e.state === "succeeded" ? icon("check") : e.state === "failed" || e.state === "cancelled" ? icon("close") : h("span", { class: "pulse" }), e.state), steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "", `${integer(e.spec.episodes)} episodes`, h("span", { class: "muted" }, ago(e.created_at)))),
-      h("span", { style: { flex: 1 } }), again);
+    fill(
+      this.list,
+      evaluations.map((e) =>
+        h(
+          "a",
+          {
+            class: "button small",
+            href: `#/jobs/${this.store.id}/evaluation/${e.id}`,
+            "aria-current": e === chosen ? "true" : null,
+            title: stamp(e.created_at),
+            "data-evaluation": e.id,
+            "data-episodes": e.spec.episodes,
+          },
+          h(
+            "span",
+            { class: "state", "data-tone": TONES[e.state] },
+            e.state === "succeeded"
+              ? icon("check")
+              : e.state === "failed" || e.state === "cancelled"
+                ? icon("close")
+                : h("span", { class: "pulse" }),
+            e.state,
+          ),
+          steps.has(e.checkpoint_id) ? `step ${integer(steps.get(e.checkpoint_id))}` : "",
+          `${integer(e.spec.episodes)} episodes`,
+          h("span", { class: "muted" }, ago(e.created_at)),
+        ),
+      ),
+      h("span", { style: { flex: 1 } }),
+      again,
+    );
     // What is looked at stays as it is while other evaluations come and go.
     const shown = `${chosen.id} ${chosen.state}`;
     if (shown === this.shown) return;
@@ -71,7 +131,16 @@ export class EvaluationTab {
     fill(this.root, this.list, this.body);
     if (chosen.state === "failed") fill(this.body, notice("error", "This evaluation failed.", chosen.error ?? ""));
     else if (chosen.state === "cancelled") fill(this.body, notice("warn", "This evaluation was cancelled."));
-    else if (chosen.state !== "succeeded") fill(this.body, h("div", { class: "card empty" }, h("h2", null, chosen.state === "queued" ? chosen.waiting_reason ?? "Waiting for a worker" : "Running"), h("p", null, `${integer(chosen.spec.episodes)} episodes. The results appear here when they are done.`)));
+    else if (chosen.state !== "succeeded")
+      fill(
+        this.body,
+        h(
+          "div",
+          { class: "card empty" },
+          h("h2", null, chosen.state === "queued" ? (chosen.waiting_reason ?? "Waiting for a worker") : "Running"),
+          h("p", null, `${integer(chosen.spec.episodes)} episodes. The results appear here when they are done.`),
+        ),
+      );
     else this.show(chosen);
   }
 
@@ -90,20 +159,63 @@ export class EvaluationTab {
   }
 
   async show(evaluation) {
-    const { summary } = evaluation, level = levelOf(evaluation.spec);
-    const recorded = evaluation.files.find((x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"));
-    const box = this.pathBox = h("div", { class: "stack" }, recorded ? h("div", { class: "card" }, loading("Loading paths")) : notice("info", "No paths were recorded.", "Run an evaluation with trajectories to see them."));
-    fill(this.body,
-      hasResults(summary) ? [
-        h("div", { class: "stats" }, headlineStats(summary)),
-        tableCards(summary, level, (draw) => this.figure(draw)),
-        h("details", { class: "card" }, h("summary", null, "All results"), scroller("All results", resultsTable(summary, level))),
-      ] : notice("info", "This evaluation is from an earlier version.", "Evaluate the checkpoint again to see its results here."),
+    const { summary } = evaluation;
+    const level = levelOf(evaluation.spec);
+    const recorded = evaluation.files.find(
+      (x) => x.name === "trajectories.npz" || x.name.endsWith("/trajectories.npz"),
+    );
+    const box = h(
+      "div",
+      { class: "stack" },
+      recorded
+        ? h("div", { class: "card" }, loading("Loading paths"))
+        : notice("info", "No paths were recorded.", "Run an evaluation with trajectories to see them."),
+    );
+    this.pathBox = box;
+    fill(
+      this.body,
+      hasResults(summary)
+        ? [
+            h("div", { class: "stats" }, headlineStats(summary)),
+            tableCards(summary, level, (draw) => this.figure(draw)),
+            h(
+              "details",
+              { class: "card" },
+              h("summary", null, "All results"),
+              scroller("All results", resultsTable(summary, level)),
+            ),
+          ]
+        : notice(
+            "info",
+            "This evaluation is from an earlier version.",
+            "Evaluate the checkpoint again to see its results here.",
+          ),
       this.pathBox,
-      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Files")), h("ul", { class: "list" }, evaluation.files.map((x) => {
-        const get = h("button", { class: "small", onclick: () => fetchInto(get, x.url, x.name) }, icon("download"), "Download");
-        return h("li", null, h("span", { class: "grow mono", title: `sha256 ${x.sha256}` }, x.name), h("span", { class: "muted" }, bytes(x.size)), get);
-      }))));
+      h(
+        "section",
+        { class: "card" },
+        h("div", { class: "card-head" }, h("h2", null, "Files")),
+        h(
+          "ul",
+          { class: "list" },
+          evaluation.files.map((x) => {
+            const get = h(
+              "button",
+              { class: "small", onclick: () => fetchInto(get, x.url, x.name) },
+              icon("download"),
+              "Download",
+            );
+            return h(
+              "li",
+              null,
+              h("span", { class: "grow mono", title: `sha256 ${x.sha256}` }, x.name),
+              h("span", { class: "muted" }, bytes(x.size)),
+              get,
+            );
+          }),
+        ),
+      ),
+    );
     if (!recorded) return;
     try {
       const lines = (await descriptions()).task(summary.task?.name)?.lines ?? [];
@@ -118,36 +230,178 @@ export class EvaluationTab {
     this.paths = paths;
     const episodes = paths.all();
     // Open on a typical run: the median of the distance.
-    this.selected = episodes.map((e, i) => [e.distance, i]).sort((a, b) => a[0] - b[0])[Math.floor(episodes.length / 2)][1];
-    const widest = Math.max(...episodes.map((e) => Math.max(...[0, 0.25, 0.5, 0.75, 1].map((q) => Math.abs(e.y[Math.floor((e.samples - 1) * q)])))));
+    this.selected = episodes.map((e, i) => [e.distance, i]).sort((a, b) => a[0] - b[0])[
+      Math.floor(episodes.length / 2)
+    ][1];
+    const widest = Math.max(
+      ...episodes.map((e) =>
+        Math.max(...[0, 0.25, 0.5, 0.75, 1].map((q) => Math.abs(e.y[Math.floor((e.samples - 1) * q)]))),
+      ),
+    );
     this.half = Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5)));
-    const whole = h("input", { type: "checkbox", onchange: () => { this.half = whole.checked ? 10.5 : Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5))); this.field.redraw(); } });
-    this.choice = h("select", { "aria-label": "Episode", style: { width: "auto" }, onchange: () => this.select(Number(this.choice.value)) }, episodes.map((e, i) => h("option", { value: i }, `Episode ${i + 1}: ${fixed(e.distance, 1)} m, ${fixed(e.speed)} m/s${e.failed ? ", failed" : ""}`)));
-    this.field = this.keep(new Figure((w) => field(w, paths, { selected: this.selected, half: this.half, onSelect: (i) => this.select(i) })));
+    const whole = h("input", {
+      type: "checkbox",
+      onchange: () => {
+        this.half = whole.checked ? 10.5 : Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5)));
+        this.field.redraw();
+      },
+    });
+    this.choice = h(
+      "select",
+      { "aria-label": "Episode", style: { width: "auto" }, onchange: () => this.select(Number(this.choice.value)) },
+      episodes.map((e, i) =>
+        h(
+          "option",
+          { value: i },
+          `Episode ${i + 1}: ${fixed(e.distance, 1)} m, ${fixed(e.speed)} m/s${e.failed ? ", failed" : ""}`,
+        ),
+      ),
+    );
+    this.field = this.keep(
+      new Figure((w) => field(w, paths, { selected: this.selected, half: this.half, onSelect: (i) => this.select(i) })),
+    );
     this.from = 0;
-    this.range = h("input", { type: "range", min: 0, step: 0.1, "aria-label": "Start of the gait diagram in seconds", oninput: () => { this.from = Number(this.range.value); this.gait.redraw(); } });
-    this.gait = this.keep(new Figure((w) => gaitDiagram(w, paths.episode(this.selected), paths.cycle, this.from, Math.min(WINDOW_S, Math.max(0.2, paths.episode(this.selected).seconds)))));
+    this.range = h("input", {
+      type: "range",
+      min: 0,
+      step: 0.1,
+      "aria-label": "Start of the gait diagram in seconds",
+      oninput: () => {
+        this.from = Number(this.range.value);
+        this.gait.redraw();
+      },
+    });
+    this.gait = this.keep(
+      new Figure((w) =>
+        gaitDiagram(
+          w,
+          paths.episode(this.selected),
+          paths.cycle,
+          this.from,
+          Math.min(WINDOW_S, Math.max(0.2, paths.episode(this.selected).seconds)),
+        ),
+      ),
+    );
     this.gaitFigures = h("dl", { class: "pairs" });
-    const chart = (title, unit, token, extra) => this.keep(new Chart({ title, unit, sync: "episode", xFormat: (v) => `${fixed(v, 1)} s`, series: [{ label: title, token }], ...extra }));
+    const chart = (title, unit, token, extra) =>
+      this.keep(
+        new Chart({
+          title,
+          unit,
+          sync: "episode",
+          xFormat: (v) => `${fixed(v, 1)} s`,
+          series: [{ label: title, token }],
+          ...extra,
+        }),
+      );
     this.speed = chart("Speed", "m/s", "--s1", { min: 0 });
-    this.height = chart("Torso height", "m", "--s3", { min: 0.2, format: (v) => fixed(v, 3), axisFormat: (v) => fixed(v, 2) });
+    this.height = chart("Torso height", "m", "--s3", {
+      min: 0.2,
+      format: (v) => fixed(v, 3),
+      axisFormat: (v) => fixed(v, 2),
+    });
     const failed = episodes.filter((e) => e.failed).length;
-    fill(this.pathBox,
-      h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, `Paths of ${integer(paths.count)} episodes`), h("div", { class: "legend hide-tiny" }, paths.failed ? [h("span", null, h("i", { style: { background: "var(--s1)" } }), `not failed (${paths.count - failed})`), h("span", null, h("i", { style: { background: "var(--s6)" } }), `failed × (${failed})`)] : null), h("label", { class: "row nowrap" }, whole, "Whole field")), h("div", { class: "pad" }, this.field.element)),
+    fill(
+      this.pathBox,
+      h(
+        "section",
+        { class: "card" },
+        h(
+          "div",
+          { class: "card-head" },
+          h("h2", null, `Paths of ${integer(paths.count)} episodes`),
+          h(
+            "div",
+            { class: "legend hide-tiny" },
+            paths.failed
+              ? [
+                  h(
+                    "span",
+                    null,
+                    h("i", { style: { background: "var(--s1)" } }),
+                    `not failed (${paths.count - failed})`,
+                  ),
+                  h("span", null, h("i", { style: { background: "var(--s6)" } }), `failed × (${failed})`),
+                ]
+              : null,
+          ),
+          h("label", { class: "row nowrap" }, whole, "Whole field"),
+        ),
+        h("div", { class: "pad" }, this.field.element),
+      ),
       h("div", { class: "row wrap" }, h("h2", null, "One episode"), this.choice),
-      h("div", { class: "charts four" },
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Gait"), h("div", { class: "legend" }, h("span", { class: "muted" }, "shaded: both feet off the ground"))), h("div", { class: "pad" }, this.gait.element, h("div", { class: "row", style: { margin: "0.3rem 0 0.9rem" } }, h("span", { class: "muted nowrap" }, "Scroll"), this.range), this.gaitFigures)),
-        h("div", { class: "stack" }, this.speed.element, this.height.element)),
-      h("div", { class: "charts four" },
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Angle to the mean direction")), h("div", { class: "pad" }, this.figure((w) => histogram(w, episodes.map((_, i) => paths.deviation(i)), { label: "degrees", format: (v) => fixed(v, 1) })))),
-        h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Speed of the episodes")), h("div", { class: "pad" }, this.figure((w) => histogram(w, episodes.map((e) => Math.max(0, e.speed)), { label: "m/s, from the start", format: (v) => fixed(v, 2), token: "--s3" }))))));
+      h(
+        "div",
+        { class: "charts four" },
+        h(
+          "section",
+          { class: "card" },
+          h(
+            "div",
+            { class: "card-head" },
+            h("h2", null, "Gait"),
+            h("div", { class: "legend" }, h("span", { class: "muted" }, "shaded: both feet off the ground")),
+          ),
+          h(
+            "div",
+            { class: "pad" },
+            this.gait.element,
+            h(
+              "div",
+              { class: "row", style: { margin: "0.3rem 0 0.9rem" } },
+              h("span", { class: "muted nowrap" }, "Scroll"),
+              this.range,
+            ),
+            this.gaitFigures,
+          ),
+        ),
+        h("div", { class: "stack" }, this.speed.element, this.height.element),
+      ),
+      h(
+        "div",
+        { class: "charts four" },
+        h(
+          "section",
+          { class: "card" },
+          h("div", { class: "card-head" }, h("h2", null, "Angle to the mean direction")),
+          h(
+            "div",
+            { class: "pad" },
+            this.figure((w) =>
+              histogram(
+                w,
+                episodes.map((_, i) => paths.deviation(i)),
+                { label: "degrees", format: (v) => fixed(v, 1) },
+              ),
+            ),
+          ),
+        ),
+        h(
+          "section",
+          { class: "card" },
+          h("div", { class: "card-head" }, h("h2", null, "Speed of the episodes")),
+          h(
+            "div",
+            { class: "pad" },
+            this.figure((w) =>
+              histogram(
+                w,
+                episodes.map((e) => Math.max(0, e.speed)),
+                { label: "m/s, from the start", format: (v) => fixed(v, 2), token: "--s3" },
+              ),
+            ),
+          ),
+        ),
+      ),
+    );
     this.select(this.selected);
   }
 
   select(i) {
     this.selected = i;
     this.choice.value = String(i);
-    const e = this.paths.episode(i), { cycle } = this.paths;
+    const e = this.paths.episode(i);
+    const { cycle } = this.paths;
     this.range.max = Math.max(0, e.seconds - WINDOW_S).toFixed(1);
     this.from = Math.min(Number(this.range.max), Math.max(0, e.seconds / 2 - 1));
     this.range.value = String(this.from);
@@ -155,12 +409,25 @@ export class EvaluationTab {
     this.gait.redraw();
     const g = gait(e, cycle, Math.min(e.samples - 1, Math.round(1 / cycle)));
     const fell = fallNote(e, fixed(e.seconds));
-    const pairs = [...(fell ? [["Episode", fell]] : []), ["Steps per second", g.stepRate === null ? "–" : fixed(g.stepRate)], ["Stride length", g.stride === null ? "–" : `${fixed(g.stride)} m`], ["On the ground, left and right", `${percent(g.duty[0], 0)}, ${percent(g.duty[1], 0)}`], ["In flight", percent(g.flight, 0)]];
-    fill(this.gaitFigures, pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]));
+    const pairs = [
+      ...(fell ? [["Episode", fell]] : []),
+      ["Steps per second", g.stepRate === null ? "–" : fixed(g.stepRate)],
+      ["Stride length", g.stride === null ? "–" : `${fixed(g.stride)} m`],
+      ["On the ground, left and right", `${percent(g.duty[0], 0)}, ${percent(g.duty[1], 0)}`],
+      ["In flight", percent(g.flight, 0)],
+    ];
+    fill(
+      this.gaitFigures,
+      pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]),
+    );
     const t = Array.from({ length: e.samples }, (_, k) => k * cycle);
     // Speed over a quarter of a second: one step of 20 ms shows the sway of the torso more than the run.
     const k = Math.round(0.125 / cycle);
-    const speed = t.map((_, n) => { const a = Math.max(0, n - k), b = Math.min(e.samples - 1, n + k); return b > a ? Math.hypot(e.x[b] - e.x[a], e.y[b] - e.y[a]) / ((b - a) * cycle) : null; });
+    const speed = t.map((_, n) => {
+      const a = Math.max(0, n - k);
+      const b = Math.min(e.samples - 1, n + k);
+      return b > a ? Math.hypot(e.x[b] - e.x[a], e.y[b] - e.y[a]) / ((b - a) * cycle) : null;
+    });
     this.speed.setData([t, speed]);
     this.height.setData([t, Array.from(e.height)]);
   }
@@ -170,7 +437,9 @@ export class EvaluationTab {
     return part;
   }
 
-  figure(draw) { return this.keep(new Figure(draw)).element; }
+  figure(draw) {
+    return this.keep(new Figure(draw)).element;
+  }
 
   clear() {
     for (const part of this.parts) part.destroy();

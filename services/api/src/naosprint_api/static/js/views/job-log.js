@@ -13,13 +13,76 @@ export class LogTab {
     this.minimum = 0;
     this.needle = "";
     this.follow = true;
-    this.box = h("div", { class: "log", tabindex: 0, role: "log", "aria-label": "Log lines", onscroll: () => this.onScroll() });
-    this.jump = h("button", { class: "small", hidden: true, onclick: () => { this.follow = true; this.toEnd(); } }, "Follow");
-    const level = h("select", { "aria-label": "Show from level", style: { width: "auto" }, onchange: () => { this.minimum = Number(level.value); this.rebuild(); } },
-      h("option", { value: 0 }, "All levels"), h("option", { value: 20 }, "Info and up"), h("option", { value: 30 }, "Warnings and errors"), h("option", { value: 40 }, "Errors"));
-    const search = h("input", { type: "search", placeholder: "Filter lines", "aria-label": "Filter log lines", style: { width: "14rem", "min-width": "6rem" }, oninput: () => { this.needle = search.value.toLowerCase(); this.rebuild(); } });
-    fill(root, h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Log"), this.jump, search, level,
-      h("button", { class: "ghost square", "aria-label": "Save these lines as a file", title: "Save these lines", onclick: () => this.save() }, icon("download"))), this.box));
+    this.box = h("div", {
+      class: "log",
+      tabindex: 0,
+      role: "log",
+      "aria-label": "Log lines",
+      onscroll: () => this.onScroll(),
+    });
+    this.jump = h(
+      "button",
+      {
+        class: "small",
+        hidden: true,
+        onclick: () => {
+          this.follow = true;
+          this.toEnd();
+        },
+      },
+      "Follow",
+    );
+    const level = h(
+      "select",
+      {
+        "aria-label": "Show from level",
+        style: { width: "auto" },
+        onchange: () => {
+          this.minimum = Number(level.value);
+          this.rebuild();
+        },
+      },
+      h("option", { value: 0 }, "All levels"),
+      h("option", { value: 20 }, "Info and up"),
+      h("option", { value: 30 }, "Warnings and errors"),
+      h("option", { value: 40 }, "Errors"),
+    );
+    const search = h("input", {
+      type: "search",
+      placeholder: "Filter lines",
+      "aria-label": "Filter log lines",
+      style: { width: "14rem", "min-width": "6rem" },
+      oninput: () => {
+        this.needle = search.value.toLowerCase();
+        this.rebuild();
+      },
+    });
+    fill(
+      root,
+      h(
+        "section",
+        { class: "card" },
+        h(
+          "div",
+          { class: "card-head" },
+          h("h2", null, "Log"),
+          this.jump,
+          search,
+          level,
+          h(
+            "button",
+            {
+              class: "ghost square",
+              "aria-label": "Save these lines as a file",
+              title: "Save these lines",
+              onclick: () => this.save(),
+            },
+            icon("download"),
+          ),
+        ),
+        this.box,
+      ),
+    );
     store.on("logs", () => this.append());
     this.rebuild();
   }
@@ -29,7 +92,8 @@ export class LogTab {
     this.last = 0;
     this.attempt = null;
     this.box.replaceChildren();
-    if (this.store.logsBefore) this.box.append(h("div", { class: "mark" }, "Earlier lines are not shown; naoctl logs shows all lines."));
+    if (this.store.logsBefore)
+      this.box.append(h("div", { class: "mark" }, "Earlier lines are not shown; naoctl logs shows all lines."));
     this.append();
   }
 
@@ -39,20 +103,44 @@ export class LogTab {
     const rows = document.createDocumentFragment();
     for (const line of fresh) {
       this.last = line.id;
-      if ((LEVELS[line.level] ?? 20) < this.minimum || (this.needle && !line.message.toLowerCase().includes(this.needle))) continue;
-      if (this.attempt !== null && this.attempt !== line.attempt) rows.append(h("div", { class: "mark" }, `Attempt ${line.attempt}`));
+      if (
+        (LEVELS[line.level] ?? 20) < this.minimum ||
+        (this.needle && !line.message.toLowerCase().includes(this.needle))
+      )
+        continue;
+      if (this.attempt !== null && this.attempt !== line.attempt)
+        rows.append(h("div", { class: "mark" }, `Attempt ${line.attempt}`));
       this.attempt = line.attempt;
-      rows.append(h("div", { class: "line", "data-level": line.level }, h("time", { datetime: line.at, title: stamp(line.at) }, clock(line.at)), h("span", { class: "level" }, line.level), h("span", { class: "msg" }, line.message)));
+      rows.append(
+        h(
+          "div",
+          { class: "line", "data-level": line.level },
+          h("time", { datetime: line.at, title: stamp(line.at) }, clock(line.at)),
+          h("span", { class: "level" }, line.level),
+          h("span", { class: "msg" }, line.message),
+        ),
+      );
       this.shown += 1;
     }
     this.box.querySelector(".nothing")?.remove();
     this.box.append(rows);
     while (this.box.childElementCount > 6000) this.box.firstElementChild.remove();
-    if (!this.shown) this.box.append(h("div", { class: "mark nothing" }, this.store.logs.length ? "No line matches this filter." : "Nothing logged yet. Lines appear here as the worker writes them."));
+    if (!this.shown)
+      this.box.append(
+        h(
+          "div",
+          { class: "mark nothing" },
+          this.store.logs.length
+            ? "No line matches this filter."
+            : "Nothing logged yet. Lines appear here as the worker writes them.",
+        ),
+      );
     if (this.follow) this.toEnd();
   }
 
-  toEnd() { this.box.scrollTop = this.box.scrollHeight; }
+  toEnd() {
+    this.box.scrollTop = this.box.scrollHeight;
+  }
 
   onScroll() {
     this.follow = this.box.scrollHeight - this.box.scrollTop - this.box.clientHeight < 24;
@@ -60,8 +148,16 @@ export class LogTab {
   }
 
   save() {
-    save(new Blob([this.store.logs.map((l) => `${l.at} ${l.level.toUpperCase()} [attempt ${l.attempt}] ${l.message}\n`).join("")], { type: "text/plain" }), `${this.store.job.name}.log`);
+    save(
+      new Blob(
+        [this.store.logs.map((l) => `${l.at} ${l.level.toUpperCase()} [attempt ${l.attempt}] ${l.message}\n`).join("")],
+        { type: "text/plain" },
+      ),
+      `${this.store.job.name}.log`,
+    );
   }
 
-  destroy() { this.gone = true; }
+  destroy() {
+    this.gone = true;
+  }
 }

@@ -31,31 +31,82 @@ export class ReplayTab {
     const key = JSON.stringify([watchable.map((e) => e.id), chosen?.id, open, Boolean(checkpoints?.length)]);
     if (key === this.key) return;
     this.key = key;
-    const record = h("button", { disabled: !checkpoints?.length || open, "data-action": "record", onclick: () => this.record(record) }, icon("play"), open ? "Recording…" : "Record the newest checkpoint");
+    const record = h(
+      "button",
+      { disabled: !checkpoints?.length || open, "data-action": "record", onclick: () => this.record(record) },
+      icon("play"),
+      open ? "Recording…" : "Record the newest checkpoint",
+    );
     if (!chosen) {
       this.stop();
-      fill(this.root, h("div", { class: "card empty" }, h("h2", null, open ? "On its way" : "Nothing to watch yet"),
-        h("p", null, open ? "A worker runs the policy; the replay opens here when it is done." : checkpoints?.length ? "Let the newest checkpoint run a few episodes and watch one of them, even while the training goes on." : "There is no checkpoint to watch yet."), h("div", { class: "row" }, record)));
+      fill(
+        this.root,
+        h(
+          "div",
+          { class: "card empty" },
+          h("h2", null, open ? "On its way" : "Nothing to watch yet"),
+          h(
+            "p",
+            null,
+            open
+              ? "A worker runs the policy; the replay opens here when it is done."
+              : checkpoints?.length
+                ? "Let the newest checkpoint run a few episodes and watch one of them, even while the training goes on."
+                : "There is no checkpoint to watch yet.",
+          ),
+          h("div", { class: "row" }, record),
+        ),
+      );
       return;
     }
     const steps = new Map((checkpoints ?? []).map((c) => [c.id, c.step]));
-    const choice = h("select", { "aria-label": "Which recording", style: { width: "auto" }, onchange: () => this.go(`/jobs/${this.store.id}/replay/${choice.value}`) },
-      watchable.map((e) => h("option", { value: e.id }, `${steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}` : "Deleted checkpoint"}, ${stamp(e.created_at).slice(5, 16)}`)));
+    const choice = h(
+      "select",
+      {
+        "aria-label": "Which recording",
+        style: { width: "auto" },
+        onchange: () => this.go(`/jobs/${this.store.id}/replay/${choice.value}`),
+      },
+      watchable.map((e) =>
+        h(
+          "option",
+          { value: e.id },
+          `${steps.has(e.checkpoint_id) ? `Step ${integer(steps.get(e.checkpoint_id))}` : "Deleted checkpoint"}, ${stamp(e.created_at).slice(5, 16)}`,
+        ),
+      ),
+    );
     choice.value = chosen.id;
     if (this.shown !== chosen.id || !this.box?.isConnected) {
       this.stop();
       this.shown = chosen.id;
       this.box = h("section", { class: "card" });
-      this.player = new Player(this.box, { path: file(chosen).url, task: chosen.summary?.task?.name, signal: this.store.signal });
+      this.player = new Player(this.box, {
+        path: file(chosen).url,
+        task: chosen.summary?.task?.name,
+        signal: this.store.signal,
+      });
     }
-    fill(this.root, h("div", { class: "row wrap", style: { "margin-bottom": "1rem" } }, choice, h("span", { style: { flex: 1 } }), record), this.box);
+    fill(
+      this.root,
+      h(
+        "div",
+        { class: "row wrap", style: { "margin-bottom": "1rem" } },
+        choice,
+        h("span", { style: { flex: 1 } }),
+        record,
+      ),
+      this.box,
+    );
   }
 
   /** Let the newest checkpoint run a few episodes, of which one is recorded. */
   async record(button) {
     button.disabled = true;
     try {
-      const made = await call(`${this.store.path}/evaluations`, { method: "POST", body: { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 } } });
+      const made = await call(`${this.store.path}/evaluations`, {
+        method: "POST",
+        body: { spec: { episodes: 5, trajectories: 5, bootstrap_resamples: 100 } },
+      });
       toast("A worker will run the newest checkpoint.");
       this.wanted = made.id;
       await this.store.loadEvaluations();

@@ -4,11 +4,21 @@ import { call, query } from "../api.js";
 import { Columns } from "../columns.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
-import { compact, duration, fixed, integer, intervalText, metricText, percent, shownUnit, stamp, withUnit } from "../format.js";
+import {
+  compact,
+  duration,
+  fixed,
+  integer,
+  intervalText,
+  metricText,
+  percent,
+  shownUnit,
+  stamp,
+  withUnit,
+} from "../format.js";
 import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
-import { loading, notice } from "./messages.js";
 import { CheckpointsTab } from "./job-checkpoints.js";
 import { CurvesTab } from "./job-curves.js";
 import { EvaluationTab } from "./job-evaluation.js";
@@ -16,6 +26,7 @@ import { HistoryTab } from "./job-history.js";
 import { LogTab } from "./job-log.js";
 import { ReplayTab } from "./job-replay.js";
 import { SpecTab } from "./job-spec.js";
+import { loading, notice } from "./messages.js";
 
 const MAX_POINTS = 4000;
 const TAIL = 1000;
@@ -38,16 +49,27 @@ class JobStore extends EventTarget {
     this.evaluations = null;
   }
 
-  tell(topic) { this.dispatchEvent(new Event(topic)); }
+  tell(topic) {
+    this.dispatchEvent(new Event(topic));
+  }
 
   /** Call `listener` at every change of a topic while the page is shown. */
-  on(topic, listener) { this.addEventListener(topic, listener, { signal: this.signal }); }
+  on(topic, listener) {
+    this.addEventListener(topic, listener, { signal: this.signal });
+  }
 
-  get(path, params = {}) { return call(`${path}${query(params)}`, { signal: this.signal }); }
+  get(path, params = {}) {
+    return call(`${path}${query(params)}`, { signal: this.signal });
+  }
 
   async load() {
     const [known, job, metrics, events, logs] = await Promise.all([
-      descriptions(), this.get(this.path), this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }), this.pages(`${this.path}/events`, 500), this.tail()]);
+      descriptions(),
+      this.get(this.path),
+      this.get(`${this.path}/metrics`, { max_points: MAX_POINTS }),
+      this.pages(`${this.path}/events`, 500),
+      this.tail(),
+    ]);
     this.known = known;
     this.metrics.load(metrics.columns);
     this.lastSeq = metrics.last_seq;
@@ -60,7 +82,7 @@ class JobStore extends EventTarget {
   /** All of a paged list, oldest first. */
   async pages(path, limit) {
     const all = [];
-    for (let after; ;) {
+    for (let after; ; ) {
       const page = await this.get(path, { after, limit });
       all.push(...page.items);
       if (page.items.length < limit || page.next_after === null) return all;
@@ -91,17 +113,32 @@ class JobStore extends EventTarget {
     this.tell("evaluations");
     // Evaluations have no stream of their own; those under way are looked at again.
     clearTimeout(this.poll);
-    if (this.evaluations.some((e) => ["queued", "starting", "running"].includes(e.state))) this.poll = setTimeout(() => { if (!this.signal.aborted) this.loadEvaluations().catch(() => {}); }, POLL_MS);
+    if (this.evaluations.some((e) => ["queued", "starting", "running"].includes(e.state)))
+      this.poll = setTimeout(() => {
+        if (!this.signal.aborted) this.loadEvaluations().catch(() => {});
+      }, POLL_MS);
   }
 
   /** Follow the job until it ends, from what is known already; does nothing while it is followed. */
   follow() {
     if (this.following) return;
     this.following = true;
-    const after = { metrics_after: this.lastSeq, logs_after: this.logs.at(-1)?.id, events_after: this.events.at(-1)?.id };
+    const after = {
+      metrics_after: this.lastSeq,
+      logs_after: this.logs.at(-1)?.id,
+      events_after: this.events.at(-1)?.id,
+    };
     follow(`${this.path}/stream${query(after)}`, {
-      signal: this.signal, lastId: this.lastId, onEvent: (type, data, id) => { this.lastId = id ?? this.lastId; this.receive(type, data); }, onError: (error) => toast(error.message, "error"),
-    }).then(() => { this.following = false; });
+      signal: this.signal,
+      lastId: this.lastId,
+      onEvent: (type, data, id) => {
+        this.lastId = id ?? this.lastId;
+        this.receive(type, data);
+      },
+      onError: (error) => toast(error.message, "error"),
+    }).then(() => {
+      this.following = false;
+    });
   }
 
   receive(type, data) {
@@ -111,7 +148,10 @@ class JobStore extends EventTarget {
     } else if (type === "log") {
       if (this.logs.length && data.id <= this.logs.at(-1).id) return;
       this.logs.push(data);
-      if (this.logs.length > 6000) { this.logs.splice(0, 1000); this.logsBefore = true; }
+      if (this.logs.length > 6000) {
+        this.logs.splice(0, 1000);
+        this.logsBefore = true;
+      }
       this.tell("logs");
     } else if (type === "event") {
       if (this.events.length && data.id <= this.events.at(-1).id) return;
@@ -126,8 +166,13 @@ class JobStore extends EventTarget {
 }
 
 const TABS = [
-  ["curves", "Curves", CurvesTab], ["evaluation", "Evaluation", EvaluationTab], ["replay", "Replay", ReplayTab], ["checkpoints", "Checkpoints", CheckpointsTab],
-  ["log", "Log", LogTab], ["history", "History", HistoryTab], ["spec", "Specification", SpecTab],
+  ["curves", "Curves", CurvesTab],
+  ["evaluation", "Evaluation", EvaluationTab],
+  ["replay", "Replay", ReplayTab],
+  ["checkpoints", "Checkpoints", CheckpointsTab],
+  ["log", "Log", LogTab],
+  ["history", "History", HistoryTab],
+  ["spec", "Specification", SpecTab],
 ];
 
 class JobView {
@@ -152,7 +197,10 @@ class JobView {
     this.store.on("evaluations", () => this.paintTabs());
     this.timer = setInterval(() => this.paintStats(), 1000);
     this.paint();
-    this.store.on("gone", () => { toast(`${this.store.job.name} was deleted.`); this.go("/"); });
+    this.store.on("gone", () => {
+      toast(`${this.store.job.name} was deleted.`);
+      this.go("/");
+    });
     this.update(where);
   }
 
@@ -177,16 +225,31 @@ class JobView {
     this.listed = this.store.known.listed(job.spec).slice(0, MOST_STATS);
     const done = stat("steps", "Steps", "wide");
     this.barFill = h("span");
-    this.bar = h("div", { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100, "aria-label": "Steps done" }, this.barFill);
+    this.bar = h(
+      "div",
+      { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100, "aria-label": "Steps done" },
+      this.barFill,
+    );
     done.append(this.bar);
     this.tabBar = h("nav", { class: "tabs", "aria-label": "Parts of this job" });
     this.panel = h("div");
-    fill(this.root,
+    fill(
+      this.root,
       h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / ", h("span", { class: "mono" }, job.id)),
       h("div", { class: "page-head" }, h("div", { class: "grow row wrap" }, this.title, this.badge), this.actions),
-      this.sub, this.trouble,
-      h("div", { class: "stats", style: { "margin-top": "1rem" } }, done, this.listed.map((m) => stat(`metric:${m.name}`, m.title)), stat("rate", "Steps per second"), stat("elapsed", "Time")),
-      this.tabBar, this.panel);
+      this.sub,
+      this.trouble,
+      h(
+        "div",
+        { class: "stats", style: { "margin-top": "1rem" } },
+        done,
+        this.listed.map((m) => stat(`metric:${m.name}`, m.title)),
+        stat("rate", "Steps per second"),
+        stat("elapsed", "Time"),
+      ),
+      this.tabBar,
+      this.panel,
+    );
   }
 
   paint() {
@@ -197,10 +260,54 @@ class JobView {
     if (key !== this.key) {
       this.key = key;
       fill(this.badge, stateBadge(job.state, stateNote(job)));
-      const buttons = actionsFor(job).map((a) => h("button", { class: a.danger ? "danger" : null, "data-action": a.name, onclick: () => this.act(a.name) }, icon(a.icon), a.label));
-      if (isEnded(job.state)) buttons.push(h("button", { class: "danger", "data-action": "delete", onclick: () => this.act("delete") }, icon("trash"), "Delete"));
-      fill(this.actions, h("a", { class: "button", href: `#/submit?from=${job.id}` }, icon("copy"), h("span", { class: "fold-tiny" }, "Submit again")), h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"), buttons);
-      fill(this.trouble, job.state === "queued" && job.waiting_reason ? h("div", { style: { "margin-top": "1rem" }, "data-part": "waiting" }, notice("warn", "The job waits.", `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`)) : job.error ? h("div", { style: { "margin-top": "1rem" } }, notice(job.state === "failed" ? "error" : "warn", job.state === "failed" ? "The job failed." : "An attempt was lost.", job.error)) : null);
+      const buttons = actionsFor(job).map((a) =>
+        h(
+          "button",
+          { class: a.danger ? "danger" : null, "data-action": a.name, onclick: () => this.act(a.name) },
+          icon(a.icon),
+          a.label,
+        ),
+      );
+      if (isEnded(job.state))
+        buttons.push(
+          h(
+            "button",
+            { class: "danger", "data-action": "delete", onclick: () => this.act("delete") },
+            icon("trash"),
+            "Delete",
+          ),
+        );
+      fill(
+        this.actions,
+        h(
+          "a",
+          { class: "button", href: `#/submit?from=${job.id}` },
+          icon("copy"),
+          h("span", { class: "fold-tiny" }, "Submit again"),
+        ),
+        h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"),
+        buttons,
+      );
+      fill(
+        this.trouble,
+        job.state === "queued" && job.waiting_reason
+          ? h(
+              "div",
+              { style: { "margin-top": "1rem" }, "data-part": "waiting" },
+              notice("warn", "The job waits.", `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`),
+            )
+          : job.error
+            ? h(
+                "div",
+                { style: { "margin-top": "1rem" } },
+                notice(
+                  job.state === "failed" ? "error" : "warn",
+                  job.state === "failed" ? "The job failed." : "An attempt was lost.",
+                  job.error,
+                ),
+              )
+            : null,
+      );
     }
     const about = JSON.stringify([job.worker, job.owner, job.tags, job.parent_job_id]);
     if (about !== this.about) {
@@ -213,12 +320,20 @@ class JobView {
 
   paintAbout(job) {
     const worker = job.worker ? [" · on ", h("span", { class: "mono" }, job.worker)] : null;
-    fill(this.sub, h("span", null, summary(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
-      job.parent_job_id ? h("a", { class: "row", href: `#/jobs/${job.parent_job_id}` }, icon("branch"), "from another job") : null);
+    fill(
+      this.sub,
+      h("span", null, summary(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker),
+      job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
+      job.parent_job_id
+        ? h("a", { class: "row", href: `#/jobs/${job.parent_job_id}` }, icon("branch"), "from another job")
+        : null,
+    );
   }
 
   paintStats() {
-    const job = this.store.job, m = latest(job), s = this.stats;
+    const job = this.store.job;
+    const m = latest(job);
+    const s = this.stats;
     if (!s.steps) return;
     const show = (cell, value, unit, note) => {
       const key = `${value}|${note}`;
@@ -234,21 +349,48 @@ class JobView {
     this.barFill.style.width = `${share * 100}%`;
     this.barFill.hidden = share === 0;
     for (const metric of this.listed) {
-      const shown = shownMetric(job, metric), best = metric.better && shown.training ? this.best(metric) : null;
-      const note = shown.training ? `in training${best !== null ? `, best ${withUnit(metric, best)}` : ""}` : `${integer(job.result.episodes)} episodes${shown.interval ? `, ${intervalText(metric, shown.interval)}` : ""}`;
+      const shown = shownMetric(job, metric);
+      const best = metric.better && shown.training ? this.best(metric) : null;
+      const note = shown.training
+        ? `in training${best !== null ? `, best ${withUnit(metric, best)}` : ""}`
+        : `${integer(job.result.episodes)} episodes${shown.interval ? `, ${intervalText(metric, shown.interval)}` : ""}`;
       show(s[`metric:${metric.name}`], metricText(metric, shown.value), shownUnit(metric), note);
     }
-    show(s.rate, integer(m.steps_per_s), null, m.collect_s !== undefined && m.learn_s !== undefined ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s` : null);
+    show(
+      s.rate,
+      integer(m.steps_per_s),
+      null,
+      m.collect_s !== undefined && m.learn_s !== undefined
+        ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s`
+        : null,
+    );
     const left = remaining(job);
-    show(s.elapsed, duration(elapsed(job)), null, job.state === "queued" ? "waiting for a worker" : left !== null ? `${duration(left)} left` : job.finished_at ? `ended ${stamp(job.finished_at).slice(5, 16)}` : job.attempt > 1 ? `attempt ${job.attempt}` : null);
+    show(
+      s.elapsed,
+      duration(elapsed(job)),
+      null,
+      job.state === "queued"
+        ? "waiting for a worker"
+        : left !== null
+          ? `${duration(left)} left`
+          : job.finished_at
+            ? `ended ${stamp(job.finished_at).slice(5, 16)}`
+            : job.attempt > 1
+              ? `attempt ${job.attempt}`
+              : null,
+    );
   }
 
   /** The best value of a metric so far; null without one. */
   best({ name, better }) {
-    if (this.bestLength !== this.store.metrics.length) { this.bestLength = this.store.metrics.length; this.bests = {}; }
+    if (this.bestLength !== this.store.metrics.length) {
+      this.bestLength = this.store.metrics.length;
+      this.bests = {};
+    }
     if (!(name in this.bests)) {
       let best = null;
-      for (const v of this.store.metrics.get(name)) if (v !== null && (best === null || (better === "lower" ? v < best : v > best))) best = v;
+      for (const v of this.store.metrics.get(name))
+        if (v !== null && (best === null || (better === "lower" ? v < best : v > best))) best = v;
       this.bests[name] = best;
     }
     return this.bests[name];
@@ -259,7 +401,21 @@ class JobView {
     const key = JSON.stringify([counts, this.tabName]);
     if (key === this.tabKey) return;
     this.tabKey = key;
-    fill(this.tabBar, TABS.map(([name, label]) => h("a", { href: `#/jobs/${this.id}${name === "curves" ? "" : `/${name}`}`, "aria-current": name === this.tabName ? "page" : null, "data-tab": name }, label, counts[name] ? h("span", { class: "count" }, counts[name]) : null)));
+    fill(
+      this.tabBar,
+      TABS.map(([name, label]) =>
+        h(
+          "a",
+          {
+            href: `#/jobs/${this.id}${name === "curves" ? "" : `/${name}`}`,
+            "aria-current": name === this.tabName ? "page" : null,
+            "data-tab": name,
+          },
+          label,
+          counts[name] ? h("span", { class: "count" }, counts[name]) : null,
+        ),
+      ),
+    );
   }
 
   /** Show another part of the same job. */

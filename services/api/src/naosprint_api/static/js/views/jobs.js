@@ -1,7 +1,7 @@
 /** All jobs, live: filter, search, act, choose some to compare. */
 
 import { call, query } from "../api.js";
-import { common, descriptions, Descriptions } from "../descriptions.js";
+import { common, Descriptions, descriptions } from "../descriptions.js";
 import { fill, h, icon, isTyping, setText } from "../dom.js";
 import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
 import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
@@ -12,7 +12,13 @@ import { loading, problem } from "./messages.js";
 const PAGE = 50;
 /** Columns of metrics. */
 const MOST_METRICS = 3;
-const FILTERS = [["", "All"], ["active", "Active"], ["succeeded", "Succeeded"], ["failed", "Failed"], ["cancelled", "Cancelled"]];
+const FILTERS = [
+  ["", "All"],
+  ["active", "Active"],
+  ["succeeded", "Succeeded"],
+  ["failed", "Failed"],
+  ["cancelled", "Cancelled"],
+];
 const statesOf = (key) => (key === "active" ? ACTIVE : key ? [key] : []);
 
 /** One table row that is updated in place. */
@@ -35,10 +41,19 @@ class Row {
     this.age = h("td", { class: "num age muted" });
     this.owner = h("td", { class: "owner muted" });
     this.actions = h("div", { class: "row" });
-    this.element = h("tr", { "data-job": job.id },
-      h("td", { class: "check" }, this.check), h("td", { class: "name" }, this.link, this.sub), this.state,
+    this.element = h(
+      "tr",
+      { "data-job": job.id },
+      h("td", { class: "check" }, this.check),
+      h("td", { class: "name" }, this.link, this.sub),
+      this.state,
       h("td", { class: "progress" }, h("div", { class: "row" }, this.percent, this.steps), this.bar),
-      this.rate, this.eta, this.owner, this.age, h("td", { class: "actions" }, this.actions));
+      this.rate,
+      this.eta,
+      this.owner,
+      this.age,
+      h("td", { class: "actions" }, this.actions),
+    );
     this.update(job);
   }
 
@@ -55,9 +70,15 @@ class Row {
     const own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
     this.metrics.forEach(({ name }, i) => {
       const metric = own.get(name);
-      const shown = metric ? shownMetric(this.job, metric) : null, text = shown ? metricText(metric, shown.value) : "–";
+      const shown = metric ? shownMetric(this.job, metric) : null;
+      const text = shown ? metricText(metric, shown.value) : "–";
       figure(this.cells[i], text, metric ? shownUnit(metric) : "", Boolean(shown?.training) && text !== "–");
-      this.cells[i].title = !shown || text === "–" ? "" : shown.training ? "During training, with exploration" : `Evaluation of ${integer(this.job.result.episodes)} episodes`;
+      this.cells[i].title =
+        !shown || text === "–"
+          ? ""
+          : shown.training
+            ? "During training, with exploration"
+            : `Evaluation of ${integer(this.job.result.episodes)} episodes`;
     });
   }
 
@@ -67,11 +88,31 @@ class Row {
     const m = latest(job);
     this.check.setAttribute("aria-label", `Select ${job.name}`);
     setText(this.link, job.name);
-    if (!before || before.tags.join() !== job.tags.join()) fill(this.sub, h("span", null, summary(job)), job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)));
+    if (!before || before.tags.join() !== job.tags.join())
+      fill(
+        this.sub,
+        h("span", null, summary(job)),
+        job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
+      );
     const key = job.state + (stateNote(job) ?? "");
     if (this.key !== key) {
       fill(this.state, stateBadge(job.state, stateNote(job)));
-      fill(this.actions, actionsFor(job).map((a) => h("button", { class: ["ghost square", a.danger && "danger"], title: a.label, "aria-label": `${a.label} ${job.name}`, "data-action": a.name, onclick: () => this.list.act(this.job, a.name) }, icon(a.icon))));
+      fill(
+        this.actions,
+        actionsFor(job).map((a) =>
+          h(
+            "button",
+            {
+              class: ["ghost square", a.danger && "danger"],
+              title: a.label,
+              "aria-label": `${a.label} ${job.name}`,
+              "data-action": a.name,
+              onclick: () => this.list.act(this.job, a.name),
+            },
+            icon(a.icon),
+          ),
+        ),
+      );
       this.key = key;
     }
     const share = progress(job);
@@ -92,7 +133,7 @@ class Row {
   tick() {
     setText(this.eta, isEnded(this.job.state) ? "–" : duration(remaining(this.job)));
     setText(this.age, ago(this.job.created_at));
-    this.age.title = `Submitted ${stamp(this.job.created_at)}` + (this.job.started_at ? `, ran ${duration(elapsed(this.job))}` : "");
+    this.age.title = `Submitted ${stamp(this.job.created_at)}${this.job.started_at ? `, ran ${duration(elapsed(this.job))}` : ""}`;
   }
 }
 
@@ -100,7 +141,12 @@ function figure(cell, text, unit, training = false) {
   const key = `${text}${training}`;
   if (cell.dataset.key === key) return;
   cell.dataset.key = key;
-  fill(cell, text, unit && text !== "–" ? h("span", { class: "unit" }, unit) : null, training ? h("span", { class: "unit" }, "training") : null);
+  fill(
+    cell,
+    text,
+    unit && text !== "–" ? h("span", { class: "unit" }, unit) : null,
+    training ? h("span", { class: "unit" }, "training") : null,
+  );
 }
 
 class JobsView {
@@ -120,24 +166,59 @@ class JobsView {
 
   async start() {
     document.title = "Jobs · naosprint";
-    this.segments = FILTERS.map(([key, label]) => h("button", { "aria-pressed": String(key === this.filter.state), onclick: () => this.apply({ state: key }) }, label));
-    this.search = h("input", { type: "search", placeholder: "Search name or id", "aria-label": "Search jobs by name or id", value: this.filter.q, oninput: () => { clearTimeout(this.typing); this.typing = setTimeout(() => this.apply({ q: this.search.value.trim() }), 250); } });
+    this.segments = FILTERS.map(([key, label]) =>
+      h(
+        "button",
+        { "aria-pressed": String(key === this.filter.state), onclick: () => this.apply({ state: key }) },
+        label,
+      ),
+    );
+    this.search = h("input", {
+      type: "search",
+      placeholder: "Search name or id",
+      "aria-label": "Search jobs by name or id",
+      value: this.filter.q,
+      oninput: () => {
+        clearTimeout(this.typing);
+        this.typing = setTimeout(() => this.apply({ q: this.search.value.trim() }), 250);
+      },
+    });
     this.tag = h("div", { class: "row" });
     this.body = h("tbody");
     this.more = h("button", { onclick: () => this.load(true) }, "Show more");
-    this.moreBox = h("div", { class: "row", style: { "justify-content": "center", "margin-top": "1rem" }, hidden: true }, this.more);
+    this.moreBox = h(
+      "div",
+      { class: "row", style: { "justify-content": "center", "margin-top": "1rem" }, hidden: true },
+      this.more,
+    );
     this.box = h("div", { class: "card" }, loading("Loading jobs"));
     this.bar = h("div", { class: "select-bar", hidden: true });
-    fill(this.root,
+    fill(
+      this.root,
       h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Jobs")),
-      h("div", { class: "filters" }, h("div", { class: "segments", role: "group", "aria-label": "Show by state" }, this.segments), h("div", { class: "search" }, icon("search"), this.search), this.tag),
-      this.box, this.moreBox, this.bar);
+      h(
+        "div",
+        { class: "filters" },
+        h("div", { class: "segments", role: "group", "aria-label": "Show by state" }, this.segments),
+        h("div", { class: "search" }, icon("search"), this.search),
+        this.tag,
+      ),
+      this.box,
+      this.moreBox,
+      this.bar,
+    );
     this.paintTag();
     this.keys = (event) => this.onKey(event);
     addEventListener("keydown", this.keys);
-    this.timer = setInterval(() => { for (const row of this.rows.values()) row.tick(); }, 5000);
+    this.timer = setInterval(() => {
+      for (const row of this.rows.values()) row.tick();
+    }, 5000);
     // The list is read once the stream says that nothing is missed from there on.
-    follow("jobs/stream", { signal: this.signal, onEvent: (type, job) => this.onEvent(type, job), onError: () => this.load(false) });
+    follow("jobs/stream", {
+      signal: this.signal,
+      onEvent: (type, job) => this.onEvent(type, job),
+      onError: () => this.load(false),
+    });
     this.fallback = setTimeout(() => this.loaded || this.load(false), 1500);
   }
 
@@ -166,14 +247,37 @@ class JobsView {
   }
 
   paintTag() {
-    fill(this.tag, this.filter.tag ? [h("span", { class: "muted" }, "Tag"), h("button", { class: "small", "aria-label": `Stop filtering by tag ${this.filter.tag}`, onclick: () => this.apply({ tag: "" }) }, this.filter.tag, icon("close"))] : null);
+    fill(
+      this.tag,
+      this.filter.tag
+        ? [
+            h("span", { class: "muted" }, "Tag"),
+            h(
+              "button",
+              {
+                class: "small",
+                "aria-label": `Stop filtering by tag ${this.filter.tag}`,
+                onclick: () => this.apply({ tag: "" }),
+              },
+              this.filter.tag,
+              icon("close"),
+            ),
+          ]
+        : null,
+    );
   }
 
   async load(more) {
-    const turn = (this.turn = (this.turn ?? 0) + 1);
+    this.turn = (this.turn ?? 0) + 1;
+    const turn = this.turn;
     const { state, tag, q } = this.filter;
     try {
-      const [known, page] = await Promise.all([descriptions(), call(`jobs${query({ state: statesOf(state), tag, q, limit: PAGE, cursor: more ? this.cursor : null })}`, { signal: this.signal })]);
+      const [known, page] = await Promise.all([
+        descriptions(),
+        call(`jobs${query({ state: statesOf(state), tag, q, limit: PAGE, cursor: more ? this.cursor : null })}`, {
+          signal: this.signal,
+        }),
+      ]);
       this.known = known;
       if (turn !== this.turn) return;
       this.loaded = true;
@@ -187,22 +291,55 @@ class JobsView {
       this.paint();
     } catch (error) {
       if (error.name === "AbortError" || turn !== this.turn) return;
-      fill(this.box, problem(error, () => { fill(this.box, loading()); this.load(false); }));
+      fill(
+        this.box,
+        problem(error, () => {
+          fill(this.box, loading());
+          this.load(false);
+        }),
+      );
     }
   }
 
   paint() {
     if (!this.rows.size) {
       const filtered = this.filter.state || this.filter.tag || this.filter.q;
-      fill(this.box, filtered
-        ? h("div", { class: "empty" }, h("h2", null, "No matching jobs"), h("p", null, "No job matches this filter."), h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")))
-        : h("div", { class: "empty" }, h("h2", null, "No jobs yet"), h("p", null, "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores."),
-          h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")), h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast"))));
+      fill(
+        this.box,
+        filtered
+          ? h(
+              "div",
+              { class: "empty" },
+              h("h2", null, "No matching jobs"),
+              h("p", null, "No job matches this filter."),
+              h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")),
+            )
+          : h(
+              "div",
+              { class: "empty" },
+              h("h2", null, "No jobs yet"),
+              h(
+                "p",
+                null,
+                "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores.",
+              ),
+              h(
+                "div",
+                { class: "row" },
+                h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"),
+              ),
+              h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
+            ),
+      );
       this.head = null;
       this.paintBar();
       return;
     }
-    const metrics = common([...this.rows.values()].map((row) => this.known.listed(row.job.spec))).slice(0, MOST_METRICS), names = metrics.map((m) => m.name).join();
+    const metrics = common([...this.rows.values()].map((row) => this.known.listed(row.job.spec))).slice(
+      0,
+      MOST_METRICS,
+    );
+    const names = metrics.map((m) => m.name).join();
     if (names !== this.metrics.map((m) => m.name).join()) {
       this.metrics = metrics;
       this.head = null;
@@ -210,7 +347,25 @@ class JobsView {
     }
     if (!this.head || !this.body.isConnected) {
       const head = (text, cls) => h("th", { scope: "col", class: cls }, text);
-      fill(this.box, h("table", { class: "jobs-table" }, this.head = h("thead", null, h("tr", null, h("th", { scope: "col" }, h("span", { class: "sr" }, "Select")), head("Name"), head("State"), head("Progress"), metrics.map((m) => head(m.title, "num")), head("Steps/s", "num"), head("Time left", "num"), head("Owner"), head("Submitted", "num"), h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")))), this.body));
+      this.head = h(
+        "thead",
+        null,
+        h(
+          "tr",
+          null,
+          h("th", { scope: "col" }, h("span", { class: "sr" }, "Select")),
+          head("Name"),
+          head("State"),
+          head("Progress"),
+          metrics.map((m) => head(m.title, "num")),
+          head("Steps/s", "num"),
+          head("Time left", "num"),
+          head("Owner"),
+          head("Submitted", "num"),
+          h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
+        ),
+      );
+      fill(this.box, h("table", { class: "jobs-table" }, this.head, this.body));
     }
     this.paintBar();
   }
@@ -219,7 +374,10 @@ class JobsView {
     const streamed = this.news.get(given.id);
     const job = streamed && streamed.updated_at > given.updated_at ? streamed : given;
     const row = this.rows.get(job.id);
-    if (row) { row.update(job); return; }
+    if (row) {
+      row.update(job);
+      return;
+    }
     const fresh = new Row(job, this);
     fresh.setMetrics(this.metrics);
     fresh.check.checked = this.selected.has(job.id);
@@ -238,15 +396,28 @@ class JobsView {
     this.news.set(data.id, data);
     if (!this.loaded) return;
     const known = this.rows.has(data.id);
-    if (!this.fits(data)) { if (known) this.drop(data.id); return; }
-    if (!known && this.rows.size && new Date(data.created_at) < new Date([...this.rows.values()].at(-1).job.created_at) && this.cursor) return; // on a later page
+    if (!this.fits(data)) {
+      if (known) this.drop(data.id);
+      return;
+    }
+    if (
+      !known &&
+      this.rows.size &&
+      new Date(data.created_at) < new Date([...this.rows.values()].at(-1).job.created_at) &&
+      this.cursor
+    )
+      return; // on a later page
     this.put(data, "prepend");
     if (!known) this.paint();
   }
 
   fits(job) {
     const { state, tag, q } = this.filter;
-    return (!state || statesOf(state).includes(job.state)) && (!tag || job.tags.includes(tag)) && (!q || `${job.name} ${job.id}`.toLowerCase().includes(q.toLowerCase()));
+    return (
+      (!state || statesOf(state).includes(job.state)) &&
+      (!tag || job.tags.includes(tag)) &&
+      (!q || `${job.name} ${job.id}`.toLowerCase().includes(q.toLowerCase()))
+    );
   }
 
   drop(id) {
@@ -270,17 +441,39 @@ class JobsView {
   paintBar() {
     const n = this.selected.size;
     this.bar.hidden = n === 0;
-    if (n) fill(this.bar, h("span", null, `${n} selected`), h("a", { class: "button primary small", href: `#/compare?jobs=${[...this.selected].join(",")}` }, "Compare"),
-      h("button", { class: "ghost small", onclick: () => { this.selected.clear(); for (const r of this.rows.values()) r.check.checked = false; this.paintBar(); } }, "Clear"));
+    if (n)
+      fill(
+        this.bar,
+        h("span", null, `${n} selected`),
+        h("a", { class: "button primary small", href: `#/compare?jobs=${[...this.selected].join(",")}` }, "Compare"),
+        h(
+          "button",
+          {
+            class: "ghost small",
+            onclick: () => {
+              this.selected.clear();
+              for (const r of this.rows.values()) r.check.checked = false;
+              this.paintBar();
+            },
+          },
+          "Clear",
+        ),
+      );
   }
 
   onKey(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-    if (event.key === "Escape" && document.activeElement === this.search) { this.search.blur(); return; }
+    if (event.key === "Escape" && document.activeElement === this.search) {
+      this.search.blur();
+      return;
+    }
     if (isTyping(event)) return;
     const links = [...this.body.querySelectorAll(".name > a")];
     const at = links.findIndex((a) => a.closest("tr").contains(document.activeElement));
-    if (event.key === "/") { event.preventDefault(); this.search.focus(); } else if ((event.key === "j" || event.key === "k") && links.length) {
+    if (event.key === "/") {
+      event.preventDefault();
+      this.search.focus();
+    } else if ((event.key === "j" || event.key === "k") && links.length) {
       event.preventDefault();
       links[Math.max(0, Math.min(links.length - 1, at < 0 ? 0 : at + (event.key === "j" ? 1 : -1)))].focus();
     } else if (event.key === "x" && at >= 0) {

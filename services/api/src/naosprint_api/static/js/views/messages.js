@@ -4,11 +4,14 @@ import { ApiError, OfflineError } from "../api.js";
 import { h, icon } from "../dom.js";
 
 /** Grey lines while something loads. */
-export const loading = (label = "Loading") => h("div", { class: "loading", role: "status", "aria-label": label }, h("span"), h("span"), h("span"), h("span"));
+export const loading = (label = "Loading") =>
+  h("div", { class: "loading", role: "status", "aria-label": label }, h("span"), h("span"), h("span"), h("span"));
 
 /** Say what went wrong and how to go on. */
 export function problem(error, retry) {
-  let title = "Something went wrong", text = error.message, hint = null;
+  let title = "Something went wrong";
+  let text = error.message;
+  let hint = null;
   if (error instanceof OfflineError) {
     title = "The service does not answer";
     text = "Check that it runs. On one machine, ";
@@ -17,12 +20,31 @@ export function problem(error, retry) {
     if (error.status === 404) title = "Not found";
     else if (error.status === 403) title = "Not allowed";
     else if (error.status === 429) title = "Too many requests";
-    else if (error.status >= 500) { title = "The service failed"; text = `${error.message} (status ${error.status}).`; }
+    else if (error.status >= 500) {
+      title = "The service failed";
+      text = `${error.message} (status ${error.status}).`;
+    }
     if (error.requestId) hint = [" Request ", h("code", null, error.requestId), "."];
   }
-  return h("div", { class: "card empty", role: "alert" }, h("h1", null, title), h("p", null, text, hint),
-    h("div", { class: "row" }, retry ? h("button", { class: "primary", onclick: retry }, icon("retry"), "Try again") : null, h("a", { class: "button", href: "#/" }, "All jobs")));
+  return h(
+    "div",
+    { class: "card empty", role: "alert" },
+    h("h1", null, title),
+    h("p", null, text, hint),
+    h(
+      "div",
+      { class: "row" },
+      retry ? h("button", { class: "primary", onclick: retry }, icon("retry"), "Try again") : null,
+      h("a", { class: "button", href: "#/" }, "All jobs"),
+    ),
+  );
 }
 
 /** A short notice inside a page. */
-export const notice = (kind, title, text, ...extra) => h("div", { class: ["notice", kind], role: kind === "error" ? "alert" : null }, h("div", { class: "grow" }, h("strong", null, title), text ? " " : null, text), ...extra);
+export const notice = (kind, title, text, ...extra) =>
+  h(
+    "div",
+    { class: ["notice", kind], role: kind === "error" ? "alert" : null },
+    h("div", { class: "grow" }, h("strong", null, title), text ? " " : null, text),
+    ...extra,
+  );

@@ -9,7 +9,16 @@ import { headlineStats, stat } from "./results.js";
 /** Headline of a policy's card as a block; `flat` inside of a card, in rows of three. */
 export function headlineBlock(card, flat) {
   const jobs = card.lineage.length > 1 ? `${card.lineage.length} jobs` : "1 job";
-  const cells = [...headlineStats(card), stat("Trained", compact(card.steps), "steps", `${jobs}, ${duration(card.training_s)}`, `${integer(card.steps)} environment steps`)];
+  const cells = [
+    ...headlineStats(card),
+    stat(
+      "Trained",
+      compact(card.steps),
+      "steps",
+      `${jobs}, ${duration(card.training_s)}`,
+      `${integer(card.steps)} environment steps`,
+    ),
+  ];
   while (flat && cells.length % 3) cells.push(h("div"));
   return h("div", { class: ["stats", flat && "flat", "six"] }, cells);
 }
@@ -18,28 +27,63 @@ export function headlineBlock(card, flat) {
 export const tags = (card) => [h("span", { class: "tag" }, card.task), h("span", { class: "tag" }, card.robot)];
 
 /** The jobs behind a policy in a line, first to last. */
-const descent = (card) => card.lineage.map((one) => `${one.task}, preset ${one.preset}, ${compact(one.steps)} steps`).join(" → ");
+const descent = (card) =>
+  card.lineage.map((one) => `${one.task}, preset ${one.preset}, ${compact(one.steps)} steps`).join(" → ");
 
 function cardOf(card) {
   const href = `#/policies/${card.name}`;
-  return h("section", { class: "card policy", "data-policy": card.name },
+  return h(
+    "section",
+    { class: "card policy", "data-policy": card.name },
     h("div", { class: "card-head wrap" }, h("h2", null, h("a", { href }, card.name)), tags(card)),
     h("p", { class: "pad soft" }, "From random weights → ", descent(card)),
     headlineBlock(card, true),
-    h("div", { class: "row pad" }, h("a", { class: "button small", href, "aria-label": `Watch it run: ${card.name}` }, icon("play"), "Watch it run")));
+    h(
+      "div",
+      { class: "row pad" },
+      h("a", { class: "button small", href, "aria-label": `Watch it run: ${card.name}` }, icon("play"), "Watch it run"),
+    ),
+  );
 }
 
 /** Show the page in `root`. */
 export async function mount(root, { signal }) {
   document.title = "Policies · naosprint";
   const box = h("div");
-  fill(root, h("div", { class: "page-head" }, h("div", { class: "grow" }, h("h1", null, "Policies"), h("p", { class: "soft" }, "Bundled policies, with their trainings and evaluations."))), box);
+  fill(
+    root,
+    h(
+      "div",
+      { class: "page-head" },
+      h(
+        "div",
+        { class: "grow" },
+        h("h1", null, "Policies"),
+        h("p", { class: "soft" }, "Bundled policies, with their trainings and evaluations."),
+      ),
+    ),
+    box,
+  );
   const draw = async () => {
     fill(box, h("div", { class: "card" }, loading("Loading policies")));
     try {
       const cards = await call("policies", { signal });
-      fill(box, cards.length ? h("div", { class: "charts" }, cards.map(cardOf))
-        : h("div", { class: "card empty" }, h("h2", null, "No policies are bundled with this version"), h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."), h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"))));
+      fill(
+        box,
+        cards.length
+          ? h("div", { class: "charts" }, cards.map(cardOf))
+          : h(
+              "div",
+              { class: "card empty" },
+              h("h2", null, "No policies are bundled with this version"),
+              h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."),
+              h(
+                "div",
+                { class: "row" },
+                h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"),
+              ),
+            ),
+      );
     } catch (error) {
       if (error.name !== "AbortError") fill(box, problem(error, draw));
     }

@@ -2,15 +2,23 @@
 
 import { call } from "../api.js";
 import { descriptions } from "../descriptions.js";
-import { fill, h, icon, setText, toast } from "../dom.js";
+import { fill, h, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
 import { choices, field, fromText, resolve, seeds, toText, variant } from "../schema.js";
 import { loading, notice } from "./messages.js";
 import { presetValues } from "./spec-list.js";
 
 /** Sections that a plug-in defines, in the form's order; whether each is open at first. */
-const SECTIONS = [["task", true], ["robot", true], ["simulator", false], ["algorithm", false]];
-/** Fields of a section that are no fields of the form: the name has a control of its own, the preset has the cards, the version is the installed one. */
+const SECTIONS = [
+  ["task", true],
+  ["robot", true],
+  ["simulator", false],
+  ["algorithm", false],
+];
+/**
+ * Fields of a section that are no fields of the form: the name has a control of its own, the preset has the cards, the
+ * version is the installed one.
+ */
 const LEFT_OUT = new Set(["name", "preset", "version"]);
 /** Fields that a request always contains. */
 const ALWAYS = new Set(["spec.task.name", "spec.robot.name", "spec.simulator.name", "spec.total_steps", "spec.seed"]);
@@ -34,12 +42,56 @@ class Field {
       onChange(this);
     };
     const common = { id, name: path, "aria-describedby": `${help} ${id}-problem` };
-    if (spec.kind === "choice") this.control = h("select", { ...common, onchange: changed }, spec.choices.map((c, i) => h("option", { value: i }, c === null ? "none" : String(c))));
+    if (spec.kind === "choice")
+      this.control = h(
+        "select",
+        { ...common, onchange: changed },
+        spec.choices.map((c, i) => h("option", { value: i }, c === null ? "none" : String(c))),
+      );
     else if (spec.kind === "flag") this.control = h("input", { ...common, type: "checkbox", onchange: changed });
-    else this.control = h("input", { ...common, type: "text", autocomplete: "off", spellcheck: "false", inputmode: spec.kind === "integer" || spec.kind === "number" ? "decimal" : null, placeholder: spec.nullable ? "none" : null, oninput: changed, onblur: () => this.settle() });
-    this.undo = h("button", { type: "button", class: "ghost reset", hidden: true, "aria-label": `Back to the preset's ${spec.label}`, onclick: () => { this.touched = false; this.set(this.base); this.fail(""); onChange(this); } }, "reset");
-    const label = h("label", { for: id }, spec.kind === "flag" ? this.control : null, h("span", { class: "t" }, spec.label), spec.unit ? h("span", { class: "unit" }, spec.unit) : null, this.undo);
-    this.element = h("div", { class: ["field", spec.kind === "flag" && "check"], "data-field": path }, label, spec.kind === "flag" ? null : this.control, h("p", { class: "hint", id: help }, spec.hint), this.trouble);
+    else
+      this.control = h("input", {
+        ...common,
+        type: "text",
+        autocomplete: "off",
+        spellcheck: "false",
+        inputmode: spec.kind === "integer" || spec.kind === "number" ? "decimal" : null,
+        placeholder: spec.nullable ? "none" : null,
+        oninput: changed,
+        onblur: () => this.settle(),
+      });
+    this.undo = h(
+      "button",
+      {
+        type: "button",
+        class: "ghost reset",
+        hidden: true,
+        "aria-label": `Back to the preset's ${spec.label}`,
+        onclick: () => {
+          this.touched = false;
+          this.set(this.base);
+          this.fail("");
+          onChange(this);
+        },
+      },
+      "reset",
+    );
+    const label = h(
+      "label",
+      { for: id },
+      spec.kind === "flag" ? this.control : null,
+      h("span", { class: "t" }, spec.label),
+      spec.unit ? h("span", { class: "unit" }, spec.unit) : null,
+      this.undo,
+    );
+    this.element = h(
+      "div",
+      { class: ["field", spec.kind === "flag" && "check"], "data-field": path },
+      label,
+      spec.kind === "flag" ? null : this.control,
+      h("p", { class: "hint", id: help }, spec.hint),
+      this.trouble,
+    );
     this.set(this.base);
   }
 
@@ -47,11 +99,20 @@ class Field {
   setBase(value) {
     this.base = value;
     if (!this.touched) this.set(value);
-    else { this.touched = !sameValue(this.peek(), value); this.paint(); }
+    else {
+      this.touched = !sameValue(this.peek(), value);
+      this.paint();
+    }
   }
 
   set(value) {
-    if (this.spec.kind === "choice") this.control.value = String(Math.max(0, this.spec.choices.findIndex((c) => sameValue(c, value))));
+    if (this.spec.kind === "choice")
+      this.control.value = String(
+        Math.max(
+          0,
+          this.spec.choices.findIndex((c) => sameValue(c, value)),
+        ),
+      );
     else if (this.spec.kind === "flag") this.control.checked = Boolean(value);
     else this.control.value = toText(this.spec, value);
     this.paint();
@@ -71,14 +132,20 @@ class Field {
   }
 
   peek() {
-    try { return this.value(); } catch { return undefined; }
+    try {
+      return this.value();
+    } catch {
+      return undefined;
+    }
   }
 
   settle() {
     try {
       this.value();
       this.fail("");
-    } catch (error) { this.fail(error.message); }
+    } catch (error) {
+      this.fail(error.message);
+    }
   }
 
   fail(message) {
@@ -107,8 +174,16 @@ class SubmitView {
   async start() {
     document.title = "New job · naosprint";
     fill(this.root, h("div", { class: "card" }, loading("Loading the form")));
-    const from = this.params.get("from") ?? this.params.get("parent"), get = (path) => call(path, { signal: this.signal });
-    const [schema, presets, recipes, robots, known, model] = await Promise.all([get("spec/schema"), get("presets"), get("recipes"), get("robots"), descriptions(), from ? get(`jobs/${encodeURIComponent(from)}`) : null]);
+    const from = this.params.get("from") ?? this.params.get("parent");
+    const get = (path) => call(path, { signal: this.signal });
+    const [schema, presets, recipes, robots, known, model] = await Promise.all([
+      get("spec/schema"),
+      get("presets"),
+      get("recipes"),
+      get("robots"),
+      descriptions(),
+      from ? get(`jobs/${encodeURIComponent(from)}`) : null,
+    ]);
     this.schema = schema;
     this.presets = new Map(presets.map((p) => [p.name, p]));
     this.recipes = new Map(recipes.map((r) => [r.name, r]));
@@ -120,32 +195,84 @@ class SubmitView {
 
   /** Make a field of the form; `change` is called besides when the user changes it. */
   make(path, spec, change = () => {}) {
-    const f = new Field(spec, path, () => { change(); this.changed(); });
+    const f = new Field(spec, path, () => {
+      change();
+      this.changed();
+    });
     this.fields.set(path, f);
     return f;
   }
 
-  peek(path) { return this.fields.get(path)?.peek(); }
+  peek(path) {
+    return this.fields.get(path)?.peek();
+  }
 
   build() {
     const { schema } = this;
     const job = resolve(schema, schema).properties;
     this.training = resolve(job.spec, schema).properties;
-    const evaluation = resolve((job.evaluation.anyOf ?? [job.evaluation]).find((o) => o.type !== "null"), schema).properties;
-    const make = (properties, prefix, names) => names.filter((n) => properties[n]).map((n) => this.make(`${prefix}${n}`, field(n, properties[n], schema)));
-    const grid = (fields) => h("div", { class: "fields" }, fields.map((f) => f.element));
-    const card = (title, content, open = true) => (open
-      ? h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, title)), h("div", { class: "pad" }, content))
-      : h("details", { class: "card" }, h("summary", null, title), h("div", { class: "pad" }, content)));
+    const evaluation = resolve(
+      (job.evaluation.anyOf ?? [job.evaluation]).find((o) => o.type !== "null"),
+      schema,
+    ).properties;
+    const make = (properties, prefix, names) =>
+      names.filter((n) => properties[n]).map((n) => this.make(`${prefix}${n}`, field(n, properties[n], schema)));
+    const grid = (fields) =>
+      h(
+        "div",
+        { class: "fields" },
+        fields.map((f) => f.element),
+      );
+    const card = (title, content, open = true) =>
+      open
+        ? h(
+            "section",
+            { class: "card" },
+            h("div", { class: "card-head" }, h("h2", null, title)),
+            h("div", { class: "pad" }, content),
+          )
+        : h("details", { class: "card" }, h("summary", null, title), h("div", { class: "pad" }, content));
 
-    const steps = grid(make(this.training, "spec.", Object.keys(this.training).filter((n) => n !== "runtime" && !SECTIONS.some(([section]) => section === n))));
+    const steps = grid(
+      make(
+        this.training,
+        "spec.",
+        Object.keys(this.training).filter((n) => n !== "runtime" && !SECTIONS.some(([section]) => section === n)),
+      ),
+    );
     const runtime = resolve(this.training.runtime, schema).properties;
     const speed = grid(make(runtime, "spec.runtime.", Object.keys(runtime)));
     const order = grid(make(job, "", ["name", "tags", "priority", "max_attempts"]));
-    this.evaluate = h("input", { type: "checkbox", checked: true, id: "evaluate", onchange: () => { this.evaluationFields.disabled = !this.evaluate.checked; this.changed(); } });
-    this.evaluationFields = h("fieldset", null, h("legend", { class: "sr" }, "Evaluation"), grid(make(evaluation, "evaluation.", Object.keys(evaluation).filter((n) => n !== "task"))));
+    this.evaluate = h("input", {
+      type: "checkbox",
+      checked: true,
+      id: "evaluate",
+      onchange: () => {
+        this.evaluationFields.disabled = !this.evaluate.checked;
+        this.changed();
+      },
+    });
+    this.evaluationFields = h(
+      "fieldset",
+      null,
+      h("legend", { class: "sr" }, "Evaluation"),
+      grid(
+        make(
+          evaluation,
+          "evaluation.",
+          Object.keys(evaluation).filter((n) => n !== "task"),
+        ),
+      ),
+    );
     const seed = this.fields.get("spec.seed");
-    seed.spec = { ...seed.spec, hint: `${seed.spec.hint} Several, as 0, 1, 2 or 0-4, make a group of jobs.`, read: (text) => { const all = seeds(text); return all.length === 1 ? all[0] : all; } };
+    seed.spec = {
+      ...seed.spec,
+      hint: `${seed.spec.hint} Several, as 0, 1, 2 or 0-4, make a group of jobs.`,
+      read: (text) => {
+        const all = seeds(text);
+        return all.length === 1 ? all[0] : all;
+      },
+    };
     seed.element.querySelector(".hint").textContent = seed.spec.hint;
     const tags = this.fields.get("tags");
     tags.spec = { ...tags.spec, read: (text) => text.split(/[\s,]+/).filter(Boolean) };
@@ -153,54 +280,170 @@ class SubmitView {
     this.sections = new Map(SECTIONS.map(([name]) => [name, h("div", { class: "fields" })]));
 
     const current = this.model?.spec.algorithm?.preset ?? [...this.presets.keys()][0];
-    const radios = [...this.presets].map(([key, preset]) => h("label", { class: "preset" }, h("input", { type: "radio", name: "preset", value: key, checked: key === current, onchange: () => this.setPreset(key) }), h("span", null, h("strong", null, words(key)), h("span", { class: "d" }, preset.summary))));
-    const recipe = h("select", { id: "recipe", onchange: () => this.fillFrom(this.recipes.get(recipe.value)?.job ?? { spec: {} }) }, h("option", { value: "" }, "None"), [...this.recipes.values()].map((r) => h("option", { value: r.name }, `${r.name}: ${r.summary}`)));
+    const radios = [...this.presets].map(([key, preset]) =>
+      h(
+        "label",
+        { class: "preset" },
+        h("input", {
+          type: "radio",
+          name: "preset",
+          value: key,
+          checked: key === current,
+          onchange: () => this.setPreset(key),
+        }),
+        h("span", null, h("strong", null, words(key)), h("span", { class: "d" }, preset.summary)),
+      ),
+    );
+    const recipe = h(
+      "select",
+      { id: "recipe", onchange: () => this.fillFrom(this.recipes.get(recipe.value)?.job ?? { spec: {} }) },
+      h("option", { value: "" }, "None"),
+      [...this.recipes.values()].map((r) => h("option", { value: r.name }, `${r.name}: ${r.summary}`)),
+    );
     const titleOf = (name) => resolve(this.training[name], schema).title ?? words(name);
 
     this.trouble = h("div");
     this.preview = h("pre", { class: "code", tabindex: 0, "aria-label": "Request body" });
     this.overview = h("dl", { class: "pairs" });
     this.button = h("button", { class: "primary", type: "submit" }, "Submit job");
-    const parent = this.params.get("parent"), sectionCard = (name) => card(titleOf(name), this.sections.get(name), SECTIONS.find(([n]) => n === name)[1]);
-    fill(this.root, h("form", { onsubmit: (e) => this.submit(e), novalidate: true },
-      h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / New"),
-      h("div", { class: "page-head" }, h("h1", { class: "grow" }, "New job")),
-      h("div", { class: "form" },
-        h("div", { class: "stack" }, this.trouble,
-          parent ? notice("info", "Starts from a trained policy:", [h("a", { href: `#/jobs/${parent}` }, this.model.name), this.params.get("checkpoint") ? [", checkpoint ", h("code", null, this.params.get("checkpoint"))] : ", newest checkpoint"]) : null,
-          this.recipes.size ? h("div", { class: "field" }, h("label", { for: "recipe" }, h("span", { class: "t" }, "Recipe")), recipe, h("p", { class: "hint" }, "Fills the form with a job that is known to work.")) : null,
-          h("fieldset", null, h("legend", { class: "sr" }, "Preset"), h("div", { class: "presets" }, radios)),
-          sectionCard("task"), sectionCard("robot"), card("Length", steps), sectionCard("simulator"), sectionCard("algorithm"),
-          card(this.training.runtime.title ?? "Runtime", speed, false),
-          h("details", { class: "card" }, h("summary", null, "Evaluation of the final policy"), h("div", { class: "pad stack" }, h("label", { class: "row", for: "evaluate" }, this.evaluate, "Evaluate when the training ends"), this.evaluationFields)),
-          card("Name and order", order)),
-        h("aside", { class: "stack" },
-          h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, "Summary")), h("div", { class: "pad stack" }, this.overview, this.button)),
-          h("details", { class: "card" }, h("summary", null, "Request"), h("div", { class: "pad" }, h("p", { class: "muted", style: { "margin-bottom": "0.6rem" } }, "What the button sends to ", h("code", null, "POST /jobs"), ":"), this.preview))))));
+    const parent = this.params.get("parent");
+    const sectionCard = (name) => card(titleOf(name), this.sections.get(name), SECTIONS.find(([n]) => n === name)[1]);
+    fill(
+      this.root,
+      h(
+        "form",
+        { onsubmit: (e) => this.submit(e), novalidate: true },
+        h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / New"),
+        h("div", { class: "page-head" }, h("h1", { class: "grow" }, "New job")),
+        h(
+          "div",
+          { class: "form" },
+          h(
+            "div",
+            { class: "stack" },
+            this.trouble,
+            parent
+              ? notice("info", "Starts from a trained policy:", [
+                  h("a", { href: `#/jobs/${parent}` }, this.model.name),
+                  this.params.get("checkpoint")
+                    ? [", checkpoint ", h("code", null, this.params.get("checkpoint"))]
+                    : ", newest checkpoint",
+                ])
+              : null,
+            this.recipes.size
+              ? h(
+                  "div",
+                  { class: "field" },
+                  h("label", { for: "recipe" }, h("span", { class: "t" }, "Recipe")),
+                  recipe,
+                  h("p", { class: "hint" }, "Fills the form with a job that is known to work."),
+                )
+              : null,
+            h("fieldset", null, h("legend", { class: "sr" }, "Preset"), h("div", { class: "presets" }, radios)),
+            sectionCard("task"),
+            sectionCard("robot"),
+            card("Length", steps),
+            sectionCard("simulator"),
+            sectionCard("algorithm"),
+            card(this.training.runtime.title ?? "Runtime", speed, false),
+            h(
+              "details",
+              { class: "card" },
+              h("summary", null, "Evaluation of the final policy"),
+              h(
+                "div",
+                { class: "pad stack" },
+                h("label", { class: "row", for: "evaluate" }, this.evaluate, "Evaluate when the training ends"),
+                this.evaluationFields,
+              ),
+            ),
+            card("Name and order", order),
+          ),
+          h(
+            "aside",
+            { class: "stack" },
+            h(
+              "section",
+              { class: "card" },
+              h("div", { class: "card-head" }, h("h2", null, "Summary")),
+              h("div", { class: "pad stack" }, this.overview, this.button),
+            ),
+            h(
+              "details",
+              { class: "card" },
+              h("summary", null, "Request"),
+              h(
+                "div",
+                { class: "pad" },
+                h(
+                  "p",
+                  { class: "muted", style: { "margin-bottom": "0.6rem" } },
+                  "What the button sends to ",
+                  h("code", null, "POST /jobs"),
+                  ":",
+                ),
+                this.preview,
+              ),
+            ),
+          ),
+        ),
+      ),
+    );
     this.preset = current;
     for (const [name] of SECTIONS) this.buildSection(name, {});
     this.setPreset(current);
     if (this.model) this.fillFrom(parent ? { spec: this.model.spec, evaluation: this.model.evaluation } : this.model);
   }
 
-  /** Make the fields of a section for the plug-in `values.name` or the default, with `values` in place of the defaults. */
+  /**
+   * Make the fields of a section for the plug-in `values.name` or the default, with `values` in place of the defaults.
+   */
   buildSection(name, values) {
-    const section = resolve(this.training[name], this.schema), robot = name === "robot" ? null : this.peek("spec.robot.name"), names = choices(section, robot);
-    const wanted = values.name ?? this.peek(`spec.${name}.name`) ?? section.default?.name, chosen = names.includes(wanted) ? wanted : names[0];
+    const section = resolve(this.training[name], this.schema);
+    const robot = name === "robot" ? null : this.peek("spec.robot.name");
+    const names = choices(section, robot);
+    const wanted = values.name ?? this.peek(`spec.${name}.name`) ?? section.default?.name;
+    const chosen = names.includes(wanted) ? wanted : names[0];
     for (const path of [...this.fields.keys()]) if (path.startsWith(`spec.${name}.`)) this.fields.delete(path);
-    const control = this.make(`spec.${name}.name`, { name: "name", label: section.title ?? words(name), hint: section.description ?? "", unit: null, nullable: false, kind: "choice", choices: names, fallback: section.default?.name }, () => this.choosePlugin(name));
+    const control = this.make(
+      `spec.${name}.name`,
+      {
+        name: "name",
+        label: section.title ?? words(name),
+        hint: section.description ?? "",
+        unit: null,
+        nullable: false,
+        kind: "choice",
+        choices: names,
+        fallback: section.default?.name,
+      },
+      () => this.choosePlugin(name),
+    );
     if (names.length === 1) control.control.disabled = true;
     const { properties } = variant(section, chosen, robot, this.schema);
     control.choose(chosen);
-    const fields = Object.entries(properties).filter(([n]) => !LEFT_OUT.has(n)).map(([n, property]) => this.make(`spec.${name}.${n}`, field(n, property, this.schema)));
-    fill(this.sections.get(name), control.element, fields.map((f) => f.element));
+    const fields = Object.entries(properties)
+      .filter(([n]) => !LEFT_OUT.has(n))
+      .map(([n, property]) => this.make(`spec.${name}.${n}`, field(n, property, this.schema)));
+    fill(
+      this.sections.get(name),
+      control.element,
+      fields.map((f) => f.element),
+    );
     this.setBases(name);
     for (const f of fields) if (f.spec.name in values) f.choose(values[f.spec.name]);
   }
 
   /** Settings of a section that the user has changed. */
   touched(name) {
-    return Object.fromEntries([...this.fields].filter(([path, f]) => path.startsWith(`spec.${name}.`) && f.touched && f.spec.name !== "name" && f.peek() !== undefined).map(([, f]) => [f.spec.name, f.peek()]));
+    return Object.fromEntries(
+      [...this.fields]
+        .filter(
+          ([path, f]) =>
+            path.startsWith(`spec.${name}.`) && f.touched && f.spec.name !== "name" && f.peek() !== undefined,
+        )
+        .map(([, f]) => [f.spec.name, f.peek()]),
+    );
   }
 
   /** Another plug-in has other settings; another robot, other simulators as well. */
@@ -216,7 +459,9 @@ class SubmitView {
   /** Set what applies to a section's fields unless the user says otherwise: the preset's values, else the defaults. */
   setBases(name) {
     const values = presetValues(this.presets.get(this.preset), this.families.get(this.peek("spec.robot.name")));
-    for (const [path, f] of this.fields) if (path.startsWith(`spec.${name}.`) && f.spec.name !== "name") f.setBase(values[path.slice("spec.".length)] ?? f.spec.fallback);
+    for (const [path, f] of this.fields)
+      if (path.startsWith(`spec.${name}.`) && f.spec.name !== "name")
+        f.setBase(values[path.slice("spec.".length)] ?? f.spec.fallback);
   }
 
   setPreset(key) {
@@ -229,7 +474,8 @@ class SubmitView {
   fillFrom({ spec, evaluation, name, tags }) {
     this.preset = spec.algorithm?.preset ?? [...this.presets.keys()][0];
     for (const radio of this.root.querySelectorAll("input[name=preset]")) radio.checked = radio.value === this.preset;
-    for (const section of ["robot", "task", "simulator", "algorithm"]) this.buildSection(section, typeof spec[section] === "string" ? { name: spec[section] } : spec[section] ?? {});
+    for (const section of ["robot", "task", "simulator", "algorithm"])
+      this.buildSection(section, typeof spec[section] === "string" ? { name: spec[section] } : (spec[section] ?? {}));
     for (const [path, f] of this.fields) {
       const [root, first, second] = path.split(".");
       if (root !== "spec" || SECTIONS.some(([section]) => section === first)) continue;
@@ -246,8 +492,11 @@ class SubmitView {
 
   /** The request as it stands; throws the first field's error, after marking all of them when `mark`. */
   body(mark) {
-    const spec = { algorithm: { preset: this.preset } }, evaluation = {}, out = {};
-    let several = null, failed = null;
+    const spec = { algorithm: { preset: this.preset } };
+    const evaluation = {};
+    const out = {};
+    let several = null;
+    let failed = null;
     for (const [path, f] of this.fields) {
       if (path.startsWith("evaluation.") && !this.evaluate.checked) continue;
       let value;
@@ -263,34 +512,71 @@ class SubmitView {
       if (path === "spec.seed" && Array.isArray(value)) several = value;
       else if (root === "spec") {
         if (!f.touched && !ALWAYS.has(path)) continue;
-        if (second) (spec[first] ??= {})[second] = value;
-        else spec[first] = value;
-      } else if (root === "evaluation") { if (f.touched) evaluation[first] = value; }
-      else if (f.touched && value !== "" && value !== null) out[root] = value;
+        if (second) {
+          spec[first] ??= {};
+          spec[first][second] = value;
+        } else spec[first] = value;
+      } else if (root === "evaluation") {
+        if (f.touched) evaluation[first] = value;
+      } else if (f.touched && value !== "" && value !== null) out[root] = value;
     }
     if (failed) throw Object.assign(new Error("Some fields need another look."), { field: failed });
     if (spec.stages?.length) delete spec.total_steps; // their sum
-    const parent = this.params.get("parent"), checkpoint = this.params.get("checkpoint");
-    const job = { ...out, spec, ...(this.evaluate.checked ? (Object.keys(evaluation).length ? { evaluation } : {}) : { evaluation: null }), ...(parent ? { parent_job_id: parent } : {}), ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}) };
+    const parent = this.params.get("parent");
+    const checkpoint = this.params.get("checkpoint");
+    const job = {
+      ...out,
+      spec,
+      ...(this.evaluate.checked ? (Object.keys(evaluation).length ? { evaluation } : {}) : { evaluation: null }),
+      ...(parent ? { parent_job_id: parent } : {}),
+      ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}),
+    };
     return several ? { group: { job, seeds: several } } : { job };
   }
 
   changed() {
     if (!this.preview) return;
-    const value = (name) => this.peek(`spec.${name}`), task = this.known.task(value("task.name"));
+    const value = (name) => this.peek(`spec.${name}`);
+    const task = this.known.task(value("task.name"));
     if (task) setText(this.fields.get("spec.task.name").element.querySelector(".hint"), task.summary);
-    const stages = value("stages"), staged = Array.isArray(stages) && stages.length, total = staged ? stages.reduce((sum, stage) => sum + (stage.steps ?? NaN), 0) : value("total_steps");
-    const rollout = value("algorithm.n_envs") * value("algorithm.n_steps"), interval = value("runtime.checkpoint_interval_steps"), seed = value("seed");
-    const updates = Math.ceil(total / rollout), jobs = Array.isArray(seed) ? seed.length : 1;
-    const changed = [...this.fields].filter(([path, f]) => path.startsWith("spec.") && f.touched && !ALWAYS.has(path) && path !== "spec.algorithm.name").map(([, f]) => f.spec.label);
-    const pairs = [["Task", `${value("task.name")}, ${value("robot.name")}`], ["Preset", words(this.preset)], ["Steps", Number.isFinite(total) ? `${compact(total)}${staged ? ` in ${stages.length} stages` : ""}` : "–"], ["Updates", Number.isFinite(updates) ? `${integer(updates)} of ${integer(rollout)} steps` : "–"],
-      ["Checkpoints", Number.isFinite(total) && interval ? `about ${integer(Math.max(1, Math.ceil(total / Math.max(interval, rollout || 1))))}` : "–"], ["Jobs", integer(jobs)]];
-    fill(this.overview, pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]), changed.length ? [h("dt", null, "Changed"), h("dd", null, changed.join(", "))] : null);
+    const stages = value("stages");
+    const staged = Array.isArray(stages) && stages.length;
+    const total = staged ? stages.reduce((sum, stage) => sum + (stage.steps ?? NaN), 0) : value("total_steps");
+    const rollout = value("algorithm.n_envs") * value("algorithm.n_steps");
+    const interval = value("runtime.checkpoint_interval_steps");
+    const seed = value("seed");
+    const updates = Math.ceil(total / rollout);
+    const jobs = Array.isArray(seed) ? seed.length : 1;
+    const changed = [...this.fields]
+      .filter(
+        ([path, f]) => path.startsWith("spec.") && f.touched && !ALWAYS.has(path) && path !== "spec.algorithm.name",
+      )
+      .map(([, f]) => f.spec.label);
+    const pairs = [
+      ["Task", `${value("task.name")}, ${value("robot.name")}`],
+      ["Preset", words(this.preset)],
+      ["Steps", Number.isFinite(total) ? `${compact(total)}${staged ? ` in ${stages.length} stages` : ""}` : "–"],
+      ["Updates", Number.isFinite(updates) ? `${integer(updates)} of ${integer(rollout)} steps` : "–"],
+      [
+        "Checkpoints",
+        Number.isFinite(total) && interval
+          ? `about ${integer(Math.max(1, Math.ceil(total / Math.max(interval, rollout || 1))))}`
+          : "–",
+      ],
+      ["Jobs", integer(jobs)],
+    ];
+    fill(
+      this.overview,
+      pairs.map(([k, v]) => [h("dt", null, k), h("dd", null, v)]),
+      changed.length ? [h("dt", null, "Changed"), h("dd", null, changed.join(", "))] : null,
+    );
     this.button.textContent = jobs > 1 ? `Submit ${jobs} jobs` : "Submit job";
     try {
       const request = this.body(false);
       this.preview.textContent = JSON.stringify(request.group ?? request.job, null, 2);
-    } catch (error) { this.preview.textContent = error.message; }
+    } catch (error) {
+      this.preview.textContent = error.message;
+    }
   }
 
   async submit(event) {
@@ -306,7 +592,11 @@ class SubmitView {
     this.button.disabled = true;
     try {
       if (request.group) {
-        const group = await call("groups", { method: "POST", body: request.group, headers: { "Idempotency-Key": this.key } });
+        const group = await call("groups", {
+          method: "POST",
+          body: request.group,
+          headers: { "Idempotency-Key": this.key },
+        });
         toast(`${group.jobs.length} jobs submitted.`);
         this.go(`/compare?group=${group.id}`);
       } else {
@@ -334,7 +624,14 @@ class SubmitView {
         first ??= f;
       } else left.push(`${clean}: ${message}`);
     }
-    fill(this.trouble, notice("error", "The service refused this job.", left.length ? left.join(" ") : first ? "See the marked fields." : error.message));
+    fill(
+      this.trouble,
+      notice(
+        "error",
+        "The service refused this job.",
+        left.length ? left.join(" ") : first ? "See the marked fields." : error.message,
+      ),
+    );
     if (first) this.reveal(first);
     else this.trouble.scrollIntoView({ block: "center" });
   }
