@@ -52,6 +52,6 @@ def test_lines_can_be_read() -> None:
         f"{path.relative_to(SCRIPTS)}:{number}"
         for path in SCRIPTS.rglob("*.js")
         for number, line in enumerate(path.read_text().splitlines(), 1)
-        if len(line) > 120 and not set("\"`") & set(line)
+        if len(line) > 120 and not set('"`') & set(line)
     ]
     assert not long
