@@ -67,6 +67,7 @@ struct Layout {
 };
 
 struct World {
+  const void* model;
   void* data;
   double *ctrl, *sensordata, *qpos;
 };
@@ -78,14 +79,13 @@ class Worlds {
       : step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
         get_state_(pointer_to<GetState>(functions["mj_getState"])),
-        model_(pointer<const void>(model)),
         layout_(layout),
         substeps_(substeps),
         delay_(delay),
         truncate_(truncate),
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
-      worlds_.push_back({pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
+      worlds_.push_back({pointer<const void>(model), pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
                          pointer<double>(qpos.data()[k])});
     const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
     pending.assign(n * joints, 0.0);
@@ -121,7 +121,7 @@ class Worlds {
       }
       world_warning = &warnings[row];
       for (int s = 0; s < substeps_; ++s) {
-        step_(model_, world.data);
+        step_(world.model, world.data);
         note_feet(row, s);
       }
       world_warning = nullptr;
@@ -132,7 +132,7 @@ class Worlds {
   // One row of a snapshot: integration state, sensordata, pending command.
   void save(int row, double* out) const {
     const World& world = worlds_[row];
-    get_state_(model_, world.data, out, layout_.signature);
+    get_state_(world.model, world.data, out, layout_.signature);
     out += layout_.state;
     std::memcpy(out, world.sensordata, sizeof(double) * layout_.sensors());
     std::memcpy(out + layout_.sensors(), &pending[static_cast<std::size_t>(row) * layout_.joints], sizeof(double) * layout_.joints);
@@ -140,7 +140,7 @@ class Worlds {
 
   void load(int row, const double* from) {
     const World& world = worlds_[row];
-    set_state_(model_, world.data, from, layout_.signature);
+    set_state_(world.model, world.data, from, layout_.signature);
     from += layout_.state;
     std::memcpy(world.sensordata, from, sizeof(double) * layout_.sensors());
     std::memcpy(&pending[static_cast<std::size_t>(row) * layout_.joints], from + layout_.sensors(), sizeof(double) * layout_.joints);
@@ -149,11 +149,13 @@ class Worlds {
     publish(row);
   }
 
+  void set_model(int row, std::uint64_t model) { worlds_[row].model = pointer<const void>(model); }
+
   // Nothing but mj_step, for benchmarks.
   void step_bare(int cycles) {
     for (int cycle = 0; cycle < cycles; ++cycle)
       for (const World& world : worlds_)
-        for (int s = 0; s < substeps_; ++s) step_(model_, world.data);
+        for (int s = 0; s < substeps_; ++s) step_(world.model, world.data);
   }
 
   std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
@@ -201,7 +203,6 @@ class Worlds {
   Step step_;
   SetState set_state_;
   GetState get_state_;
-  const void* model_;
   Layout layout_;
   int substeps_, delay_;
   bool truncate_;
@@ -262,6 +263,7 @@ NB_MODULE(_mujoco, m) {
              require(from.size() == static_cast<std::size_t>(self.layout().row()), "state: wrong shape");
              self.load(row_of(self, row), from.data());
            })
+      .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
       .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
       .def_prop_ro("row_size", [](const Worlds& self) { return self.layout().row(); })
       .def("views", [](nb::handle self) {

@@ -211,6 +211,32 @@ class Simulator(ABC):
         """
         raise ValueError(f"torque_penalty: {type(self).__name__} does not report motor torques; set it to 0")
 
+    # disturbances
+
+    def push(self, velocities_mps: Floats, rows: slice) -> None:
+        """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``.
+
+        Raises:
+            ValueError: if the simulator cannot push robots.
+        """
+        raise ValueError(f"push_mps: {type(self).__name__} cannot push robots; set it to 0")
+
+    def vary(self, mass_variation: float, frictions: Floats, rng: np.random.Generator) -> None:
+        """Change the robots' bodies from now on.
+
+        Args:
+            mass_variation: largest fraction by which the mass of a body differs.
+            frictions: (n,) factors of the friction between robot and ground.
+            rng: draws the masses.
+
+        Raises:
+            ValueError: if the simulator has fixed bodies.
+        """
+        raise ValueError(
+            f"mass_variation, friction_min, friction_max: {type(self).__name__} cannot change masses or friction; "
+            "leave them out"
+        )
+
     # robots can be lost with what runs them
 
     @property

@@ -58,6 +58,10 @@ class TaskSettings(Section):
         description="Fraction of the environments whose episodes are truncated after two seconds, to train the start.",
     )
 
+    def for_evaluation(self) -> Self:
+        """Return the settings for episodes of evaluations; the same by default."""
+        return self
+
 
 class LearnerSettings(Section):
     """Settings that every learning algorithm has; an algorithm adds its own."""
@@ -468,8 +472,8 @@ class EvaluationSpec(_Specification):
             pydantic.ValidationError: if the combination is impossible.
         """
         content = trained.stage_specs[-1].model_dump(exclude={"stages"})
-        if self.task is not None:
-            content["task"] = self.task.model_dump(exclude_none=True)
+        task = trained.task.for_evaluation() if self.task is None else self.task
+        content["task"] = task.model_dump(exclude_none=self.task is not None)
         if self.start_noise_deg is not None:
             content["task"] = {**content["task"], "start_noise_deg": self.start_noise_deg}
         if self.simulator is None or self.simulator == trained.simulator.name:

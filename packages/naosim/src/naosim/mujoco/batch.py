@@ -53,6 +53,7 @@ class MujocoBatch:
         mujoco = library()
         self.n = n
         self.world = world
+        self._models = [world.model] * n
         self.data = [world.new_data() for _ in range(n)]
         signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
         self._worlds = Worlds(
@@ -95,6 +96,11 @@ class MujocoBatch:
     def step_bare(self, cycles: int) -> None:
         """Call ``mj_step`` four times a cycle and do nothing else, one world after the other, in this thread."""
         self._worlds.step_bare(cycles)
+
+    def set_world(self, row: int, world: World) -> None:
+        """Let one world follow another model with the same bodies and joints."""
+        self._models[row] = world.model  # the loop has only its address
+        self._worlds.set_model(row, world.model._address)
 
     def warning(self, row: int) -> str:
         """Return the last warning that MuJoCo gave about a world since it was loaded."""

@@ -200,6 +200,22 @@ class MujocoSimulator(Simulator):
         off: Flags = np.asarray((self.batch.foot_frames < CONTACT_N).all(axis=2))
         return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1))
 
+    # disturbances
+
+    def push(self, velocities_mps: Floats, rows: slice) -> None:
+        """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``."""
+        self.require_open()
+        first = 6 if self.world.ball else 0
+        for data, (x, y) in zip(self.batch.data[rows], velocities_mps.tolist(), strict=True):
+            data.qvel[first] += x
+            data.qvel[first + 1] += y
+
+    def vary(self, mass_variation: float, frictions: Floats, rng: np.random.Generator) -> None:
+        """Give every robot bodies of other masses and other friction."""
+        self.require_open()
+        for row, friction in enumerate(frictions.tolist()):
+            self.batch.set_world(row, self.world.varied(mass_variation, friction, rng))
+
     # worlds can diverge
 
     @property

@@ -114,6 +114,18 @@ class World:
         set_gains(model, kp, kd)
         return World(model, self.joints, self.torso)
 
+    def varied(self, mass_variation: float, friction: float, rng: np.random.Generator) -> World:
+        """Return the world with other masses of the robot's bodies, and its friction times ``friction``."""
+        mujoco = library()
+        model = copy.copy(self.model)
+        bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(PREFIX)]
+        factors = 1.0 + mass_variation * rng.uniform(-1.0, 1.0, len(bodies))
+        model.body_mass[bodies] *= factors
+        model.body_inertia[bodies] *= factors[:, None]
+        model.geom_friction[self.geoms, 0] *= friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return World(model, self.joints, self.torso)
+
     def new_data(self, ball_position: tuple[float, float] = PARKED_BALL_M) -> Any:
         """Return an ``MjData`` with the robot where it was attached and the ball on the ground."""
         data = library().MjData(self.model)

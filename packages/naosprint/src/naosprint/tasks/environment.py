@@ -9,6 +9,7 @@ from naosim.simulator import RuntimeOptions
 from naospec import plugins
 
 from naosprint.tasks.base import Task, World
+from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
 from naosprint.tasks.observations import Observer
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ class Environment:
         self.observer = Observer(n, self.task.observation_blocks())
         self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
+        settings = (
+            parameters if isinstance(parameters, DisturbanceSettings) else DisturbanceSettings(name=task_class.name)
+        )
+        self.disturbances = Disturbances(settings, simulator, seed)
         self.rewards: FloatArray = np.zeros(n)
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
         self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -104,6 +109,7 @@ class Environment:
         world.steps[rows] = 0
         world.actions[rows] = 0.0
         world.previous_actions[rows] = 0.0
+        self.disturbances.begin(rows)
         self.task.begin(rows)
         self.observer.begin(rows)
         for flags in (self.failed, *self.ends.values()):
@@ -129,12 +135,14 @@ class Environment:
         world = self.world
         world.previous_actions[rows] = world.actions[rows]
         np.clip(actions, -1.0, 1.0, out=world.actions[rows])
-        self.simulator.step_async(self.actuation.targets(world.actions[rows]), rows, active)
+        targets = self.disturbances.delayed(self.actuation.targets(world.actions[rows]), rows)
+        self.simulator.step_async(targets, rows, active)
 
     def step_wait(self, rows: slice) -> None:
         """Finish the step that :meth:`step_async` began; the group's rows of all attributes are those after it."""
         simulator, task, world = self.simulator, self.task, self.world
         simulator.step_wait(rows)
+        self.disturbances.apply(rows)
         lost = simulator.lost[rows]
         gone = np.flatnonzero(lost) + rows.start
         if len(gone):
@@ -179,6 +187,7 @@ class Environment:
         """Return everything that the next step depends on, the simulator's state included if it has snapshots."""
         state: dict[str, AnyArray] = {f"observer.{key}": value for key, value in self.observer.state().items()}
         state.update({f"task.{name}": array.copy() for name, array in self.task.arrays.items()})
+        state.update({f"disturbances.{name}": array.copy() for name, array in self.disturbances.arrays.items()})
         state["steps"] = self.world.steps.copy()
         state["actions"] = self.world.actions.copy()
         state["previous_actions"] = self.world.previous_actions.copy()
@@ -193,6 +202,8 @@ class Environment:
         self.observer.load_state({key[len(prefix) :]: state[key] for key in state if key.startswith(prefix)})
         for name, array in self.task.arrays.items():
             array[:] = state[f"task.{name}"]
+        for name, array in self.disturbances.arrays.items():
+            array[:] = state.get(f"disturbances.{name}", 0)  # checkpoints before there were disturbances lack them
         self.world.steps[:] = state["steps"]
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]

@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naospec import TaskSettings
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
+from naosprint.tasks.disturbances import DisturbanceSettings
 
 if TYPE_CHECKING:
     from naosprint.arrays import FloatArray
     from naosprint.tasks.base import World
 
 
-class PenaltySettings(TaskSettings):
+class PenaltySettings(DisturbanceSettings):
     """Weights of the shared penalties, in units of the task's reward before ``reward_scale``."""
 
     torque_penalty: float = Field(

@@ -1,0 +1,170 @@
+"""Disturbances: what differs from the ideal world, for robust policies and to test how robust a policy is.
+
+Evaluations leave them out unless they are set for the evaluation itself.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from naospec import TaskSettings
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+if TYPE_CHECKING:
+    from naosim.simulator import Simulator
+
+    from naosprint.arrays import AnyArray, FloatArray, IntArray
+
+_STREAM = 0xD157
+
+NOISE = {
+    "joint_angles": 0.5,
+    "joint_speeds": 5.0,
+    "torso_quat": 0.005,
+    "torso_pos": 0.005,
+    "gyro": 5.0,
+    "accel": 0.5,
+}
+"""Standard deviations at ``sensor_noise`` 1: degrees, deg/s, entries of a quaternion, metres, deg/s, m/s^2."""
+
+
+class DisturbanceSettings(TaskSettings):
+    """Settings of tasks that can be disturbed."""
+
+    push_mps: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=5.0,
+        title="Pushes",
+        description="Largest change of the torso's horizontal velocity by a push.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    push_steps: int = Field(
+        default=100,
+        ge=1,
+        le=100_000,
+        title="Steps between pushes",
+        description="Steps between two pushes, on average.",
+        json_schema_extra={"unit": "steps"},
+    )
+    mass_variation: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.5,
+        title="Mass variation",
+        description="Each body's mass differs by up to this fraction, drawn for each robot.",
+    )
+    friction_min: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=3.0,
+        title="Lowest friction",
+        description="Lower end of the factor of the friction between robot and ground, drawn for each robot.",
+    )
+    friction_max: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=3.0,
+        title="Highest friction",
+        description="Upper end of that factor.",
+    )
+    extra_delay: int = Field(
+        default=0,
+        ge=0,
+        le=5,
+        title="Extra delay",
+        description="Steps by which every command acts later than the simulator's own delay.",
+        json_schema_extra={"unit": "steps"},
+    )
+    sensor_noise: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=10.0,
+        title="Sensor noise",
+        description="Factor of the perceptors' noise; 1 means 0.5 degrees for joint angles and 5 deg/s for the gyro.",
+    )
+
+    @model_validator(mode="after")
+    def _ordered_friction(self) -> Self:
+        if self.friction_min > self.friction_max:
+            raise PydanticCustomError(
+                "range",
+                "friction_min: {low} is above friction_max, {high}; exchange them",
+                {"low": self.friction_min, "high": self.friction_max},
+            )
+        return self
+
+    def for_evaluation(self) -> Self:
+        """Return the same settings without disturbances."""
+        return self.model_copy(update={name: DisturbanceSettings.model_fields[name].default for name in _NAMES})
+
+
+_NAMES = tuple(name for name in DisturbanceSettings.model_fields if name not in TaskSettings.model_fields)
+
+
+class Disturbances:
+    """The disturbances of n robots.
+
+    Args:
+        settings: what to disturb, and how much.
+        simulator: the robots; their masses and friction are drawn now.
+        seed: seed of all draws.
+
+    Raises:
+        ValueError: if the simulator cannot do it; the message names the setting.
+    """
+
+    def __init__(self, settings: DisturbanceSettings, simulator: Simulator, seed: int) -> None:
+        self._settings = settings
+        self._simulator = simulator
+        self._seed = seed
+        n, joints = simulator.n, len(simulator.robot.joints)
+        self._count: IntArray = np.zeros(n, dtype=np.int64)
+        self._waiting: FloatArray = np.zeros((settings.extra_delay, n, joints))
+        self.arrays: dict[str, AnyArray] = {"count": self._count, "waiting": self._waiting}
+        self._noise = {
+            name: NOISE[name] * settings.sensor_noise
+            for name in simulator.perceptors
+            if settings.sensor_noise and name in NOISE
+        }
+        if settings.mass_variation or (settings.friction_min, settings.friction_max) != (1.0, 1.0):
+            rng = np.random.default_rng([_STREAM, seed])
+            frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
+            simulator.vary(settings.mass_variation, frictions, rng)
+        if settings.push_mps:
+            simulator.push(np.zeros((n, 2)), slice(0, n))
+
+    def begin(self, rows: IntArray) -> None:
+        """Forget the commands of earlier episodes of the robots ``rows``."""
+        self._waiting[:, rows] = self._simulator.robot.nominal
+
+    def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:
+        """Return the (k, J) targets that act now, and keep the new ones for later."""
+        if not len(self._waiting):
+            return targets_rad
+        acting = self._waiting[0, rows].copy()
+        self._waiting[:-1, rows] = self._waiting[1:, rows]
+        self._waiting[-1, rows] = targets_rad
+        return acting
+
+    def apply(self, rows: slice) -> None:
+        """Push some of the robots ``rows`` after a step, and add noise to what they perceive."""
+        settings = self._settings
+        if not (settings.push_mps or self._noise):
+            return
+        self._count[rows] += 1
+        # counters instead of a generator's state; the first word counts the blocks of one step
+        counter = [0, int(self._count[rows.start]), rows.start, 0]
+        rng = np.random.Generator(np.random.Philox(key=[_STREAM, self._seed], counter=counter))
+        k = rows.stop - rows.start
+        if settings.push_mps:
+            pushed = rng.random(k) < 1.0 / settings.push_steps
+            direction = rng.uniform(-np.pi, np.pi, k)
+            size = settings.push_mps * rng.random(k) * pushed
+            if pushed.any():
+                self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
+        for name, deviation in self._noise.items():
+            values = self._simulator.perceptors[name][rows]
+            values += deviation * rng.standard_normal(values.shape)

@@ -1,0 +1,160 @@
+"""Disturbances: what each does to the world, where it is refused, resuming, and evaluations without them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.robots.booster import T1
+from naosim.simspark.embedded import EmbeddedSimulator
+from naospec import EvaluationSpec, TrainingSpec
+from naosprint.tasks.disturbances import NOISE, DisturbanceSettings
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.sprint import Sprint1, SprintSettings
+from pydantic import ValidationError
+
+NAO = robots.get("nao-0")
+
+
+def environment_of(n: int = 4, seed: int = 0, **settings: Any) -> Environment:
+    """Return n robots T1 at their starts."""
+    parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), T1)
+    environment = Environment(MujocoSimulator(T1, n), Sprint1, parameters, seed)
+    environment.load_starts(environment.task.starts(1, 0, 0.0))
+    environment.restart(np.arange(n), np.zeros(n, dtype=np.int64))
+    return environment
+
+
+def run(environment: Environment, steps: int) -> np.ndarray:
+    """Return the (steps, n, 3) torso positions of robots that keep still."""
+    still = np.zeros((environment.n, environment.actuation.n_actions))
+    found = []
+    for _ in range(steps):
+        environment.step(still)
+        found.append(environment.simulator.truth.torso_position.copy())
+    return np.array(found)
+
+
+def test_without_settings_nothing_differs() -> None:
+    environment = environment_of()
+    simulator = MujocoSimulator(T1, 4)
+    simulator.load_starts(environment.task.starts(1, 0, 0.0))
+    simulator.start(np.arange(4), np.zeros(4, dtype=np.int64))
+    still = environment.actuation.targets(np.zeros((4, environment.actuation.n_actions)))
+    for found in run(environment, 10):
+        simulator.step(still)
+        np.testing.assert_array_equal(found, simulator.truth.torso_position)
+
+
+def test_pushes_move_the_torso_as_often_and_as_far_as_set() -> None:
+    environment = environment_of(64, push_mps=0.5, push_steps=5)
+    simulator = environment.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    still = np.zeros((64, environment.actuation.n_actions))
+    changes = []
+    for _ in range(10):
+        environment.simulator.step(environment.actuation.targets(still))
+        stepped = np.array([data.qvel[6:8] for data in simulator.batch.data])
+        environment.disturbances.apply(slice(0, 64))
+        changes.append(np.array([data.qvel[6:8] for data in simulator.batch.data]) - stepped)
+    sizes = np.linalg.norm(np.concatenate(changes), axis=1)
+    pushed = sizes[sizes > 0.0]
+    assert len(pushed) / len(sizes) == pytest.approx(0.2, abs=0.04)
+    assert pushed.max() <= 0.5 + 1e-12 and pushed.mean() == pytest.approx(0.25, abs=0.05)
+    assert np.abs(np.concatenate(changes).mean(axis=0)).max() < 0.03  # in every direction
+
+
+def test_every_robot_has_its_own_masses_and_friction() -> None:
+    environment = environment_of(8, mass_variation=0.1, friction_min=0.6, friction_max=1.4)
+    simulator = environment.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    usual = simulator.world
+    rng = np.random.default_rng(0)
+    varied = [usual.varied(0.1, 0.6, rng) for _ in range(20)]
+    robot = [body for body in range(usual.model.nbody) if usual.model.body(body).name.startswith("robot-")]
+    ratios = np.array([world.model.body_mass[robot] / usual.model.body_mass[robot] for world in varied])
+    assert 0.9 <= ratios.min() < 0.92 and 1.08 < ratios.max() <= 1.1
+    np.testing.assert_allclose(
+        varied[0].model.geom_friction[usual.geoms, 0], 0.6 * usual.model.geom_friction[usual.geoms, 0]
+    )
+    # the total mass decides how deep the soft soles sink
+    heights = run(environment, 30)[-1, :, 2]
+    assert len(np.unique(heights)) == 8
+    again = run(environment_of(8, mass_variation=0.1, friction_min=0.6, friction_max=1.4), 30)[-1, :, 2]
+    np.testing.assert_array_equal(again, heights)
+    other = run(environment_of(8, seed=1, mass_variation=0.1, friction_min=0.6, friction_max=1.4), 30)[-1, :, 2]
+    assert not np.array_equal(other, heights)
+
+
+def test_the_ground_is_as_slippery_as_set() -> None:
+    found = []
+    for friction in (0.6, 1.0):
+        environment = environment_of(1, friction_min=friction, friction_max=friction)
+        run(environment, 2)
+        simulator = environment.simulator
+        assert isinstance(simulator, MujocoSimulator)
+        found.append(simulator.batch.data[0].contact.friction[:, 0].max())
+    assert found[0] == pytest.approx(0.6 * found[1]) and found[1] > 0.0
+
+
+def test_an_extra_delay_shifts_commands_by_whole_steps() -> None:
+    action = np.zeros((1, environment_of(1).actuation.n_actions))
+    action[0, -1] = 0.5
+    first = []
+    for delay in (0, 2):
+        environment = environment_of(1, extra_delay=delay)
+        resting = run(environment, 5)
+        del resting
+        seen = []
+        for _ in range(8):
+            environment.step(action)
+            seen.append(environment.world.perceptors["joint_angles"][0].copy())
+        first.append(np.array(seen))
+    moved = [np.abs(angles[:, -6:] - angles[0, -6:]).max(axis=1) > 0.5 for angles in first]
+    assert int(np.argmax(moved[1])) - int(np.argmax(moved[0])) == 2
+
+
+def test_sensor_noise_has_the_stated_deviation() -> None:
+    quiet, noisy = environment_of(64), environment_of(64, sensor_noise=2.0)
+    run(quiet, 1)
+    run(noisy, 1)
+    for name, deviation in NOISE.items():
+        difference = noisy.world.perceptors[name] - quiet.world.perceptors[name]
+        assert difference.std() == pytest.approx(2.0 * deviation, rel=0.2), name
+    np.testing.assert_array_equal(noisy.simulator.truth.torso_position, quiet.simulator.truth.torso_position)
+
+
+def test_a_resumed_environment_is_disturbed_alike() -> None:
+    settings: dict[str, Any] = {
+        "push_mps": 0.3, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1, "mass_variation": 0.1
+    }  # fmt: skip
+    environment = environment_of(3, **settings)
+    run(environment, 10)
+    state = {name: array.copy() for name, array in environment.state().items()}
+    resumed = environment_of(3, **settings)
+    resumed.load_state(state)
+    np.testing.assert_array_equal(run(resumed, 10), run(environment, 10))
+    np.testing.assert_array_equal(resumed.observations, environment.observations)
+
+
+def test_evaluations_leave_disturbances_out_unless_they_set_them() -> None:
+    trained = TrainingSpec.model_validate(
+        {"task": {"name": "sprint1", "push_mps": 0.5, "drift_penalty": 2.0}, "robot": "t1", "total_steps": 1_000_000}
+    )
+    assert EvaluationSpec().applied_to(trained).task.push_mps == 0.0
+    assert EvaluationSpec().applied_to(trained).task.drift_penalty == 2.0
+    disturbed = EvaluationSpec.model_validate({"task": {"name": "sprint1", "friction_min": 0.6, "friction_max": 0.6}})
+    assert disturbed.applied_to(trained).task.friction_max == 0.6
+
+
+def test_impossible_disturbances_are_refused() -> None:
+    with pytest.raises(ValidationError, match="exchange them"):
+        DisturbanceSettings(name="sprint1", friction_min=1.2)
+    nao = EmbeddedSimulator(NAO, 1)
+    for settings, named in (({"push_mps": 0.1}, "push_mps"), ({"mass_variation": 0.1}, "mass_variation")):
+        parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)
+        with pytest.raises(ValueError, match=named):
+            Environment(nao, Sprint1, parameters)
