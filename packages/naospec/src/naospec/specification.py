@@ -471,8 +471,9 @@ class EvaluationSpec(_Specification):
         Raises:
             pydantic.ValidationError: if the combination is impossible.
         """
-        content = trained.stage_specs[-1].model_dump(exclude={"stages"})
-        task = trained.task.for_evaluation() if self.task is None else self.task
+        last = trained.stage_specs[-1]
+        content = last.model_dump(exclude={"stages"})
+        task = last.task.for_evaluation() if self.task is None else self.task
         content["task"] = task.model_dump(exclude_none=self.task is not None)
         if self.start_noise_deg is not None:
             content["task"] = {**content["task"], "start_noise_deg": self.start_noise_deg}
