@@ -25,6 +25,7 @@ from typing import Any
 # the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
 os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
+import examine
 import matplotlib as mpl
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, recipes
@@ -39,7 +40,7 @@ ROOT = Path(__file__).parents[2]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
 PAGES = ROOT / "docs" / "policies"
 
-EPISODES = 1000
+EPISODES, EXAMINED_EPISODES = 1000, 200
 CHOOSING_EPISODES, CHOOSING_SEED, EVALUATION_SEED = 5000, 1, 2026
 SLACK = 0.01
 CURVE_POINTS = 200
@@ -194,6 +195,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
+            **examine.examine(target, EXAMINED_EPISODES),
         }
         (target / "card.json").write_text(json.dumps(card, indent=1, allow_nan=False) + "\n")
         report = write_report(work / "report", evaluation=work, title=name).parent
@@ -252,7 +254,9 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
         lines.append(
             f"| {one['job']} | {training} | {one['steps'] / 1e6:.0f} M | {one['training_s'] / 60:.0f} | {changes} |"
         )
-    lines += ["", f"![learning curves]({name}/learning-curve.png)", "", "## Gait", ""]
+    lines += ["", f"![learning curves]({name}/learning-curve.png)", ""]
+    lines += examine.page({key: card[key] for key in ("motion", "robustness") if key in card})
+    lines += ["## Gait", ""]
     lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures]
     lines += [
         "## Try it",
