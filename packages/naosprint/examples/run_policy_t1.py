@@ -3,7 +3,7 @@
 python run_policy_t1.py policy.npz [host [agent port [monitor port [team [number [y of the lane]]]]]]
 """
 
-# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D103, I002, T201
+# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D102, D103, I002, T201
 import re
 import select
 import socket
@@ -36,16 +36,18 @@ class Runner:
         """Begin an episode: nothing is observed of what the robot did before."""
         self.cycles, self.velocity, self.action = 0, np.zeros(3), np.zeros(len(self.action_names))
 
-    def observe(self):
-        """Return the observation; every number has a name."""
+    def seen(self):
+        """Return what can be observed; every number has a name."""
         seen = {"height": self.place[2], "line_offset": self.place[1] - self.lane}
         seen["heading_sin"], seen["heading_cos"] = self.rotation[1::-1, 0] / np.hypot(*self.rotation[:2, 0])
         for name, vector in ("gravity_", self.rotation[2]), ("gyro_", self.gyro), ("velocity_", self.velocity):
             seen.update(zip((name + axis for axis in "xyz"), vector))
-        angles, speeds = np.radians(self.joints) @ self.joint_view.T
-        for name, values in ("", angles), ("speed_", speeds), ("action_", self.action):
+        for name, values in zip(("", "speed_", "action_"), (*np.radians(self.joints) @ self.joint_view.T, self.action)):
             seen.update(zip((name + joint for joint in self.action_names), values))
-        return np.array([seen[name] for name in self.observation_names])
+        return seen
+
+    def observe(self):
+        return np.array([*map(self.seen().__getitem__, self.observation_names)])
 
     def act(self, observation):
         """Return the joints' target angles in radians."""
@@ -83,9 +85,8 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
         while select.select([agent], [], [], 0)[0]:  # late in real time: the newest message counts
             runner.perceive(receive(agent))
 
-    start = f"(beam {START_X} {runner.field[1, 1] * runner.lane} 0)"
     for cycle in range(6 + runner.settling_cycles):
-        step(runner.start_pose_rad, start if cycle == 5 else "")
+        step(runner.start_pose_rad, f"(beam {START_X} {runner.field[1, 1] * runner.lane} 0)" if cycle == 5 else "")
     monitor.close()
     runner.begin()
     while runner.place[2] > 0.6 * runner.standing_height_m and runner.place[0] < -START_X and runner.cycles < 3000:

@@ -1,0 +1,131 @@
+"""Run a T1 from point to point on a rcssservermj with a policy of task velocity; stand up after falls with another.
+
+python play_t1.py run.npz [--getup getup.npz] [--targets 10] [--seed 0] [--host 127.0.0.1] [--ports 60000 60001]
+
+NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py beside it.
+"""
+
+# ruff: noqa: ANN001, ANN201, ANN202, B905, D102, D103, I002, T201
+import argparse
+import select
+import socket
+
+import numpy as np
+from run_policy_t1 import Runner, receive, send
+
+ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
+LYING = 0.6  # of the standing height
+
+
+def wrapped(angle):
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+class Player(Runner):
+    """A robot that follows commands: forward and sideways speed in m/s, turn rate in rad/s."""
+
+    def begin(self):
+        super().begin()
+        self.give((0.0, 0.0, 0.0))
+
+    @property
+    def yaw(self):
+        return np.arctan2(self.rotation[1, 0], self.rotation[0, 0])
+
+    def give(self, command):
+        """Follow a new command; the path and the heading that count begin here."""
+        self.asked, self.heading, self.offset = np.array(command), self.yaw, 0.0
+
+    def perceive(self, message):
+        before = self.place
+        super().perceive(message)
+        if hasattr(self, "asked"):
+            moved = self.place - before
+            self.offset += np.cos(self.heading) * moved[1] - np.sin(self.heading) * moved[0]
+            self.offset -= self.asked[1] * self.cycle_s
+            self.heading += self.asked[2] * self.cycle_s
+
+    def seen(self):
+        names = ("command_forward", "command_sideways", "command_turn", "path_offset", "heading_error")
+        return super().seen() | dict(
+            zip(names, (*self.asked, np.clip(self.offset, -0.5, 0.5), wrapped(self.yaw - self.heading)))
+        )
+
+    def steer(self, target):
+        """Turn to a target, and run the faster the better it lies ahead."""
+        way = target - self.place[:2]
+        bearing = wrapped(np.arctan2(way[1], way[0]) - self.yaw)
+        speed = min(FASTEST_MPS, max(0.5, np.hypot(*way))) * max(0.0, np.cos(bearing)) ** 2
+        self.give((speed, 0.0, np.clip(1.5 * bearing, -TURN_RAD_S, TURN_RAD_S)))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", help="exported policy of task velocity")
+    parser.add_argument("--getup", help="exported policy of task getup")
+    parser.add_argument("--targets", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--ports", type=int, nargs=2, default=(60000, 60001), metavar=("AGENT", "MONITOR"))
+    options = parser.parse_args()
+    agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
+    receive(monitor)
+    player, getup = Player(options.run), Player(options.getup) if options.getup else None
+    send(agent, f"(init {player.model} naosprint 2)")
+    receive(agent)
+    send(monitor, "(ball (pos 25 16 0.11)(vel 0 0 0))")
+    clock, falls, attempts = 0.0, 0, 0
+
+    def step(who, targets, beam=""):
+        nonlocal clock
+        send(agent, beam + who.command(targets))
+        while True:
+            message = receive(agent)
+            for each in filter(None, (player, getup)):
+                each.perceive(message)
+            clock += player.cycle_s
+            if not select.select([agent], [], [], 0)[0]:
+                return
+
+    for cycle in range(6 + player.settling_cycles):
+        step(player, player.start_pose_rad, "(beam -5 0 0)" if cycle == 5 else "")
+    monitor.close()
+    player.begin()
+    rng = np.random.default_rng(options.seed)
+    results = []
+    for number, target in enumerate(rng.uniform((-12, -8), (12, 8), (options.targets, 2)), start=1):
+        began, start = clock, player.place[:2].copy()
+        standing = 0
+        while standing < 50 and clock < began + PATIENCE_S:
+            if player.place[2] < LYING * player.standing_height_m:
+                falls += 1
+                if getup is None:
+                    raise SystemExit(f"the robot fell on the way to target {number}; --getup can stand it up")
+                getup.begin()
+                for _ in range(250):
+                    step(getup, getup.act(getup.observe()))
+                    if getup.place[2] > 0.9 * player.standing_height_m and getup.cycles > 50:
+                        break
+                attempts += 1
+                player.begin()
+            error = np.hypot(*(target - player.place[:2]))
+            if error < ARRIVED_M or standing:
+                if not standing:
+                    player.give((0.0, 0.0, 0.0))
+                standing += 1
+            elif player.cycles % 5 == 0:
+                player.steer(target)
+            step(player, player.act(player.observe()))
+        way, seconds = np.hypot(*(target - start)), clock - began
+        results.append((standing >= 50, error))
+        place = f"({target[0]:5.1f}, {target[1]:5.1f})"
+        state = "reached" if standing >= 50 else "missed"
+        print(f"{number:2}  {place}  {way:5.1f} m  {seconds:5.1f} s  {state}, {error:.2f} m away")
+    agent.close()
+    reached = sum(good for good, _ in results)
+    print(f"{reached} of {len(results)} targets reached, {falls} falls, {attempts} attempts to get up, {clock:.0f} s")
+    return 0 if reached == len(results) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
