@@ -107,7 +107,7 @@ def main() -> None:
     try:
         for turn in range(arguments.rounds + 1):
             for name, client in clients.items():
-                fleet.act_out({row: fleet.starting(row, robot.nominal, (-5.0, 0.0), 0.0, 60) for row in range(n)})
+                fleet.run_motions({row: fleet.starting(row, robot.nominal, (-5.0, 0.0), 0.0, 60) for row in range(n)})
                 cpu, own, began = server_cpu_s(fleet), time.process_time(), time.perf_counter()
                 for cycle in range(CYCLES):
                     client(cycle)

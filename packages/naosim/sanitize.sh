@@ -8,12 +8,12 @@ trap 'rm -rf "$scratch"' EXIT
 "$python" -m pip install -q --no-deps --no-build-isolation --target "$scratch/site" "$here" \
   -C cmake.define.NAOSIM_SANITIZE=ON -C build-dir="$scratch/build"
 cd "$here/../.."
-# Leaks are not looked for: the interpreter keeps memory until it ends.
+# Leak detection is off: the interpreter keeps memory until it exits.
 ASAN_OPTIONS=detect_leaks=0:abort_on_error=1 UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 \
   LD_PRELOAD="$(g++ -print-file-name=libasan.so) $(g++ -print-file-name=libubsan.so) $(g++ -print-file-name=libstdc++.so)" \
   PYTHONPATH="$scratch/site" PYTHONMALLOC=malloc "$python" -c "
 import sys
-# an editable install's import hook would win over PYTHONPATH
+# an editable install's import hook would take precedence over PYTHONPATH
 sys.meta_path[:] = [finder for finder in sys.meta_path if type(finder).__name__ != 'ScikitBuildRedirectingFinder']
 import naosim, pytest
 assert naosim.__file__.startswith('$scratch'), naosim.__file__

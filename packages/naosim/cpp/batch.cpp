@@ -26,7 +26,7 @@ Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, c
   out_.time.assign(rows, 0.0);
   out_.torso_position.assign(rows * 3, 0.0);
   out_.torso_rotation.assign(rows * 9, 0.0);
-  // Spare lanes of the last group get a robot too, so that they never compute on garbage; nobody sees them.
+  // Unused lanes of the last group get a robot too, so that they never compute on uninitialised values.
   const Environment fresh = spawned();
   for (int environment = 0; environment < groups_ * lanes_; ++environment) store(environment, fresh);
   for (int environment = 0; environment < n_; ++environment) publish(environment);
@@ -85,9 +85,9 @@ Environment Batch::spawned() const {
     state.idle_left[i] = 10.0;
   }
   for (auto& at : state.frozen_at) at = kNeverFrozen;
-  for (auto* senses : {&state.sensed, &state.delivered}) {
-    senses->accel[2] = static_cast<double>(9.81f);
-    for (auto& sensor : senses->touch)
+  for (auto* perceptors : {&state.perceptors, &state.sent_perceptors}) {
+    perceptors->accel[2] = static_cast<double>(9.81f);
+    for (auto& sensor : perceptors->touch)
       for (auto& value : sensor) value = std::numeric_limits<double>::quiet_NaN();
   }
   return state;
@@ -102,9 +102,9 @@ double Batch::printed(double value) const {
 void Batch::publish(int environment) {
   const std::size_t row = static_cast<std::size_t>(environment);
   const int joints = model_.joint_count();
-  SensesOf<double> s;
+  PerceptorsOf<double> s;
   double x[3], q[4];
-  gather(environment, offsetof(Environment, delivered) / sizeof(double), sizeof s / sizeof(double), &s);
+  gather(environment, offsetof(Environment, sent_perceptors) / sizeof(double), sizeof s / sizeof(double), &s);
   gather(environment, offsetof(Environment, position) / sizeof(double), 3, x);
   gather(environment, offsetof(Environment, quaternion) / sizeof(double), 4, q);
   for (int j = 0; j < joints; ++j) out_.joint_angles[row * joints + j] = printed(s.joint_angle[j]);

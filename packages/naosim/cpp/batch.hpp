@@ -11,7 +11,7 @@
 namespace naosim {
 
 // Arrays of one row per environment, overwritten in place by every step.
-struct Published {
+struct BatchArrays {
   std::vector<double> joint_angles;  // (n, joints)
   std::vector<double> gyro, accel;   // (n, 3)
   std::vector<double> touch[kTouchSensors];  // (n, 6)
@@ -29,7 +29,7 @@ class Batch {
   int size() const { return n_; }
   const Model& model() const { return model_; }
   const Kernel& kernel() const { return kernel_; }
-  Published& published() { return out_; }
+  BatchArrays& arrays() { return out_; }
   Statistics statistics() const;
 
   // `lanes` below: one byte an environment, or nullptr for all.
@@ -67,7 +67,7 @@ class Batch {
   };
   std::unique_ptr<double[], Free> words_;
   std::vector<Statistics> statistics_;
-  Published out_;
+  BatchArrays out_;
   ThreadPool pool_;
 };
 

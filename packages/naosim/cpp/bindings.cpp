@@ -1,4 +1,4 @@
-// Python bindings; naosim.simspark.batch checks and documents what goes in and out.
+// Python bindings; naosim.simspark.batch checks and documents the arguments.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -32,9 +32,9 @@ Model make_model(const nb::dict& table) {
   const std::size_t bodies = mass.size();
   require(bodies >= 1 && bodies <= kMaxBodies, "table: wrong number of bodies");
   for (const Doubles* field : {&parent, &shape, &radius, &half_length, &low, &high, &max_speed, &joint, &limb})
-    require(field->size() == bodies, "table: one value a body is needed");
+    require(field->size() == bodies, "table: one value per body is needed");
   for (const Doubles* field : {&inertia, &half, &offset, &anchor, &parent_anchor, &axis})
-    require(field->size() == 3 * bodies, "table: three values a body are needed");
+    require(field->size() == 3 * bodies, "table: three values per body are needed");
   require(touch_body.size() == kTouchSensors, "table: four touch sensors are needed");
   Model model;
   model.joint_body.assign(bodies - 1, -1);
@@ -84,7 +84,7 @@ Model make_model(const nb::dict& table) {
 
 const std::uint8_t* lanes_of(const Batch& batch, const std::optional<Bytes>& mask) {
   if (!mask) return nullptr;
-  require(mask->size() == static_cast<std::size_t>(batch.size()), "mask: one value an environment is needed");
+  require(mask->size() == static_cast<std::size_t>(batch.size()), "mask: one value per environment is needed");
   return mask->data();
 }
 
@@ -174,7 +174,7 @@ NB_MODULE(_core, m) {
                    })
       .def("views", [](nb::handle self) {
         Batch& batch = nb::cast<Batch&>(self);
-        Published& p = batch.published();
+        BatchArrays& p = batch.arrays();
         const std::size_t n = batch.size(), joints = batch.model().joint_count();
         nb::dict views;
         views["joint_angles"] = view(p.joint_angles, {n, joints}, self);

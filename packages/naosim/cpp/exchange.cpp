@@ -36,9 +36,9 @@ std::string seconds_text(double seconds) {
   return out + " s";
 }
 
-// Acknowledge what has come at once. The kernel would wait up to 40 ms for an answer that could carry the acknowledgement, and
-// rcssserver3d, which leaves Nagle's algorithm on, would hold the next frame back for as long. To an agent port every
-// command is such an answer; a monitor port gets none.
+// Acknowledge received data at once. The kernel would wait up to 40 ms for an answer that could carry the
+// acknowledgement, and rcssserver3d, which leaves Nagle's algorithm on, would hold the next frame back for as long. To
+// an agent port every command is such an answer; a monitor port gets none.
 void acknowledge(int fd) {
   const int now = 1;
   ::setsockopt(fd, IPPROTO_TCP, TCP_QUICKACK, &now, sizeof now);
@@ -106,7 +106,7 @@ void Exchange::send(int row, bool monitor, std::string_view framed) {
       // The server does not read while it waits for us to read: take what it has sent, then try again.
       if (!receive(row, false) || (c.monitor.fd >= 0 && !receive(row, true))) return;
       pollfd wait{fd, POLLOUT | POLLIN, 0};
-      if (::poll(&wait, 1, left_ms(until)) == 0) return fail(row, std::string(port_name(monitor)) + ": the server does not read any more");
+      if (::poll(&wait, 1, left_ms(until)) == 0) return fail(row, std::string(port_name(monitor)) + ": the server no longer reads");
     } else {
       return fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
     }
@@ -186,7 +186,7 @@ void Exchange::dispatch(const double* commands, std::size_t width, const std::ui
     message.assign(4, '\0');
     compose(row, commands + static_cast<std::size_t>(row) * width, message);
     append_size(message, 0);
-    // what has come so far is no answer to this
+    // messages received so far do not answer these commands
     channels_[row].message_goal = channels_[row].messages + 1;
     channels_[row].frame_goal = channels_[row].frames + 1;
     send(row, false, message);
@@ -248,7 +248,8 @@ void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
     whose.clear();
     for (const int row : waiting) {
       const Channel& c = channels_[row];
-      // Every wake-up costs more than what is read: while a frame is due, what the agent port says may lie, but not its end.
+      // A wake-up costs more than a read: while a frame is due, data on the agent port can wait, but a closed
+      // connection cannot.
       const bool frame = frame_due(c);
       polled.push_back({c.agent.fd, static_cast<short>(frame ? POLLRDHUP : POLLIN), 0});
       whose.emplace_back(row, false);

@@ -1,4 +1,4 @@
-// One round trip with many servers at once: send to all, then collect from all. What the messages say is up to subclasses.
+// One round trip with many servers at once: send to all, then collect from all. Subclasses define the messages.
 #pragma once
 #include <atomic>
 #include <chrono>
@@ -24,15 +24,15 @@ class Exchange {
   // Send (n, width) commands to the chosen rows.
   void dispatch(const double* commands, std::size_t width, const std::uint8_t* rows);
   // Wait for the answer of each chosen row to what was dispatched: one message and, with a monitor, one frame.
-  // Returns how many rows have failed, all told.
+  // Returns how many rows have failed in total.
   int gather(const std::uint8_t* rows, double timeout_s);
   // Step those chosen servers to which nothing was sent for `silence_s`, so that they keep their robots. Other threads may open
   // connections of other rows meanwhile.
-  // Returns how many rows have failed, all told.
+  // Returns how many rows have failed in total.
   int renew(const std::uint8_t* rows, double silence_s, double timeout_s);
   // Wait until every chosen row got `messages` agent messages and `frames` monitor frames.
   void collect(const std::uint8_t* rows, int messages, int frames, double timeout_s);
-  // Read what is there and go on until nothing came for `quiet_s`.
+  // Read until nothing has arrived for `quiet_s`.
   void drain(int row, double quiet_s, double timeout_s);
   const std::string& failure(int row) const { return channels_[row].failure; }
   long messages_of(int row) const { return channels_[row].messages; }
@@ -46,7 +46,7 @@ class Exchange {
   virtual void compose(int row, const double* command, std::string& message) = 0;
   // Returns an empty string or what is wrong with a message of the agent port or a frame of the monitor port.
   virtual std::string read(int row, bool monitor, std::string_view text) = 0;
-  // Returns an empty string or what an answer did not bring.
+  // Returns an empty string or what is missing from an answer.
   virtual std::string lacking(int row) const = 0;
 
  private:

@@ -1,4 +1,4 @@
-// Python bindings that all exchanges have; naosim.client documents what goes in and out.
+// Python bindings that all exchanges have; naosim.fleet documents the arguments.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -21,7 +21,7 @@ void bind_exchange(nanobind::class_<Subclass>& bound) {
   using Mask = std::optional<nb::ndarray<const std::uint8_t, nb::c_contig, nb::device::cpu>>;
   const auto rows_of = [](const Exchange& exchange, const Mask& rows) -> const std::uint8_t* {
     if (!rows) return nullptr;
-    if (rows->size() != static_cast<std::size_t>(exchange.size())) throw nb::value_error("rows: one value a server is needed");
+    if (rows->size() != static_cast<std::size_t>(exchange.size())) throw nb::value_error("rows: one value per server is needed");
     return rows->data();
   };
   bound.def("attach", [](Subclass& self, int row, int agent, int monitor) { self.attach(row_of(self, row), agent, monitor); })

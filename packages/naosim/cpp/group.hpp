@@ -9,7 +9,7 @@ constexpr double kNeverFrozen = -1000.0;
 
 // What the perceptors measured at the end of one cycle, before rounding.
 template <class Real>
-struct SensesOf {
+struct PerceptorsOf {
   Real joint_angle[kMaxBodies - 1];  // degrees, joint order
   Real gyro[3];                      // degrees/s, torso frame
   Real accel[3];                     // m/s^2, torso frame
@@ -28,7 +28,7 @@ struct StateOf {
   Real force[kMaxBodies][3];       // N, not yet consumed by a step (a sleeping body keeps it)
   Real torque[kMaxBodies][3];      // N m
   Real angle[kMaxBodies];          // rad, hinge to the parent
-  Real motor_speed[kMaxBodies];    // rad/s, persists until commanded anew
+  Real motor_speed[kMaxBodies];    // rad/s, persists until the next command
   Real row_side[kMaxBodies];       // last active set of the motor or stop row: -1 lower bound, 0 free, 1 upper bound
   Real limit[kMaxBodies];          // -1 at the low stop, 1 at the high stop, 0 between
   Real idle_left[kMaxBodies];      // quiet steps until the body falls asleep
@@ -39,8 +39,8 @@ struct StateOf {
   Real previous_velocity[3];       // torso velocity at the last accelerometer sample
   Real cycle;                      // cycles since the spawn
   Real game_time;                  // s, summed up in single precision as the server does
-  SensesOf<Real> sensed;           // built at the end of the last cycle
-  SensesOf<Real> delivered;        // sent with the reply to the last command
+  PerceptorsOf<Real> perceptors;       // built at the end of the last cycle
+  PerceptorsOf<Real> sent_perceptors;  // sent with the reply to the last command
 };
 
 using Environment = StateOf<double, std::int64_t>;

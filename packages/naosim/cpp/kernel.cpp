@@ -14,7 +14,7 @@
 namespace naosim::NAOSIM_ISA {
 namespace {
 
-using Senses = SensesOf<Real>;
+using Perceptors = PerceptorsOf<Real>;
 using Group = StateOf<Real, Mask>;
 static_assert(sizeof(Group) == sizeof(Environment) * kLanes, "word k of lane l is word k of that environment");
 
@@ -758,14 +758,14 @@ void measure_angles(const Model& model, Group& g, Mask lanes) {
     const Body& body = model.bodies[i];
     const Real angle = hinge_angle(g.quaternion[i], g.quaternion[body.parent], body.axis);
     g.angle[i] = lanes ? angle : g.angle[i];
-    Real& out = g.sensed.joint_angle[body.joint];
+    Real& out = g.perceptors.joint_angle[body.joint];
     out = lanes ? angle * kDegrees : out;
   }
 }
 
 void measure_gyro(Group& g, Mask lanes) {
   const Vec rate = kDegrees * inverse_rotate(rotation(g.quaternion[0]), load(g.spin[0]));
-  store(g.sensed.gyro, select(lanes, rate, load(g.sensed.gyro)));
+  store(g.perceptors.gyro, select(lanes, rate, load(g.perceptors.gyro)));
 }
 
 // Force resistance perceptors: this step's contact forces, in the foot's frame after the step. A sleeping robot keeps the last.
@@ -801,7 +801,7 @@ void measure_touch(const Model& model, Group& g, const Workspace& w, Mask awake)
     const Real none = splat(std::numeric_limits<double>::quiet_NaN());
     const Real value[6] = {point.x, point.y, point.z, local.x, local.y, local.z};
     for (int c = 0; c < 6; ++c) {
-      Real& out = g.sensed.touch[sensor][c];
+      Real& out = g.perceptors.touch[sensor][c];
       out = awake ? (touched ? value[c] : none) : out;
     }
   }
@@ -871,7 +871,7 @@ void command_motors(const Model& model, Group& g, const Real* command, Mask lane
   }
 }
 
-// ODE's auto-disable: a body quiet for ten steps stops dead; the robot sleeps once all its bodies do. Returns who is awake.
+// ODE's auto-disable: a body quiet for ten steps stops; the robot sleeps once all its bodies do. Returns who is awake.
 Mask fall_asleep(const Model& model, Group& g, Mask lanes) {
   Mask awake = Mask{};
   for (int i = 0; i < model.body_count(); ++i) {
@@ -902,14 +902,14 @@ void sample_accelerometer(Group& g, Mask lanes) {
   const Vec v = load(g.velocity[0]), previous = load(g.previous_velocity);
   const Vec proper = kRate * (v - previous) - Vec{splat(0.0), splat(0.0), splat(kGravity)};
   const Vec local = inverse_rotate(rotation(g.quaternion[0]), proper);
-  store(g.sensed.accel, select(lanes, local, load(g.sensed.accel)));
+  store(g.perceptors.accel, select(lanes, local, load(g.perceptors.accel)));
   store(g.previous_velocity, select(lanes, v, previous));
 }
 
 void deliver(Group& g, Mask lanes) {
-  const Real* from = reinterpret_cast<const Real*>(&g.sensed);
-  Real* to = reinterpret_cast<Real*>(&g.delivered);
-  for (std::size_t k = 0; k < sizeof(Senses) / sizeof(Real); ++k) to[k] = lanes ? from[k] : to[k];
+  const Real* from = reinterpret_cast<const Real*>(&g.perceptors);
+  Real* to = reinterpret_cast<Real*>(&g.sent_perceptors);
+  for (std::size_t k = 0; k < sizeof(Perceptors) / sizeof(Real); ++k) to[k] = lanes ? from[k] : to[k];
 }
 
 unsigned step(const Model& model, void* group, const double* speeds, unsigned lane_bits, bool self_collision, Statistics& statistics) {
@@ -936,7 +936,7 @@ unsigned step(const Model& model, void* group, const double* speeds, unsigned la
   measure_gyro(g, lanes & ~awake);
   g.cycle = lanes ? g.cycle + 1.0 : g.cycle;
   g.game_time = lanes ? to_single(g.game_time + kStep) : g.game_time;
-  g.sensed.time = lanes ? g.cycle * 0.02 : g.sensed.time;
+  g.perceptors.time = lanes ? g.cycle * 0.02 : g.perceptors.time;
   if (self_collision) apply_self_collision_rule(model, g, lanes);
   return failed;
 }

@@ -1,5 +1,5 @@
-// One vector register holds the same quantity of several environments ("lanes"): eight, four or two, as the processor has it.
-// Everything is lane-wise: no operation mixes lanes, so a lane's result never depends on its neighbours.
+// One vector register holds the same quantity of several environments ("lanes"): eight, four or two, depending on the
+// processor. Everything is lane-wise: no operation mixes lanes, so a lane's result never depends on its neighbours.
 #pragma once
 #include <cmath>
 #include <cstdint>

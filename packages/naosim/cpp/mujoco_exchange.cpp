@@ -41,7 +41,7 @@ void MujocoExchange::compose(int row, const double* targets, std::string& messag
   const std::size_t empty = message.size();
   for (std::size_t j = 0; j < joints_; ++j) {
     const double degrees = mujoco::command_degrees(targets[j]);
-    // Targets and gains persist. Every node costs the server 20 us, so those that would say the same again are left out.
+    // Targets and gains persist. Every node costs the server 20 us, so unchanged ones are left out.
     if (degrees == robot.commanded[j]) continue;
     robot.commanded[j] = degrees;
     char text[64];

@@ -1,4 +1,5 @@
-// The exchange with rcssservermj: the agent port of one server a robot. The monitor port is used before, to enter the field.
+// The exchange with rcssservermj: the agent port of one server a robot. The monitor port is used only before that, to
+// enter the field.
 #pragma once
 #include <unordered_map>
 
@@ -13,7 +14,7 @@ class MujocoExchange final : public Exchange {
   MujocoExchange(int n, const std::vector<std::string>& perceptors, const std::vector<std::string>& effectors, const std::vector<double>& kp,
                  const std::vector<double>& kd);
   std::size_t joint_count() const { return joints_; }
-  // Text that goes ahead of the row's next command, for example a beam.
+  // Text that precedes the row's next command, for example a beam.
   void prepend(int row, std::string_view text) { robots_[row].ahead = text; }
   const std::string& play_mode(int row) const { return robots_[row].play_mode; }
 
@@ -22,7 +23,7 @@ class MujocoExchange final : public Exchange {
  private:
   struct Robot {
     std::string play_mode, ahead;
-    std::vector<double> commanded;  // degrees; NaN where the server has not been told yet
+    std::vector<double> commanded;  // degrees; NaN where none has been sent
     int parts_seen = 0;
   };
   void clear(int row) override;

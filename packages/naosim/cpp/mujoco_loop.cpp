@@ -1,4 +1,4 @@
-// Many MuJoCo worlds of one model, stepped together; naosim.mujoco.embedded documents what goes in and out.
+// Many MuJoCo worlds of one model, stepped together; naosim.mujoco.batch documents the arguments.
 //
 // The library is the one that the Python package has loaded: the addresses of its functions and of the worlds' arrays are handed
 // over, so that neither headers nor a library are needed to build this file.
@@ -38,7 +38,7 @@ using GetState = void (*)(const void* model, const void* data, double* state, in
 
 constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
 
-// The library's own handling of a warning is a file in the working directory. Here the world keeps the text.
+// By default the library writes warnings to a file in the working directory. Here each world keeps its last one.
 thread_local std::string* world_warning = nullptr;
 
 void note_warning(const char* text) {
@@ -106,7 +106,7 @@ class Worlds {
   const Layout& layout() const { return layout_; }
 
   // Step the rows from `first` on with (count, J) target angles, except those that `active` leaves out and those that have diverged.
-  // Without targets the worlds' present commands stay.
+  // Without targets the worlds keep their commands.
   void step(const double* targets, int first, int count, const std::uint8_t* active) {
     pool_.run(count, [&](int k) {
       const int row = first + k;
@@ -224,7 +224,7 @@ NB_MODULE(_mujoco, m) {
               const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos, int substeps, int delay,
               bool truncate, int threads) {
              require(data.size() >= 1 && ctrl.size() == data.size() && sensordata.size() == data.size() && qpos.size() == data.size(),
-                     "one address a world is needed");
+                     "one address per world is needed");
              require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
              new (self) Worlds(functions, model, {joints, positions, torso, state, signature}, data, ctrl, sensordata, qpos, substeps, delay,
@@ -237,7 +237,7 @@ NB_MODULE(_mujoco, m) {
              const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;
              require(targets.size() == count * joints, "targets: wrong shape");
              require(first >= 0 && first + static_cast<int>(count) <= self.size(), "rows: out of range");
-             require(!active || active->size() == count, "active: one value a row is needed");
+             require(!active || active->size() == count, "active: one value per row is needed");
              const std::uint8_t* mask = active ? active->data() : nullptr;
              const double* data = targets.data();
              nb::gil_scoped_release release;
@@ -293,7 +293,7 @@ NB_MODULE(_mujoco, m) {
               const std::vector<double>& kp, const std::vector<double>& kd) {
              const std::size_t joints = perceptors.size();
              require(n >= 1 && joints >= 1, "one server and one joint at least");
-             require(effectors.size() == joints && kp.size() == joints && kd.size() == joints, "one effector, kp and kd a joint are needed");
+             require(effectors.size() == joints && kp.size() == joints && kd.size() == joints, "one effector, kp and kd per joint are needed");
              new (self) MujocoExchange(n, perceptors, effectors, kp, kd);
            }, nb::arg("n"), nb::arg("perceptors"), nb::arg("effectors"), nb::arg("kp"), nb::arg("kd"))
       .def("prepend",

@@ -1,4 +1,5 @@
-// How numbers are said to rcssservermj and understood by it; the worlds in this process and the client of servers agree to the bit.
+// Conversions between numbers and rcssservermj's text, shared by embedded worlds and clients so that both agree to the
+// bit.
 #pragma once
 #include <cmath>
 

@@ -12,11 +12,11 @@ namespace {
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 }  // namespace
 
-PerceptReader::PerceptReader(const std::vector<std::string>& joints) : names_(joints) {
+PerceptorReader::PerceptorReader(const std::vector<std::string>& joints) : names_(joints) {
   for (std::size_t k = 0; k < names_.size(); ++k) index_[names_[k]] = static_cast<int>(k);
 }
 
-std::string PerceptReader::read(std::string_view message, const Percepts& to, GameState& game, int& joints_seen) const {
+std::string PerceptorReader::read(std::string_view message, const PerceptorTargets& to, GameState& game, int& joints_seen) const {
   Cursor cursor(message);
   std::string_view tag, field, word;
   joints_seen = 0;
@@ -273,7 +273,7 @@ std::string SceneWriter::write(std::string_view head, bool full, const double* p
   return out;
 }
 
-std::string PerceptWriter::write(std::string_view head, std::string_view see, const double* gyro, const double* accel,
+std::string PerceptorWriter::write(std::string_view head, std::string_view see, const double* gyro, const double* accel,
                                  const double* angles, const double* const touch[4]) const {
   std::string out(4, '\0');
   out.reserve(4096);

@@ -14,8 +14,8 @@
 
 namespace naosim::protocol {
 
-// What one agent message carries. Touch sensors: right foot, left foot, right toe, left toe.
-struct Percepts {
+// Destination of the perceptors in one agent message. Touch sensors: right foot, left foot, right toe, left toe.
+struct PerceptorTargets {
   double *joint_angles, *gyro, *accel, *touch[4];
   double* time;
   double* game_time;
@@ -27,11 +27,11 @@ struct GameState {
   int side = 0;  // 0 unknown, 1 left, 2 right
 };
 
-class PerceptReader {
+class PerceptorReader {
  public:
-  explicit PerceptReader(const std::vector<std::string>& joints);
+  explicit PerceptorReader(const std::vector<std::string>& joints);
   // Returns an empty string or what is wrong with the message; unknown perceptors are skipped.
-  std::string read(std::string_view message, const Percepts& to, GameState& game, int& joints_seen) const;
+  std::string read(std::string_view message, const PerceptorTargets& to, GameState& game, int& joints_seen) const;
   std::size_t joint_count() const { return index_.size(); }
 
  private:
@@ -44,8 +44,8 @@ class SceneReader {
  public:
   // Returns an empty string or what is wrong with the frame.
   std::string read(std::string_view frame);
-  bool complete() const { return complete_; }  // a full frame has come
-  // False where the robot wanted is not in the scene; a robot that is alone there is always the one wanted.
+  bool complete() const { return complete_; }  // a full frame has been received
+  // False if the requested robot is not in the scene; the only robot of a scene always counts as the requested one.
   bool torso(int side, int uniform_number, double position[3], double rotation[9]) const;
   bool ball(double position[3]) const;
   int robots() const { return static_cast<int>(robots_.size()); }
@@ -92,14 +92,14 @@ class SceneWriter {
 };
 
 // Writes agent messages. Items: kind 'j' joint, 't' touch sensor, 's' the place of See.
-class PerceptWriter {
+class PerceptorWriter {
  public:
   struct Item {
     char kind;
     std::string name;
     int index;
   };
-  PerceptWriter(std::vector<Item> items, int digits) : items_(std::move(items)), digits_(digits) {}
+  PerceptorWriter(std::vector<Item> items, int digits) : items_(std::move(items)), digits_(digits) {}
   std::string write(std::string_view head, std::string_view see, const double* gyro, const double* accel, const double* angles,
                     const double* const touch[4]) const;
 
@@ -145,7 +145,7 @@ class SparkExchange final : public Exchange {
  public:
   SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors);
   std::size_t joint_count() const { return joints_; }
-  void choose(int row, int side, int uniform_number);  // whose torso is the truth
+  void choose(int row, int side, int uniform_number);  // robot whose torso pose is reported
   int joints_seen(int row) const { return robots_[row].joints_seen; }
   bool torso_seen(int row) const { return robots_[row].torso_seen; }
   bool scene_complete(int row) const { return robots_[row].scene.complete(); }
@@ -166,7 +166,7 @@ class SparkExchange final : public Exchange {
   std::string lacking(int row) const override;
   std::size_t joints_;
   std::vector<std::string> effectors_;
-  PerceptReader reader_;
+  PerceptorReader reader_;
   std::vector<Robot> robots_;
 };
 

@@ -1,4 +1,4 @@
-// Python bindings of the protocol; naosim.protocol, naosim.client and naosim.server document what goes in and out.
+// Python bindings of the protocol; naosim.simspark.protocol, .client and .server document the arguments.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -112,22 +112,22 @@ nb::ndarray<nb::numpy, double> array(std::vector<double>& data, std::initializer
 void bind_protocol(nb::module_& m) {
   nb::class_<CommandReader>(m, "CommandReader").def(nb::init<const std::vector<std::string>&>()).def("read", &CommandReader::read);
 
-  nb::class_<PerceptWriter>(m, "PerceptWriter")
+  nb::class_<PerceptorWriter>(m, "PerceptorWriter")
       .def("__init__",
-           [](PerceptWriter* self, const std::vector<std::tuple<std::string, std::string, int>>& items, int digits) {
-             std::vector<PerceptWriter::Item> list;
+           [](PerceptorWriter* self, const std::vector<std::tuple<std::string, std::string, int>>& items, int digits) {
+             std::vector<PerceptorWriter::Item> list;
              for (const auto& [kind, name, index] : items) {
                require(kind == "j" || kind == "t" || kind == "s", "items: unknown kind");
                require(index >= 0 && (kind != "t" || index < 4), "items: index out of range");
                list.push_back({kind[0], name, index});
              }
              require(digits >= 0 && digits <= 9, "digits: out of range");
-             new (self) PerceptWriter(std::move(list), digits);
+             new (self) PerceptorWriter(std::move(list), digits);
            })
       .def("write",
-           [](const PerceptWriter& self, const nb::bytes& head, const nb::bytes& see, const Doubles& gyro, const Doubles& accel,
+           [](const PerceptorWriter& self, const nb::bytes& head, const nb::bytes& see, const Doubles& gyro, const Doubles& accel,
               const Doubles& angles, const Doubles& touch) {
-             require(gyro.size() == 3 && accel.size() == 3 && touch.size() == 24 && angles.size() >= 22, "senses: wrong shape");
+             require(gyro.size() == 3 && accel.size() == 3 && touch.size() == 24 && angles.size() >= 22, "perceptors: wrong shape");
              const double* sensors[4] = {touch.data(), touch.data() + 6, touch.data() + 12, touch.data() + 18};
              return bytes(self.write(view(head), view(see), gyro.data(), accel.data(), angles.data(), sensors));
            });
@@ -186,7 +186,7 @@ void bind_protocol(nb::module_& m) {
   exchange
       .def("__init__",
            [](SparkExchange* self, int n, const std::vector<std::string>& joints, const std::vector<std::string>& effectors) {
-             require(n >= 1 && !joints.empty() && joints.size() == effectors.size(), "one effector a joint is needed");
+             require(n >= 1 && !joints.empty() && joints.size() == effectors.size(), "one effector per joint is needed");
              new (self) SparkExchange(n, joints, effectors);
            })
       .def("choose", [](SparkExchange& self, int row, int side, int number) { self.choose(row_of(self, row), side, number); })

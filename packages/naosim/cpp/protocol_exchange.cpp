@@ -28,7 +28,7 @@ void SparkExchange::clear(int row) { robots_[row] = Robot(); }
 
 void SparkExchange::compose(int, const double* speeds, std::string& message) {
   for (std::size_t j = 0; j < joints_; ++j) {
-    // the shortest text that gives the server our single-precision number
+    // the shortest text that the server reads as the same single-precision number
     char text[64];
     const auto end = std::to_chars(text, text + sizeof text, static_cast<float>(speeds[j]), std::chars_format::fixed);
     message += '(';
@@ -44,7 +44,7 @@ std::string SparkExchange::read(int row, bool monitor, std::string_view text) {
   const std::size_t r = static_cast<std::size_t>(row);
   Robot& robot = robots_[row];
   if (!monitor) {
-    const Percepts to{&joint_angles[r * joints_], &gyro[3 * r], &accel[3 * r],
+    const PerceptorTargets to{&joint_angles[r * joints_], &gyro[3 * r], &accel[3 * r],
                       {&touch[0][6 * r], &touch[1][6 * r], &touch[2][6 * r], &touch[3][6 * r]}, &time[r], &game_time[r]};
     return reader_.read(text, to, robot.game, robot.joints_seen);
   }

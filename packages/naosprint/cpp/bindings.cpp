@@ -1,4 +1,4 @@
-// The module naosprint.rl._kernel; naosprint.rl.kernel documents it.
+// The module naosprint.rl._kernel; naosprint.rl.gradients documents it.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -25,20 +25,20 @@ void require(bool holds, const char* what) {
   if (!holds) throw nb::value_error(what);
 }
 
-// One network's parameters, where they lie, and where their gradients go.
+// Pointers to one network's parameters and gradients.
 class Network {
  public:
   // Weight, bias, gradient of the weight, gradient of the bias of each layer. The arrays must outlive this object, which keeps them.
   Network(std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays, const std::string& kernel) : arrays_(std::move(arrays)) {
     kernel_ = kernel.empty() ? &best_kernel() : find_kernel(kernel.c_str());
-    require(kernel_ != nullptr, "kernel: does not run on this processor");
+    require(kernel_ != nullptr, "kernel: is not supported by this processor");
     require(!arrays_.empty(), "layers: at least one is needed");
     for (auto& [weight, bias, weight_gradient, bias_gradient] : arrays_) {
       require(weight.ndim() == 2 && weight_gradient.ndim() == 2 && bias.ndim() == 1 && bias_gradient.ndim() == 1, "layers: wrong shape");
       require(weight.shape(0) == bias.shape(0) && weight.shape(0) == weight_gradient.shape(0) && weight.shape(1) == weight_gradient.shape(1) &&
                   bias.shape(0) == bias_gradient.shape(0),
-              "layers: shapes do not fit each other");
-      require(layers_.empty() || static_cast<int>(weight.shape(1)) == layers_.back().outputs, "layers: widths do not fit each other");
+              "layers: shapes do not match");
+      require(layers_.empty() || static_cast<int>(weight.shape(1)) == layers_.back().outputs, "layers: widths do not match");
       layers_.push_back({static_cast<int>(weight.shape(1)), static_cast<int>(weight.shape(0)), weight.data(), bias.data(), weight_gradient.data(),
                          bias_gradient.data()});
     }

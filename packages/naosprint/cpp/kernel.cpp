@@ -86,7 +86,7 @@ inline Vector tanh(Vector x) {
   return x * p / q;
 }
 
-// A network with room for the activations of one tile, and weights as the products want them.
+// A network with room for the activations of one tile, and weights in the layout of the products.
 struct Net {
   const std::vector<Layer>& layers;
   std::vector<int> in, out;           // padded widths
@@ -135,7 +135,7 @@ struct Net {
     }
   }
 
-  // Take in the observations of up to kTile rows; rows beyond are zero.
+  // Load the observations of up to kTile rows; further rows are zero.
   void gather(const float* observations, const std::int64_t* index, int count) {
     const int width = layers[0].inputs;
     for (int r = 0; r < count; ++r)
@@ -235,7 +235,7 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
     float squares = 0.0f;
     for (int j = 0; j < actions; ++j) {
       const float deviation = (action[j] - output[j]) * precision[j];
-      squares = std::fma(deviation, deviation, squares);  // explicit, or vectors would be added up in another way
+      squares = std::fma(deviation, deviation, squares);  // explicit, so that the order of summation is fixed
       error[j] = deviation;
     }
     const float log_ratio = -0.5f * squares - constant - rollout.log_probs[sample];

@@ -1,4 +1,4 @@
-// Gradients of PPO's two losses for a network of tanh layers; naosprint.rl.kernel documents what goes in and out.
+// Gradients of PPO's two losses for a network of tanh layers; naosprint.rl.gradients documents the arguments.
 //
 // A minibatch passes forward and backward in tiles of rows that stay in the processor's cache. Every number is computed by
 // one sequence of operations, whatever the width of the registers: results do not depend on the instruction set, as long as
@@ -30,7 +30,7 @@ struct ActorResult {
   double loss, clipped, kl;
 };
 
-// What a kernel needs of memory; it grows to the largest network that it has seen.
+// Scratch memory of a kernel; it grows to the largest network used.
 class Workspace {
  public:
   float* take(std::size_t floats);
@@ -52,6 +52,6 @@ struct Kernel {
 };
 
 const Kernel& best_kernel();
-const Kernel* find_kernel(const char* name);  // nullptr if it does not run here
+const Kernel* find_kernel(const char* name);  // nullptr if the processor does not support it
 
 }  // namespace naosprint

@@ -1,4 +1,4 @@
-"""Run an exported policy on a rcssserver3d in sync mode, alone on its field, with NumPy alone.
+"""Run an exported policy on rcssserver3d in sync mode, as the only robot; needs only NumPy.
 
 python run_policy.py policy.npz [host [agent port [monitor port]]]
 """
@@ -16,13 +16,13 @@ START, YAW_DEG = (-14.0, 0.0), -90.0
 
 
 class Runner:
-    """Turn a server's messages into observations, and those into joint speeds."""
+    """Convert a server's messages to observations, and observations to joint speeds."""
 
     def __init__(self, path):
         self.__dict__.update(np.load(path), features=None)
 
     def perceive(self, message):
-        """Keep the joints' angles in degrees, and gyro, accelerometer, left and right foot: place and force."""
+        """Store the joint angles in degrees, gyro, accelerometer, and centre and force of left and right foot."""
         felt = re.findall(r"\((\w+) \(n (\w+)\)(.*?)\)\)", message)
         felt = {tag + name: np.array(re.sub("[^-0-9. ]", "", text).split(), float) for tag, name, text in felt}
         self.angles = np.array([felt["HJ" + name][0] for name in self.joint_names])
@@ -48,7 +48,7 @@ class Runner:
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
         self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
         self.features, self.loaded = now, loaded
-        return np.concatenate([[self.steps], np.append(now, rates)[self.feature_order], self.counters])
+        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters])
 
     def act(self, observation):
         """Return the joints' target angles in radians, in the server's order and with its signs."""
@@ -63,7 +63,7 @@ class Runner:
 
 
 def torso_pose(scene):
-    """Return the (4, 4) pose of the robot's torso in a full scene graph, None in one of changes alone."""
+    """Return the (4, 4) pose of the robot's torso in a full scene graph, None for an incremental one."""
     # the last matrix before the mesh turns the mesh, the one before it is the torso's, column after column
     before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
     return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody" in scene else None
@@ -84,12 +84,12 @@ def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
     ask(monitor, move.format(x, y, runner.standing_height_m + runner.drop_m, YAW_DEG))
     while select.select([monitor], [], [], 0.2)[0]:
         monitor.recv(1 << 16)
-    # a symmetric policy does not run from a perfectly symmetric start, which no training begins with
+    # a symmetric policy does not run from a perfectly symmetric start, which training never has
     pose = runner.start_pose_rad + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.start_pose_rad)))
     while cycle < settled or (torso[2, 3] > 0.25 and torso[0, 3] < -START[0] and cycle < 3000):
         runner.perceive(message)
         command = runner.command(pose if cycle < settled else runner.act(runner.observe(message, torso)))
-        # a full scene is asked for a cycle ahead
+        # a full scene is requested one cycle ahead
         message, torso, cycle = ask(agent, command), torso_pose(ask(monitor, "(reqfullstate)")), cycle + 1
     seconds, metres = (cycle - settled) * runner.cycle_s, torso[0, 3] - x
     print(f"{metres:.2f} m in {seconds:.2f} s: {metres / seconds:.2f} m/s")

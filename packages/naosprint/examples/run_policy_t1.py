@@ -1,4 +1,4 @@
-"""Run an exported policy of a T1 or K1 on a rcssservermj, alone or among other robots, with NumPy alone.
+"""Run an exported policy of a T1 or K1 on rcssservermj, alone or among other robots; needs only NumPy.
 
 python run_policy_t1.py policy.npz [host [agent port [monitor port [team [number [y of the lane]]]]]]
 """
@@ -15,7 +15,7 @@ START_X = -14.0  # metres, own half
 
 
 class Runner:
-    """Turn a server's messages into observations, and those into commands."""
+    """Convert a server's messages to observations, and observations to commands."""
 
     def __init__(self, path, lane=0.0, side=1.0):
         self.__dict__.update(np.load(path))
@@ -23,7 +23,7 @@ class Runner:
         self.lane, self.place, self.cycles = lane, np.zeros(3), 0
 
     def perceive(self, message):
-        """Keep what a message says: joints in degrees and degrees per second, torso in the team's own field."""
+        """Store a message: joints in degrees and degrees per second, torso in the team's own field."""
         felt = re.findall(r"\((?:HJ|GYR|quat|pos) \(n (\w+)\)(.*?)\)\)", message)
         felt = {name: np.array(re.sub("[^-0-9. ]", "", text).split(), float) for name, text in felt}
         self.joints = np.array([felt["q_" + name.replace("e", "j")] for name in self.effector_names]).T
@@ -33,7 +33,7 @@ class Runner:
         self.velocity = self.rotation.T @ (self.place - before) / self.cycle_s
 
     def begin(self):
-        """Begin an episode: nothing is observed of what the robot did before."""
+        """Begin an episode, without observations of earlier steps."""
         self.cycles, self.velocity, self.action = 0, np.zeros(3), np.zeros(len(self.action_names))
 
     def seen(self):

@@ -57,7 +57,7 @@ def test_a_damaged_archive_is_refused(project: Any, naoctl: Callable[..., Any], 
             timeout=120,
         )
     assert answer.returncode == 1
-    assert "not what their manifests say" in answer.stderr
+    assert "do not match their manifests" in answer.stderr
 
 
 def files(folder: Path) -> dict[str, Any]:

@@ -17,7 +17,16 @@ SMALL = (
     *("--n-envs", "8", "--n-steps", "64", "--batch-size", "128"),
     *("--simulator-threads", "1", "--learner-threads", "1"),
 )
-JUDGED = ("--eval-episodes", "4", "--eval-n-envs", "4", "--eval-trajectories", "2", "--eval-bootstrap-resamples", "100")
+EVAL = (
+    "--eval-episodes",
+    "4",
+    "--eval-n-envs",
+    "4",
+    "--eval-trajectories",
+    "2",
+    "--eval-bootstrap-resamples",
+    "100",
+)
 LONG = ("--no-evaluate", "--checkpoint-interval-steps", "10240")
 
 #: What a container prints of an artifact, given its key.
@@ -47,7 +56,7 @@ def test_everything_is_healthy_and_the_migrations_have_ended(project: Any) -> No
 
 
 def test_a_job_trains_and_its_files_lie_in_the_store(project: Any, naoctl: Naoctl, tmp_path: Path) -> None:
-    job = naoctl("submit", *SMALL, *JUDGED, "--steps", "2048", "--checkpoint-interval-steps", "512", "--json")
+    job = naoctl("submit", *SMALL, *EVAL, "--steps", "2048", "--checkpoint-interval-steps", "512", "--json")
     naoctl("watch", job["id"], timeout_s=400)  # its exit status is the job's result
     done = naoctl("status", job["id"], "--json")
     assert done["state"] == "succeeded"

@@ -18,7 +18,16 @@ SMALL = (
     *("--simulator", "server", "--n-envs", str(ROBOTS), "--n-steps", "64", "--batch-size", "64"),
     *("--learner-threads", "1", "--fall-penalty-m", "0"),
 )
-JUDGED = ("--eval-episodes", "2", "--eval-n-envs", "2", "--eval-trajectories", "1", "--eval-bootstrap-resamples", "100")
+EVAL = (
+    "--eval-episodes",
+    "2",
+    "--eval-n-envs",
+    "2",
+    "--eval-trajectories",
+    "1",
+    "--eval-bootstrap-resamples",
+    "100",
+)
 
 #: Sends one request to the engine's filter and prints the status of the answer.
 ASK = """
@@ -70,7 +79,7 @@ def test_a_job_trains_on_containers_of_its_own(
     sidecars: Any, naoctl: Naoctl, wait_for: Naoctl, robot: str, image: str
 ) -> None:
     long = ("--steps", "4096", "--checkpoint-interval-steps", "4096")
-    job = naoctl("submit", "--robot", robot, *SMALL, *JUDGED, *long, "--json")["id"]
+    job = naoctl("submit", "--robot", robot, *SMALL, *EVAL, *long, "--json")["id"]
 
     def running() -> list[dict[str, Any]] | None:
         found = owned("container", job=job)

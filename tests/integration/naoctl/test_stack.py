@@ -27,7 +27,7 @@ from naoctl.stack.layout import Layout
 from naoctl.stack.state import StackState, marked_processes
 
 TINY = ["--steps", "256", "--n-envs", "4", "--n-steps", "32", "--batch-size", "128", "--simulator-threads", "1"]
-JUDGED = ["--eval-episodes", "6", "--eval-n-envs", "4"]
+EVAL = ["--eval-episodes", "6", "--eval-n-envs", "4"]
 ENDLESS = ["--steps", "1000000000", "--n-envs", "4", "--n-steps", "64", "--batch-size", "256"]
 
 
@@ -129,7 +129,7 @@ def stack(naoctl: Shell) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def job(naoctl: Shell, stack: dict[str, Any]) -> dict[str, Any]:
     """A tiny training, seen through."""
-    words = ["submit", *TINY, *JUDGED, "--name", "tiny", "--tag", "try", "--tag", "x:1", "--watch"]
+    words = ["submit", *TINY, *EVAL, "--name", "tiny", "--tag", "try", "--tag", "x:1", "--watch"]
     ran = naoctl(*words)
     assert "256 of 256 steps 100%" in ran.stdout
     assert "succeeded at 256 steps" in ran.stdout

@@ -190,7 +190,7 @@ def test_wrong_trainer_commands_change_nothing(server: Server, caplog: pytest.Lo
         "'nan' is not a number",
         "3 numbers are needed, not 2",
         "3 numbers are needed, not 1",
-        "'' is none of Left, Right and None",
+        "must be Left, Right or None, not ''",
         "no robot 9 of team Left",
     ):
         assert reason in text
@@ -299,7 +299,7 @@ def test_whoever_breaks_the_rules_is_cut_off_alone(server: Server, caplog: pytes
     [
         ("(scene rsg/agent/nao/nao_hetero.rsg 9)", "robot type '9' is unknown"),
         ("(scene /etc/passwd)", "use rsg/agent/nao"),
-        ("(init (unum 1)(teamname A))", "ask for a scene first"),
+        ("(init (unum 1)(teamname A))", "send (scene ...) first"),
     ],
 )
 def test_wrong_greetings_are_refused(server: Server, caplog: pytest.LogCaptureFixture, scene: str, reason: str) -> None:
@@ -314,7 +314,7 @@ def test_silent_clients_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
         stranger, player, monitor = Wire(server.agent_port), Player(server.agent_port), Wire(server.monitor_port)
         assert stranger.closed()
         assert player.closed()
-        assert "no scene asked for within 0.1 s" in caplog.text
+        assert "no scene requested within 0.1 s" in caplog.text
         assert "silent for 0.3 s" in caplog.text
         assert "RSG" in monitor.receive(), "a monitor may be silent for ever"
 

@@ -271,7 +271,7 @@ def test_evaluations_on_request(shared: Service, finished: str) -> None:
     assert json.loads(shared.store.get_bytes(f"{whole.key}/evaluation.json")) == whole.summary
     assert_report(shared, whole, updates=20, film=False)
     assert (broken.state, broken.attempt) == (WorkState.FAILED, 1)
-    assert "nothing lies there" in (broken.error or "")
+    assert "no such file" in (broken.error or "")
 
 
 def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(service: Service) -> None:

@@ -17,7 +17,7 @@ from naojobs import lifecycle
 from naojobs.models import Job, Log
 from naojobs.states import WorkState
 from naojobs.store import Manifest
-from naosprint_worker.database import DATABASE_TROUBLE, open_engine
+from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
@@ -63,7 +63,7 @@ def test_a_transaction_in_which_the_process_slept_is_trouble_that_passes(service
     settings = service.settings.model_copy(update={"lease_s": 0.3})
     engine = open_engine(settings, pool_size=1, application_name="sleeper")
     try:
-        with pytest.raises(DATABASE_TROUBLE, match="timeout"), engine.connect() as connection:
+        with pytest.raises(DATABASE_ERRORS, match="timeout"), engine.connect() as connection:
             connection.execute(text("SELECT pg_sleep(60)"))
         with engine.connect() as connection:
             assert connection.scalar(text("SELECT 1")) == 1

@@ -53,7 +53,7 @@ def test_an_artifact_that_was_changed_is_named_and_is_not_there(
     store: ArtifactStore, other: ArtifactStore, tmp_path: Path
 ) -> None:
     data = packed(store).replace(b"content of jobs/k", b"CONTENT of jobs/k", 1)
-    with pytest.raises(DamagedArchiveError, match="1 artifacts are not what their manifests say: jobs/k/checkpoints"):
+    with pytest.raises(DamagedArchiveError, match="1 artifacts do not match their manifests: jobs/k/checkpoints"):
         import_artifacts(other, io.BytesIO(data))
     other.get_directory(KEYS[0], tmp_path / "out")
     with pytest.raises(MissingArtifactError):

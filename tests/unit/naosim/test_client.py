@@ -172,7 +172,7 @@ def test_damaged_messages_never_do_harm(junk: bytes, at: int) -> None:
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        ({"n": 3}, "n: 3 servers wanted, 1 addresses given"),
+        ({"n": 3}, "n: must equal the number of addresses, 1, not 3"),
         ({"robot_type": 9}, "robot_type"),
         ({"team": "a b"}, "team"),
         ({"uniform_number": 0}, "uniform_number"),

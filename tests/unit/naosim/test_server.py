@@ -20,7 +20,7 @@ def test_players_get_free_numbers_and_places_of_their_own() -> None:
         assert -10 < y < 10
         assert (z, yaw) == (0.4, -90)
     assert len(places) == TEAM_SIZE
-    with pytest.raises(ProtocolError, match="number 0 of team A cannot be had"):
+    with pytest.raises(ProtocolError, match="number 0 of team A is not available"):
         game.join("A", 0)
     game.leave(1, 4)
     assert game.join("A", 4) == (1, 4)

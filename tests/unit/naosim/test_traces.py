@@ -32,8 +32,8 @@ def test_free_run_of_noise_stays_on_the_recorded_path() -> None:
 
 def test_perceptors_differ_only_in_the_first_reply() -> None:
     """The first replies speak of the time before the recording, which nobody can know."""
-    _, percepts, _ = traces.one_step(traces.load(HERE / "flail-1.npz"))
-    for name, units in percepts.items():
+    _, perceptors, _ = traces.one_step(traces.load(HERE / "flail-1.npz"))
+    for name, units in perceptors.items():
         late = units[2:]
         assert np.all(late <= 1.0 + 1e-6), name
 

@@ -92,10 +92,10 @@ def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.Cap
         (["evaluate", "nowhere"], "'nowhere' is neither a checkpoint directory nor a bundled policy"),
         (["evaluate", "nowhere", "--episodes", "0"], "--episodes: "),
         (["evaluate", "nowhere", "--task", "swim"], "--task: unknown task 'swim'"),
-        (["train", "x", "--resume", "nowhere"], "no checkpoint here"),
+        (["train", "x", "--resume", "nowhere"], "not a checkpoint"),
         (["report", "nowhere", "page"], "nowhere: no complete evaluation"),
         (["export", "nowhere", "policy"], "neither a checkpoint directory nor a bundled policy"),
-        (["replay", ".", "policy"], "no checkpoint here"),
+        (["replay", ".", "policy"], "not a checkpoint"),
     ],
 )
 def test_bad_input_is_explained(

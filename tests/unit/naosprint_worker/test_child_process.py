@@ -14,7 +14,7 @@ from naojobs.store import CorruptArtifactError, MissingArtifactError, StoreError
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 from naosprint import CheckpointError, TrainingDivergedError
-from naosprint_worker.child_process import StopRequest, StopRequestedError, judge
+from naosprint_worker.child_process import StopRequest, StopRequestedError, classify
 from naosprint_worker.outcome import ExitCode
 from naosprint_worker.retry import PatienceExhaustedError
 from sqlalchemy.exc import OperationalError
@@ -44,7 +44,7 @@ from sqlalchemy.exc import OperationalError
     ],
 )
 def test_judgement(error: Exception, code: ExitCode, kind: str, tmp_path: Path) -> None:
-    got, outcome = judge(error, tmp_path)
+    got, outcome = classify(error, tmp_path)
     assert (got, outcome.kind) == (code, kind)
     assert code is ExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
 
@@ -53,7 +53,7 @@ def test_judgement_keeps_the_traceback(tmp_path: Path) -> None:
     try:
         raise ValueError("n_envs: too many")
     except ValueError as error:
-        _, outcome = judge(error, tmp_path)
+        _, outcome = classify(error, tmp_path)
     assert "test_judgement_keeps_the_traceback" in outcome.traceback
 
 
@@ -64,7 +64,7 @@ def test_full_disk_behind_another_error_is_found(tmp_path: Path) -> None:
         except OSError as error:
             raise CheckpointError("cannot be written") from error
     except CheckpointError as error:
-        code, outcome = judge(error, tmp_path / "attempt")
+        code, outcome = classify(error, tmp_path / "attempt")
     assert (code, outcome.kind) == (ExitCode.DISK_FULL, "disk_full")
     assert f"the worker's folder {tmp_path}" in outcome.message
 

@@ -61,7 +61,7 @@ def test_patience_ends_and_says_what_failed() -> None:
 def test_stop_ends_the_waiting() -> None:
     stop = threading.Event()
     start = time.monotonic()
-    with pytest.raises(PatienceExhaustedError, match="told to stop"):
+    with pytest.raises(PatienceExhaustedError, match="stopped"):
         retry(
             Flaky(10**9),
             what="writing",

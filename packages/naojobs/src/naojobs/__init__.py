@@ -1,6 +1,6 @@
-"""Jobs, evaluations and workers in the database: all that API and workers share.
+"""Jobs, evaluations and workers in the database, shared by API and workers.
 
-The state of a piece of work is its row in Postgres; a Celery message only wakes a worker up.
+The state of a piece of work is its row in Postgres; a Celery message only wakes up a worker.
 
 - `naojobs.settings`       one settings class, read from the environment
 - `naojobs.states`         the states of work and the allowed transitions

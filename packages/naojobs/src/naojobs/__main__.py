@@ -23,21 +23,21 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m naojobs", description="Administer the job service.")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    migrate = commands.add_parser("migrate", help="bring the database to a revision")
+    migrate = commands.add_parser("migrate", help="migrate the database to a revision")
     migrate.add_argument("--revision", default="head", help="target revision (default: head)")
-    migrate.add_argument("--down", action="store_true", help="go back to the revision instead of up to it")
+    migrate.add_argument("--down", action="store_true", help="downgrade to the revision")
     migrate.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
 
     token = commands.add_parser("token", help="make, list and revoke tokens").add_subparsers(dest="verb", required=True)
     create = token.add_parser("create", help="make a token; its secret is shown once")
-    create.add_argument("--owner", required=True, help="whose jobs it opens")
-    create.add_argument("--name", default="", help="what it is for")
+    create.add_argument("--owner", required=True, help="user whose jobs it gives access to")
+    create.add_argument("--name", default="", help="description of its purpose")
     create.add_argument("--scope", action="append", choices=list(Scope), required=True, help="may be given repeatedly")
     create.add_argument("--days", type=float, help="days until it expires (default: never)")
     token.add_parser("list", help="show all tokens, without their secrets")
-    token.add_parser("revoke", help="make a token useless").add_argument("id")
+    token.add_parser("revoke", help="revoke a token").add_argument("id")
 
-    artifacts = commands.add_parser("artifacts", help="copy artifacts out of the store and into it, and tidy it up")
+    artifacts = commands.add_parser("artifacts", help="export, import and clean up artifacts")
     verbs = artifacts.add_subparsers(dest="verb", required=True)
     verbs.add_parser("export", help="write all artifacts to a tar archive").add_argument(
         "file", nargs="?", type=Path, help="the archive (default: standard output)"
@@ -46,8 +46,8 @@ def _parser() -> argparse.ArgumentParser:
         "file", nargs="?", type=Path, help="the archive (default: standard input)"
     )
     sweep = verbs.add_parser("sweep", help="delete files that no job refers to")
-    sweep.add_argument("--hours", type=float, default=DEFAULT_AGE_S / 3600, help="only files as old (default: 24)")
-    sweep.add_argument("--dry-run", action="store_true", help="only show them")
+    sweep.add_argument("--hours", type=float, default=DEFAULT_AGE_S / 3600, help="only files this old (default: 24)")
+    sweep.add_argument("--dry-run", action="store_true", help="only list the files")
     return parser
 
 
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     finally:
         engine.dispose()
-    # An archive that goes to standard output must stay alone there.
+    # Nothing else may be written to standard output if the archive is.
     stream = sys.stderr if arguments.verb == "export" and arguments.file is None else sys.stdout
     stream.write(json.dumps(answer, default=lambda time: time.isoformat()) + "\n")
     return 0

@@ -19,7 +19,8 @@ class DamagedArchiveError(JobError):
 def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
     """Write everything in the store to `target`; return how many files that was. Raises StoreError.
 
-    Artifacts may come and go meanwhile. One whose files go away is left without a manifest, and so counts as not there.
+    Artifacts may be added and deleted meanwhile. One whose files are deleted is written without a manifest, and so does
+    not count as stored.
     """
     keys = sorted(store.list(ARTIFACTS), key=lambda key: (artifact_of(key), _is_manifest(key)))
     count = 0
@@ -44,8 +45,8 @@ def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
     """Write everything in `source` to the store, manifests last, and return how many files that was.
 
     Raises:
-        DamagedArchiveError: an artifact is not what its manifest says; it has no manifest in the store then and so
-            counts as not there, while all others are.
+        DamagedArchiveError: an artifact does not match its manifest; it is then stored without a manifest and so does
+            not count, while all others do.
     """
     digests: dict[str, str] = {}
     manifests: dict[str, bytes] = {}
@@ -67,7 +68,7 @@ def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
     for key in manifests.keys() - set(damaged):
         store.put_bytes(key, manifests[key])
     if damaged:
-        raise DamagedArchiveError(f"{len(damaged)} artifacts are not what their manifests say: {', '.join(damaged)}")
+        raise DamagedArchiveError(f"{len(damaged)} artifacts do not match their manifests: {', '.join(damaged)}")
     return len(digests)
 
 

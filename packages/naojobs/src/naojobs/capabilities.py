@@ -26,12 +26,12 @@ class Requirements:
 
     @classmethod
     def of_training(cls, spec: TrainingSpec) -> Requirements:
-        """Return what a training needs."""
+        """Return the requirements of a training."""
         return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name)
 
     @classmethod
     def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
-        """Return what an evaluation of a checkpoint of `job` needs."""
+        """Return the requirements of an evaluation of a checkpoint of `job`."""
         task, version = job.task, job.task_version
         if spec.task is not None and spec.task.name != job.task:
             task, version = spec.task.name, plugins.load(plugins.TASKS, spec.task.name).version
@@ -55,7 +55,7 @@ class Capabilities:
         )
 
     def condition(self, model: type[Job] | type[Evaluation]) -> ColumnElement[bool]:
-        """Return the SQL condition that `meets` is for rows of `model`."""
+        """Return the SQL condition that corresponds to `meets` for rows of `model`."""
         return and_(
             tuple_(model.task, model.task_version).in_(list(self.tasks.items())),
             model.robot.in_(self.robots),

@@ -47,7 +47,7 @@ def trained_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
 
 
 def awaits_policy() -> ColumnElement[bool]:
-    """Return the condition under which a job has to wait: it starts from a policy that its parent has yet to train."""
+    """Return the condition under which a job has to wait: it starts from a policy not trained yet."""
     parent = aliased(Job)
     own = select(Checkpoint.id).where(Checkpoint.job_id == Job.id)
     trained = select(Checkpoint.id).where(Checkpoint.job_id == Job.parent_job_id, Checkpoint.step > 0)

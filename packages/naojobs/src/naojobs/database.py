@@ -40,8 +40,8 @@ Sessions: TypeAlias = sessionmaker[Session]
 def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naosprint") -> Engine:
     """Return an engine for `url` (postgresql+psycopg://...).
 
-    A statement may take 30 s and wait for a lock 10 s, so that a stuck transaction of one process cannot
-    silence the others; a connection that a restart of Postgres has cut is replaced when it is taken from the pool.
+    A statement may take 30 s and wait for a lock 10 s, so that a stuck transaction of one process cannot block the
+    others; a connection that a restart of Postgres has cut is replaced when it is taken from the pool.
     """
     engine = create_engine(
         url,
@@ -62,7 +62,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
 
     @event.listens_for(engine, "checkout")
     def refuse_cut(connection: psycopg.Connection[Any], _record: object, _proxy: object) -> None:
-        # Nobody speaks on an idle connection unless it ends: a look at its socket saves asking the server each time.
+        # An idle connection has nothing to read unless it has ended: checking its socket saves a query.
         if connection.closed or _has_input(connection.fileno()):
             raise InvalidatePoolError("the server has cut the connection")
 
@@ -77,7 +77,7 @@ def _has_input(descriptor: int) -> bool:
 
 
 def limit_transactions(engine: Engine, seconds: float) -> None:
-    """End every transaction of `engine` that lasts longer, even if this process is frozen in the middle of it.
+    """End every transaction of `engine` that lasts longer than `seconds`, even if this process is frozen.
 
     A frozen process keeps its connection, and with it the locks on rows: no other could take the work over. The ended
     transaction raises OperationalError.
@@ -95,8 +95,8 @@ def limit_transactions(engine: Engine, seconds: float) -> None:
 
     @event.listens_for(engine, "handle_error", retval=True)
     def distinguish_limit(context: ExceptionContext) -> Exception | None:
-        # The driver counts a transaction that lasted too long among internal errors, as it does wrong use. All that
-        # happened is that this process slept: the next attempt succeeds, or finds that the lease is lost.
+        # The driver counts a transaction that lasted too long among internal errors, as it does wrong use. This process
+        # has only been suspended: the next attempt succeeds, or the lease is lost.
         error = context.original_exception
         if not isinstance(error, _TOO_LONG):
             return None
@@ -108,7 +108,7 @@ def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:
     """Return a maker of sessions whose objects stay readable after the commit.
 
     With `read_only`, every statement sees what is committed when it begins, as in any transaction here, but none is
-    wrapped in a transaction of its own: a look at one row is one round trip to the server instead of three.
+    wrapped in a transaction of its own: reading one row takes one round trip to the server instead of three.
     """
     if read_only:
         engine = engine.execution_options(isolation_level="AUTOCOMMIT")
@@ -153,7 +153,7 @@ def _migration_lock(url: str) -> Iterator[None]:
 
 
 def upgrade(url: str, migrations: Path, revision: str = "head") -> None:
-    """Bring the database to `revision`; several processes may call it at once."""
+    """Migrate the database to `revision`; several processes may call it at once."""
     from alembic import command
 
     with _migration_lock(url):
@@ -161,7 +161,7 @@ def upgrade(url: str, migrations: Path, revision: str = "head") -> None:
 
 
 def downgrade(url: str, migrations: Path, revision: str) -> None:
-    """Take the database back to `revision`; `base` empties it."""
+    """Downgrade the database to `revision`; `base` empties it."""
     from alembic import command
 
     with _migration_lock(url):

@@ -25,7 +25,7 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
             ("owner", "reason", "failures", "delay_s"),
         ),
         "notification_failed": EventKind(
-            "The broker took no wake-up message; the job waits until a free worker polls the queue.", ("error",)
+            "The broker did not accept the wake-up message; the job waits until a free worker polls.", ("error",)
         ),
         "claimed": EventKind("A worker has taken the job.", ("worker",)),
         "initial_policy": EventKind(

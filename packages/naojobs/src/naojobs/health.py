@@ -1,6 +1,6 @@
 """Health of a host's worker, by its heartbeat in the registry.
 
-A container asks every half minute, so this uses the driver directly: loading the models alone takes a second.
+A container runs this every half minute, so it uses the driver directly: loading the models alone takes a second.
 """
 
 from __future__ import annotations

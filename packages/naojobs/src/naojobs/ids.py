@@ -22,5 +22,5 @@ def new_id(prefix: str) -> str:
 
 
 def same_id(prefix: str, identifier: str) -> str:
-    """Return the identifier with the digits of another kind's `identifier`: for what it has once."""
+    """Return the identifier with the digits of another kind's `identifier`, for an object that it has once."""
     return f"{prefix}_{identifier.split('_', 1)[1]}"

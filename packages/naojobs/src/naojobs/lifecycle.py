@@ -25,7 +25,8 @@ from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 
-#: Seconds until the next attempt after one that a service was away for, doubled with each in a row up to the longest.
+#: Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
+#: to the longest.
 POSTPONE_S, LONGEST_POSTPONE_S = 5.0, 300.0
 
 #: Seconds after a heartbeat at which a lease expires.
@@ -180,14 +181,14 @@ def hold(session: Session, lease: Lease) -> Job | Evaluation:
 def hold_job(session: Session, lease: Lease) -> Job:
     """Lock a leased job for the rest of the transaction. Raises LeaseLostError."""
     job = hold(session, lease)
-    assert isinstance(job, Job), f"{lease} is no job"
+    assert isinstance(job, Job), f"{lease} is not a lease on a job"
     return job
 
 
 def hold_evaluation(session: Session, lease: Lease) -> Evaluation:
     """Lock a leased evaluation for the rest of the transaction. Raises LeaseLostError."""
     evaluation = hold(session, lease)
-    assert isinstance(evaluation, Evaluation), f"{lease} is no evaluation"
+    assert isinstance(evaluation, Evaluation), f"{lease} is not a lease on an evaluation"
     return evaluation
 
 
@@ -209,7 +210,7 @@ def request_cancel(sessions: Sessions, model: type[W], work_id: str) -> W:
             add_event(session, work, "cancel_requested", "asked the worker to stop")
         elif work.state not in ENDED:
             _change(work, WorkState.CANCELLED)
-            add_event(session, work, "cancelled", "cancelled while no worker had it")
+            add_event(session, work, "cancelled", "cancelled before a worker claimed it")
         else:
             raise ConflictError(f"{work.kind} {work_id} has already {work.state}; there is nothing to cancel")
         session.flush()
@@ -232,7 +233,7 @@ def request_pause(sessions: Sessions, job_id: str) -> Job:
             add_event(session, job, "pause_requested", "asked the worker to write a checkpoint and stop")
         elif job.state is WorkState.QUEUED:
             _change(job, WorkState.PAUSED)
-            add_event(session, job, "paused", "paused while no worker had it")
+            add_event(session, job, "paused", "paused before a worker claimed it")
         elif job.state is WorkState.EVALUATING:
             raise ConflictError(f"job {job_id} is evaluating, which cannot be paused; wait for its end, or cancel it")
         else:
@@ -350,7 +351,7 @@ def claim_next(
     capabilities: Capabilities,
     lease_s: float = DEFAULT_LEASE_S,
 ) -> Claim | None:
-    """Claim the work of highest priority that waits longest in one of `queues` and that `worker` can run.
+    """Claim the work of highest priority, the oldest first, in one of `queues` that `worker` can run.
 
     Several workers may look at once: each skips the rows that another is claiming.
     """
@@ -366,7 +367,7 @@ def claim_next(
             if not found:
                 return None
             taken = _take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
-        if taken is not None:  # else it has left the queue, with the reason in its row
+        if taken is not None:  # else it is no longer queued, and its row has the reason
             return taken
 
 
@@ -435,13 +436,13 @@ def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
 
 
 def _parent_policy(session: Session, job: Job) -> Checkpoint | None:
-    """Return the checkpoint whose policy a locked job starts from; none if there is none any more."""
+    """Return the checkpoint whose policy a locked job starts from; none if there no longer is one."""
     if job.parent_checkpoint_id is not None:
         return session.get(Checkpoint, job.parent_checkpoint_id)
     if job.parent_job_id is None:
         return None
-    # From now on this one is the parent, for every attempt: the lock and the reference keep it from being pruned by
-    # the parent job, which may still run.
+    # From now on this checkpoint is the parent's, for every attempt: the lock and the reference keep it from being
+    # pruned by the parent job, which may still run.
     session.execute(select(Job.id).where(Job.id == job.parent_job_id).with_for_update(key_share=True))
     parent = trained_checkpoint(session, job.parent_job_id)
     job.parent_checkpoint_id = parent.id if parent is not None else None
@@ -494,7 +495,7 @@ def transition(
     """Change the state of leased work to `target`; return the state it had.
 
     The lease ends with every state outside `LEASED`. Use it with `queued` to requeue work without counting a failure
-    (a worker that shuts down); after a lost child process use `lose`, after a service that was away `postpone`.
+    (a worker that shuts down); after a lost child process use `lose`, after an outage of a service `postpone`.
 
     Raises LeaseLostError, and ConflictError if the table of transitions does not allow it.
     """
@@ -570,7 +571,7 @@ def lose(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
 
 
 def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
-    """Queue work again whose attempt ended because a service was away; return the new state.
+    """Queue work again whose attempt ended because a service was unavailable; return the new state.
 
     It counts no failed attempt. The next attempt begins after a delay, which grows while attempts end in this way.
     Work that a user asked to cancel or pause ends that way instead. Raises LeaseLostError.

@@ -108,7 +108,7 @@ class Work:
     attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
     #: Number of attempts that ended by a lost worker or child process since the last submit, retry or new checkpoint.
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Number of attempts in a row that ended because a service was away, and when the next one may begin.
+    #: Number of attempts in a row that ended because a service was unavailable, and when the next one may begin.
     postponed: Mapped[int] = mapped_column(Integer, server_default=text("0"))
     not_before: Mapped[datetime | None]
     #: Number of failures at which the work fails for good.
@@ -153,7 +153,7 @@ class Job(Work, Base):
     total_steps: Mapped[int] = mapped_column(BigInteger)
     #: Step at which the last attempt began.
     began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
-    #: Id of the last batch of records, so that one that is written again adds nothing twice.
+    #: Id of the last batch of records, so that a repeated write adds nothing twice.
     last_batch: Mapped[str | None] = mapped_column(String(64))
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
@@ -235,7 +235,7 @@ class Checkpoint(Base):
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
     attempt: Mapped[int] = mapped_column(Integer)
     step: Mapped[int] = mapped_column(BigInteger)
-    #: Where its files lie in the store: `key/name`.
+    #: Location of its files in the store: `key/name`.
     key: Mapped[str]
     #: A `naojobs.store.Manifest`.
     manifest: Mapped[dict[str, Any]]

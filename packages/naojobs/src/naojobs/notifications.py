@@ -1,7 +1,7 @@
 """Wake-up messages through Celery: they make free workers look for work at once.
 
-The state of work is its row in the database. A message may be lost, doubled or late without harm, since free workers
-also poll the table; a broker that is down fails nothing.
+The state of work is its row in the database. A message may be lost, duplicated or late without harm, since free workers
+also poll the table; nothing fails while the broker is down.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
 
 
 class Notifier:
-    """Sender of wake-up messages that never waits long for a broker that is down."""
+    """Sender of wake-up messages that does not wait long for a broker that is down."""
 
     def __init__(self, app: Celery) -> None:
-        # A consumer should wait for its broker; a sender gives up at once, since workers poll anyway.
+        # A consumer waits for its broker; a sender gives up at once, since workers poll anyway.
         self._app = make_celery(app.conf.broker_url, f"{app.main}-notifier")
         options = {"max_retries": 0, "interval_start": 0, "interval_step": 0, "interval_max": 0}
         self._app.conf.broker_transport_options |= options
@@ -55,8 +55,8 @@ class Notifier:
         """Send a wake-up message for queued work; return none, or the error."""
         try:
             self._app.send_task(WAKE_UP, args=[work_id], queue=queue, retry=False, ignore_result=True)
-        except Exception as error:  # a failing broker must not fail what the message was sent for
-            _log.warning("the broker did not take the message for %s: %s", work_id, error)
+        except Exception as error:  # a failing broker must not fail the caller's operation
+            _log.warning("the broker did not accept the message for %s: %s", work_id, error)
             return f"{type(error).__name__}: {error}"
         return None
 

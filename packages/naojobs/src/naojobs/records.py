@@ -35,7 +35,7 @@ _INSERT_LOG = insert(Log.__table__).values(at=func.coalesce(_LOGGED_AT, func.now
 
 @dataclass(frozen=True)
 class LogLine:
-    """Line for a job's log; without `at` it is of now."""
+    """Line for a job's log; without `at` it has the present time."""
 
     level: str
     message: str
@@ -87,7 +87,7 @@ class Batch:
 def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     """Write all records of `batch` for a leased job in one transaction; return the ids of its checkpoints by step.
 
-    A repeated call replaces the metrics, keeps the checkpoints that are there and adds no log line or event again, if
+    A repeated call replaces the metrics, keeps existing checkpoints and adds no log line or event again, if
     no other batch was written in between. Metrics that are not finite are left
     out. A new checkpoint supersedes the metrics that earlier attempts wrote beyond the step at which this one began.
     Raises LeaseLostError.
@@ -167,7 +167,7 @@ def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) ->
 
 
 def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
-    # Postgres has no text with a zero byte in it.
+    # Postgres does not allow zero bytes in text.
     message = line.message.replace("\x00", "\N{REPLACEMENT CHARACTER}")[:MAX_LOG_CHARS]
     level = line.level.lower()[:10]
     return {"job_id": job.id, "attempt": job.attempt, "level": level, "message": message, "logged_at": line.at}
@@ -186,7 +186,7 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
         return session.execute(select(Checkpoint.id).filter_by(**same)).scalar_one()
     if stored.step > job.began_step:
         _drop_superseded(session, job)
-    if furthest is None or stored.step > furthest:  # the attempts until now were worth something
+    if furthest is None or stored.step > furthest:  # the attempts so far have made progress
         job.failures = job.postponed = 0
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})

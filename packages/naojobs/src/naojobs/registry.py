@@ -44,7 +44,7 @@ def beat(
 
 
 def leave(sessions: Sessions, worker_id: str) -> None:
-    """Remove a worker that ends."""
+    """Remove a worker that shuts down."""
     with sessions.begin() as session:
         session.execute(delete(Worker).where(Worker.id == worker_id))
 

@@ -1,4 +1,4 @@
-"""Which artifacts are kept: checkpoints that are worth it, and only files that a row refers to."""
+"""Retention of artifacts: which checkpoints are kept, and deletion of files that no row refers to."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from naojobs.models import Checkpoint, Evaluation, Job, Metric
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
-#: The column of metrics that tells which checkpoint is the best: the mean reward of the latest episodes.
+#: The column of metrics that decides which checkpoint is the best: the mean reward of the latest episodes.
 BEST_BY = "reward"
 
-#: Seconds for which a file without a row is left alone: it may be on its way into the store, and its row not yet made.
+#: Seconds for which a file without a row is kept: its upload may not be complete yet.
 DEFAULT_AGE_S = 86_400.0
 
 _log = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Checkpoints of a job to keep, besides the best one and those that something refers to."""
+    """Checkpoints of a job to keep, besides the best one and those in use."""
 
     #: The newest.
     last: int
@@ -37,10 +37,10 @@ class Retention:
 
 
 def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> list[str]:
-    """Delete the rows of a leased job's checkpoints that `wanted` does not keep; return where their files lie.
+    """Delete the rows of a leased job's checkpoints that `wanted` does not keep; return the keys of their files.
 
     Kept in any case: the one with the highest mean reward, those that were evaluated or are to be, and those whose
-    policy another job starts from. The files are the caller's to delete; what it leaves the sweep finds.
+    policy another job starts from. The caller deletes the files; the sweep deletes any that remain.
     Raises LeaseLostError.
     """
     with sessions.begin() as session:
@@ -56,7 +56,7 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
             spec = TrainingSpec.model_validate(job.spec)  # an older version may have stored fewer settings
             stride = wanted.every * spec.runtime.checkpoint_interval_steps
             rollout = spec.rollout_steps
-            # A checkpoint comes with the first update at or behind a multiple of the interval.
+            # A checkpoint is saved with the first update at or after a multiple of the interval.
             candidates = [row for row in candidates if row.step % stride >= rollout]
         spared = _spared(session, job.id)
         doomed = [row for row in candidates if row.id not in spared]
@@ -85,7 +85,7 @@ def _spared(session: Session, job_id: str) -> set[str]:
 def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> list[str]:
     """Return the prefixes of files that no row refers to and that have not changed for `age_s`, sorted.
 
-    Whatever belongs to a job that somebody works on is left alone, whatever its age seems to be: a clock may be wrong.
+    Files of leased jobs are left out regardless of their age, since a clock may be wrong.
     Raises StoreError.
     """
     changed: dict[str, datetime] = {}
@@ -113,7 +113,7 @@ def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AG
         try:
             count = store.delete_prefix(prefix) or store.delete_file(prefix)
         except MissingArtifactError:
-            continue  # somebody else was faster
+            continue  # another process was faster
         _log.info("deleted %s: %d files that nothing refers to", prefix, count)
         gone.append(prefix)
     if count := store.remove_unfinished(age_s):

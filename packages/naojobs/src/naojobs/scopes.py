@@ -1,4 +1,4 @@
-"""What a token may allow."""
+"""Scopes of tokens."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from enum import StrEnum
 
 
 class Scope(StrEnum):
-    """What a token allows; each one includes those before it."""
+    """Scope of a token; each one includes those before it."""
 
     #: See one's own jobs.
     READ = "read"
-    #: Submit and steer one's own jobs.
+    #: Submit and control one's own jobs.
     SUBMIT = "submit"
     #: Access to all users' jobs, to tokens, and to the service's metrics.
     ADMIN = "admin"

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-#: Passwords that stand in examples and images: fine on one machine, refused in production.
+#: Passwords from examples and images: allowed on one machine, refused in production.
 DEFAULT_SECRETS = frozenset(
     {"", "naosprint", "postgres", "password", "changeme", "changethis", "secret", "minio", "minioadmin", "admin"},
 )
@@ -83,12 +83,12 @@ class ServiceSettings(BaseSettings):
 
     @property
     def sqlalchemy_url(self) -> str:
-        """Return the database URL with the psycopg driver named, as SQLAlchemy wants it."""
+        """Return the database URL with the name of the psycopg driver, as SQLAlchemy expects it."""
         rest = self.database_url.get_secret_value().split("://", 1)[1]
         return f"postgresql+psycopg://{rest}"
 
     @property
     def libpq_url(self) -> str:
-        """Return the database URL without a driver, as psycopg wants it."""
+        """Return the database URL without a driver, as psycopg expects it."""
         rest = self.database_url.get_secret_value().split("://", 1)[1]
         return f"postgresql://{rest}"

@@ -16,7 +16,7 @@ class WorkState(StrEnum):
     RUNNING = "running"
     #: A pause was requested; the worker is asked to write a checkpoint and stop.
     PAUSING = "pausing"
-    #: Stopped with everything kept; `resume` queues it again.
+    #: Stopped with all results kept; `resume` queues it again.
     PAUSED = "paused"
     #: Training is over; the final policy is being evaluated.
     EVALUATING = "evaluating"
@@ -36,7 +36,7 @@ TRANSITIONS: dict[WorkState, frozenset[WorkState]] = {
     _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.FAILED, _S.CANCELLED}),
     _S.STARTING: frozenset({_S.RUNNING, _S.EVALUATING, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
     _S.RUNNING: frozenset({_S.EVALUATING, _S.SUCCEEDED, _S.PAUSING, _S.PAUSED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),
-    # A training may reach its last step after a pause was requested: then there is nothing left to pause.
+    # A training may reach its last step after a pause was requested: then there is nothing to pause.
     _S.PAUSING: frozenset({_S.PAUSED, _S.EVALUATING, _S.SUCCEEDED, _S.FAILED, _S.CANCELLED}),
     _S.PAUSED: frozenset({_S.QUEUED, _S.CANCELLED}),
     _S.EVALUATING: frozenset({_S.SUCCEEDED, _S.QUEUED, _S.FAILED, _S.CANCELLED}),

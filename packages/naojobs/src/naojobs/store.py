@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from naojobs.settings import ServiceSettings
 
 MANIFEST_NAME = "manifest.json"
-#: Below it lies everything that rows of the database refer to.
+#: Prefix of all files that rows of the database refer to.
 ARTIFACTS = "jobs"
-#: Below it lie the files with which a store is tried out.
+#: Prefix of the files with which a store is tested.
 PROBES = "probes"
-#: Seconds for which a store may be silent, and for which a request that it refuses is repeated.
+#: Seconds for which a store may not answer, and for which a refused request is repeated.
 DEFAULT_DEADLINE_S = 60.0
 #: Larger files are uploaded in parts.
 LARGEST_PUT_BYTES = 64 << 20
@@ -65,7 +65,7 @@ class FileEntry(BaseModel):
 
 
 class Manifest(BaseModel):
-    """Lists the files of one artifact; it is written after all of them, so what has a manifest is complete."""
+    """Lists the files of one artifact; it is written after all of them, so an artifact with a manifest is complete."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -92,7 +92,7 @@ class StoredFile:
 
 
 def check_key(key: str) -> str:
-    """Return `key`, or raise ValueError if it could lead out of the store or mean two things.
+    """Return `key`, or raise ValueError if it could lead out of the store or is ambiguous.
 
     A key is one or more segments joined by `/`; each starts with a letter, a digit or `_`.
     """
@@ -104,23 +104,23 @@ def check_key(key: str) -> str:
 def new_nonce() -> str:
     """Return a random part for the keys of one attempt.
 
-    A database that lost its last seconds gives an attempt's number again: its files must not replace earlier ones.
+    A database that lost its last seconds reuses an attempt's number, whose files must not replace earlier ones.
     """
     return secrets.token_hex(4)
 
 
 def checkpoint_key(job_id: str, step: int, attempt: int, nonce: str = "") -> str:
-    """Return where the files of a checkpoint lie; it sorts by step, then by attempt."""
+    """Return the key of a checkpoint's files; keys sort by step, then by attempt."""
     return check_key("-".join(filter(None, (f"{ARTIFACTS}/{job_id}/checkpoints/{step:012d}", str(attempt), nonce))))
 
 
 def job_prefix(job_id: str) -> str:
-    """Return below what all artifacts of a job lie."""
+    """Return the prefix of all artifacts of a job."""
     return check_key(f"{ARTIFACTS}/{job_id}")
 
 
 def evaluation_key(job_id: str, evaluation_id: str, attempt: int, nonce: str = "") -> str:
-    """Return where the files of an evaluation lie."""
+    """Return the key of an evaluation's files."""
     return check_key("-".join(filter(None, (f"{ARTIFACTS}/{job_id}/evaluations/{evaluation_id}", str(attempt), nonce))))
 
 
@@ -134,7 +134,7 @@ def _store_errors(action: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        raise MissingArtifactError(f"{action}: nothing lies there") from error
+        raise MissingArtifactError(f"{action}: no such file") from error
     except (BaseError, OSError) as error:
         raise StoreError(f"{action}: {error}") from error
 
@@ -146,7 +146,7 @@ def _range_options(start: int, stop: int | None) -> GetOptions:
 
 
 def _cut(pieces: Iterable[Buffer], skip: int, left: int | None) -> Iterator[memoryview]:
-    """Leave the first `skip` bytes out and end after `left` more; none for all."""
+    """Skip the first `skip` bytes and end after `left` more; none for all."""
     for piece in pieces:
         view = memoryview(piece)
         skipped = min(skip, len(view))
@@ -202,7 +202,7 @@ class ArtifactStore:
         return self._store.prefix if isinstance(self._store, LocalStore) else None
 
     def put_bytes(self, key: str, data: bytes) -> FileEntry:
-        """Write `data` under `key`; it is there as a whole or not at all. Raises StoreError."""
+        """Write `data` under `key`, atomically. Raises StoreError."""
         check_key(key)
         with _store_errors(f"put {key}"):
             obstore.put(self._store, key, data)
@@ -227,7 +227,7 @@ class ArtifactStore:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
                 size = file.tell()
             with _store_errors(f"put {target}"):
-                # One request is there as a whole or not at all; one in parts may leave some that nothing lists.
+                # A single request is atomic; an upload in parts may leave some that no listing shows.
                 obstore.put(self._store, target, path, use_multipart=size > LARGEST_PUT_BYTES)
                 self._settle(target)
             entries.append(FileEntry(name=name, size=size, sha256=digest))
@@ -252,7 +252,7 @@ class ArtifactStore:
     def stream(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Read bytes `start` (inclusive) to `stop` (exclusive, none for the end) piece by piece.
 
-        The file is opened before this returns, so that a missing one is known at once.
+        The file is opened before this returns, so that a missing one is reported at once.
         Raises MissingArtifactError, StoreError.
         """
         check_key(key)
@@ -261,7 +261,7 @@ class ArtifactStore:
             try:
                 result = obstore.get(self._store, key, options=_range_options(start, stop))
             except BaseError as error:
-                # A server may ignore the range and say so by its status; then the part is cut out here.
+                # A server may ignore the range, which its status shows; then the part is selected here.
                 if "non-partial response" not in str(error):
                     raise
                 result = obstore.get(self._store, key)
@@ -279,7 +279,8 @@ class ArtifactStore:
 
         Raises:
             MissingArtifactError: there is no manifest, or a file is gone.
-            CorruptArtifactError: a file's size or SHA-256 is not the manifest's, or a name leads out of `directory`.
+            CorruptArtifactError: a file's size or SHA-256 does not match the manifest, or a name leads out of
+                `directory`.
         """
         manifest = manifest or self.manifest(key)
         directory.mkdir(parents=True, exist_ok=True)
@@ -301,7 +302,7 @@ class ArtifactStore:
                 partial.unlink()
                 raise CorruptArtifactError(
                     f"{key}/{entry.name}: {size} bytes with SHA-256 {digest.hexdigest()}, "
-                    f"but the manifest says {entry.size} bytes with {entry.sha256}",
+                    f"but the manifest has {entry.size} bytes with {entry.sha256}",
                 )
             partial.replace(target)
         return manifest
@@ -349,7 +350,7 @@ class ArtifactStore:
     def remove_unfinished(self, age_s: float) -> int:
         """Delete files of a local store whose writing was interrupted at least `age_s` ago; return how many.
 
-        They are in no list. An S3 server has none, since files are uploaded in one request up to `LARGEST_PUT_BYTES`.
+        No listing shows them. An S3 server has none, since files are uploaded in one request up to `LARGEST_PUT_BYTES`.
         """
         count = 0
         root = self.local_root
@@ -362,7 +363,7 @@ class ArtifactStore:
         return count
 
     def url_for(self, key: str, expires_in: timedelta = timedelta(minutes=15)) -> str | None:
-        """Return a signed URL from which anybody may read `key` for a while, or none if the store has no such."""
+        """Return a signed URL from which anybody may read `key` for a while, or none for a local store."""
         check_key(key)
         if not isinstance(self._store, S3Store):
             return None
@@ -379,7 +380,7 @@ class ArtifactStore:
         self.delete_file(key)
 
     def _settle(self, key: str) -> None:
-        """Force a local file and its folder to the disk: a power cut must not undo a recorded checkpoint."""
+        """Force a local file and its folder to the disk: a power cut must not lose a recorded checkpoint."""
         root = self.local_root
         if root is None:
             return

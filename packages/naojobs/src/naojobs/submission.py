@@ -218,7 +218,7 @@ def _same_request(earlier: Job, digest: str | None) -> Job:
 
 def _free_name(session: Session, owner: str, name: str) -> str:
     """Return a name that no job of `owner` has: `name`, or with a number."""
-    # Two submits at once must not both see the same free name.
+    # Two concurrent submits must not both see the same free name.
     session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
     beginning = name[:190]
     taken = set(
@@ -231,14 +231,14 @@ def _free_name(session: Session, owner: str, name: str) -> str:
 
 
 def _check_quota(session: Session, owner: str, max_open_jobs: int) -> None:
-    # Two submits at once must not both see the last free place.
+    # Two concurrent submits must not both see the last free slot.
     session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota:{owner}", 0))))
     open_jobs = session.scalar(
         select(func.count()).select_from(Job).where(Job.owner == owner, Job.state.in_(OPEN)),
     )
     if (open_jobs or 0) >= max_open_jobs:
         raise QuotaError(
-            f"{owner} has {open_jobs} open jobs, the most that are allowed; wait until some end, or cancel some",
+            f"{owner} has {open_jobs} open jobs, the most that are allowed; wait until some finish, or cancel some",
         )
 
 
@@ -247,7 +247,7 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
         return
     parent = session.scalar(select(Job).where(Job.id == request.parent_job_id).with_for_update(key_share=True))
     if parent is None or (parent.owner != owner and not see_all):
-        raise InvalidError(f"no job {request.parent_job_id}; use the id of a job of yours", "parent_job_id")
+        raise InvalidError(f"no job {request.parent_job_id}; use the id of one of your jobs", "parent_job_id")
     try:
         theirs = TrainingSpec.model_validate(parent.spec)
     except (ValidationError, plugins.BrokenPluginError):
@@ -308,7 +308,7 @@ def request_evaluation(
         is_open = (Evaluation.job_id == job_id, Evaluation.state.in_(OPEN))
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
         if (waiting or 0) >= max_open:
-            raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some end, or cancel some")
+            raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
         spec = spec or EvaluationSpec()
         evaluation = Evaluation(
             id=new_id("eval"),

@@ -1,6 +1,6 @@
 """Bearer tokens: 256 random bits, of which the database keeps only the SHA-256.
 
-A plain hash is enough for a random secret: it is in no dictionary.
+A plain hash is enough, since a random secret cannot be guessed from a dictionary.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def create_token(
 
 
 def verify(sessions: Sessions, secret: str) -> Principal | None:
-    """Return who `secret` belongs to, or none if it is unknown, expired or revoked."""
+    """Return the principal of `secret`, or none if it is unknown, expired or revoked."""
     with sessions.begin() as session:
         token = session.scalar(
             select(Token).where(
@@ -90,7 +90,7 @@ def verify(sessions: Sessions, secret: str) -> Principal | None:
 
 
 def revoke(sessions: Sessions, token_id: str) -> None:
-    """Make a token useless from now on. Raises NotFoundError."""
+    """Revoke a token. Raises NotFoundError."""
     with sessions.begin() as session:
         found = session.scalar(
             update(Token)
@@ -112,7 +112,7 @@ def get_token(sessions: Sessions, token_id: str) -> Token:
 
 
 def list_tokens(sessions: Sessions) -> list[Token]:
-    """Return all tokens, oldest first; none of them holds its secret."""
+    """Return all tokens, oldest first; without their secrets."""
     with sessions.begin() as session:
         return list(session.scalars(select(Token).order_by(Token.created_at, Token.id)))
 

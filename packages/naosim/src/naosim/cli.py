@@ -138,11 +138,11 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("traces", nargs="+", type=Path, metavar="TRACE.npz")
     check.add_argument("--json", action="store_true", help="print a list of results as JSON")
     check.set_defaults(run=_check)
-    speed = commands.add_parser("bench", help="measure cycles per second of robots on their feet")
+    speed = commands.add_parser("bench", help="measure the engine's speed in cycles per second")
     speed.add_argument("--batch", type=int, default=64)
     speed.add_argument("--cycles", type=int, default=2000)
     speed.add_argument("--robot-type", type=int, default=0)
-    speed.add_argument("--kernel", choices=("avx512", "avx2", "generic"), help="default: the fastest that runs here")
+    speed.add_argument("--kernel", choices=("avx512", "avx2", "generic"), help="default: the fastest supported one")
     speed.add_argument("--json", action="store_true")
     speed.set_defaults(run=_bench)
     robot = commands.add_parser("robot", help="print a robot table as JSON")
@@ -150,23 +150,23 @@ def _parser() -> argparse.ArgumentParser:
     robot.set_defaults(run=_robot)
     serve = commands.add_parser(
         "serve",
-        help="stand in for rcssserver3d: agent port and monitor port on the embedded engine",
-        description="Every robot is alone on a field of its own; see docs/how-to/rcssserver3d.md.",
+        help="run a stand-in for rcssserver3d: agent port and monitor port on the embedded engine",
+        description="Each robot runs alone on its own field; see docs/how-to/rcssserver3d.md.",
     )
     serve.add_argument(
         "--host", default="127.0.0.1", help="address to listen on (default: %(default)s, this machine only)"
     )
-    serve.add_argument("--agent-port", type=int, default=3100, help="default: %(default)s; 0 takes a free one")
+    serve.add_argument("--agent-port", type=int, default=3100, help="default: %(default)s; 0: any free port")
     serve.add_argument("--server-port", type=int, default=3200, help="monitor port; default: %(default)s")
     pace = serve.add_mutually_exclusive_group()
-    pace.add_argument("--sync", action="store_true", help="a cycle runs when its agent sends (syn) (default)")
-    pace.add_argument("--realtime", action="store_true", help="50 cycles a second")
+    pace.add_argument("--sync", action="store_true", help="run a robot's cycle when its agent sends (syn) (default)")
+    pace.add_argument("--realtime", action="store_true", help="run 50 cycles a second")
     serve.add_argument("--digits", type=int, choices=(2, 3), default=2, help="decimals of perceptors (default: 2)")
-    serve.add_argument("--seed", type=int, help="of vision and beam noise (default: a random one)")
-    serve.add_argument("--no-noise", action="store_true", help="vision and beams without noise")
+    serve.add_argument("--seed", type=int, help="seed of vision and beam noise (default: random)")
+    serve.add_argument("--no-noise", action="store_true", help="disable noise in vision and beams")
     serve.add_argument("--max-agents", type=int, default=64)
     serve.add_argument("--max-connections", type=int, default=512)
-    serve.add_argument("--script-path", help=argparse.SUPPRESS)  # of the real server; there is no script here
+    serve.add_argument("--script-path", help=argparse.SUPPRESS)  # an option of the real server, ignored here
     serve.add_argument("--quiet", action="store_true", help="log warnings only")
     serve.set_defaults(run=_serve)
     reap = commands.add_parser(
@@ -174,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     reap.add_argument("--every", type=_seconds, metavar="SECONDS", help="repeat at this interval (default: once)")
     reap.add_argument(
-        "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="keep younger ones (default: 30)"
+        "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="ignore younger ones (default: 30)"
     )
     reap.set_defaults(run=_reap)
     return parser

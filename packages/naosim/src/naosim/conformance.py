@@ -1,4 +1,4 @@
-"""Checks that a simulator behaves as :class:`naosim.simulator.Simulator` promises.
+"""Checks that a simulator conforms to :class:`naosim.simulator.Simulator`.
 
 :func:`check` runs all of them; a test suite runs them one by one::
 
@@ -9,7 +9,7 @@
     def test_conformance(check):
         check(SUBJECT)
 
-A check raises AssertionError, whose message says what is wrong.
+A check that fails raises AssertionError with a message that describes the problem.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from naosim.simulator import Flags, Floats
 
 N = 2
-"""Robots of the simulators that are checked."""
+"""Number of robots in the simulators that are checked."""
 
 POSITION_M = (-3.0, 2.0)
 HEADING_RAD = 0.5
@@ -141,7 +141,7 @@ def unknown_starts_are_refused(subject: Subject) -> None:
 
 
 def robots_start_where_they_should(subject: Subject) -> None:
-    """Check that robots stand at the starts' position and face their heading, in different postures."""
+    """Check that robots stand at the position of the starts and face their heading, in different postures."""
     with _started(subject) as simulator:
         position, rotation = simulator.truth.torso_position, simulator.truth.torso_rotation
         away = np.abs(position[:, :2] - POSITION_M).max()
@@ -156,7 +156,7 @@ def robots_start_where_they_should(subject: Subject) -> None:
 
 
 def starts_are_repeated(subject: Subject) -> None:
-    """Check that a start does not depend on what happened before, and leaves the other robots alone."""
+    """Check that a start does not depend on what happened before, and does not change the other robots."""
     with _started(subject) as simulator:
         first = _record(simulator)
         _walk(simulator, range(_STEPS))
@@ -254,7 +254,7 @@ def snapshots_are_complete(subject: Subject) -> None:
         _require_same(_record(simulator), there, 0.0, "steps after restore()")
 
 
-# faults and the end
+# faults and closing
 
 
 def lost_robots_can_be_started_again(subject: Subject) -> None:
@@ -362,7 +362,7 @@ def _bent(robot: Robot) -> Floats:
 
 
 def _targets(robot: Robot, step: int) -> Floats:
-    """Return (N, J) targets that swing about the nominal pose, each robot in its own way."""
+    """Return (N, J) targets that swing about the nominal pose, differently for each robot."""
     swing = np.array([[joint.actuated for joint in robot.joints]]) * 0.1
     phase = np.arange(len(robot.joints)) + np.arange(N)[:, None]
     targets = robot.nominal + swing * np.sin(0.4 * (step + 1) + phase)
@@ -391,7 +391,7 @@ def _record(simulator: Simulator) -> dict[str, Floats]:
 def _require_same(
     ours: Mapping[str, Floats], theirs: Mapping[str, Floats], tolerance_deg: float, what: str, rows: slice = slice(None)
 ) -> None:
-    """Require two records to agree: in joint angles to a tolerance, or in everything if there is none."""
+    """Require two records to agree: joint angles within the tolerance, or everything exactly if it is 0."""
     for name in ("joint_angles",) if tolerance_deg else ours:
         difference = np.abs(np.nan_to_num(ours[name][rows]) - np.nan_to_num(theirs[name][rows])).max()
         _require(difference <= tolerance_deg, f"{what}: {name} differs by {difference:g}")

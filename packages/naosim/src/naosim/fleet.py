@@ -1,8 +1,8 @@
-"""Many robots on servers, one server each, driven from one process: what is the same for every kind of server.
+"""Many robots on servers, one server each, driven from one process: the part common to all kinds of servers.
 
-A cycle sends the commands of all servers first and collects the answers then, so servers compute side by side; `send`
-and `receive` are the two halves, so that the caller can compute while servers do. A server's failure never raises from
-`step`: the environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
+A cycle first sends the commands of all servers, then collects the replies, so servers compute in parallel; `send` and
+`receive` are the two halves, so that the caller can compute meanwhile. `step` does not raise when a server fails: the
+environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from naosim.simulator import Flags, Floats, ServerLostError, ServersUnavailableE
 
 logger = logging.getLogger(__name__)
 
-Act = Iterator[Floats]
+Motion = Iterator[Floats]
 """Motion of one environment over several cycles: yields the (joints,) commands of each."""
 
 Rows = NDArray[np.uint8] | None
@@ -57,11 +57,11 @@ class Fleet(ABC):
     """One robot on each of n servers.
 
     Args:
-        servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
-            run already; those cannot be replaced.
+        servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of running
+            servers, which cannot be replaced.
         n: number of servers; only with a launcher.
-        joints: numbers in a robot's command.
-        timeout_s: a server that does not answer for so long has failed.
+        joints: number of values in a robot's command.
+        timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
         max_failures: number of servers that may be replaced before `replace` raises.
 
@@ -70,7 +70,7 @@ class Fleet(ABC):
     """
 
     command_name: ClassVar[str]
-    """What commands are, for messages."""
+    """Name of the commands in error messages."""
 
     _exchange: Exchange
 
@@ -89,7 +89,7 @@ class Fleet(ABC):
         if isinstance(servers, Sequence):
             self._launcher, self._addresses = None, servers
             if n is not None and n != len(servers):
-                raise ValueError(f"n: {n} servers wanted, {len(servers)} addresses given")
+                raise ValueError(f"n: must equal the number of addresses, {len(servers)}, not {n}")
             n = len(servers)
         else:
             self._launcher, self._addresses = servers, ()
@@ -97,13 +97,13 @@ class Fleet(ABC):
             raise ValueError(f"n: must be at least 1, not {n}")
         self.n = n
         self.restarts = 0
-        """How many servers have been replaced."""
+        """Number of servers that have been replaced."""
         self.failed: Flags = np.zeros(n, dtype=np.bool_)
         """(n,), environments whose server is lost; they keep still until replaced."""
         self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
         self._entering: Flags = np.zeros(n, dtype=np.bool_)  # environments whose server is being started
         self._handles: list[ServerHandle | None] = [None] * n
-        #: Environments whose server could not be started because nothing answered that starts servers.
+        #: Environments whose server could not be started because the engine that starts servers did not answer.
         self._unavailable: set[int] = set()
         self._lock = threading.RLock()
         self._idle = np.zeros((n, joints))
@@ -111,7 +111,7 @@ class Fleet(ABC):
 
     @abstractmethod
     def _enter(self, row: int, address: Address, deadline: float) -> None:
-        """Connect to a server and put the robot on the field; `_exchange.fail` if the server does not do its part.
+        """Connect to a server and put the robot on the field; call `_exchange.fail` if the server does not comply.
 
         Raises:
             OSError: a port does not answer; another server is started then.
@@ -121,7 +121,7 @@ class Fleet(ABC):
         """Start or connect to all servers; the subclass calls this when it is ready.
 
         Raises:
-            ServerLostError: a server did not start; the message says why.
+            ServerLostError: a server did not start; the message states why.
         """
         try:
             self._open(range(self.n))
@@ -199,34 +199,34 @@ class Fleet(ABC):
         if self._exchange.gather(rows, self._timeout_s) != np.count_nonzero(self.failed):
             self._note_failures()
 
-    def act_out(self, acts: Mapping[int, Act]) -> None:
-        """Step the environments of `acts` side by side until each has ended its act or has failed."""
-        acts = dict(acts)
+    def run_motions(self, motions: Mapping[int, Motion]) -> None:
+        """Step the environments of `motions` in parallel until each motion has ended or its environment has failed."""
+        motions = dict(motions)
         commands = self._idle.copy()
         with self._lock:
-            while acts:
-                mask = self.cue(acts, commands)
+            while motions:
+                mask = self.next_commands(motions, commands)
                 if mask.any():
                     self.step(commands, mask)
 
-    def cue(self, acts: dict[int, Act], commands: Floats, among: Flags | None = None) -> Flags:
-        """Request the next commands of every act; drop those that have ended or whose server is lost.
+    def next_commands(self, motions: dict[int, Motion], commands: Floats, among: Flags | None = None) -> Flags:
+        """Get the next commands of every motion; drop motions that have ended or whose server is lost.
 
         Args:
-            acts: by environment.
-            commands: (n, joints), whose rows are filled in.
-            among: (n,), environments whose acts are asked; default all.
+            motions: by environment.
+            commands: (n, joints), in which the rows are filled in.
+            among: (n,), environments whose motions are advanced; default all.
 
         Returns:
-            (n,) whose rows have been filled in: these are to be stepped.
+            (n,), whose rows have been filled in and have to be stepped.
         """
         mask = np.zeros(self.n, dtype=np.bool_)
-        for row, act in list(acts.items()):
+        for row, motion in list(motions.items()):
             if among is not None and not among[row]:
                 continue
-            command = None if self.failed[row] else next(act, None)
+            command = None if self.failed[row] else next(motion, None)
             if command is None:
-                del acts[row]
+                del motions[row]
             else:
                 commands[row], mask[row] = command, True
         return mask
@@ -234,7 +234,7 @@ class Fleet(ABC):
     # servers
 
     def replace(self, rows: Sequence[int] | None = None) -> list[int]:
-        """Start new servers for environments that have failed, side by side.
+        """Start new servers for environments that have failed, in parallel.
 
         Args:
             rows: which; default all that have failed.
@@ -253,11 +253,11 @@ class Fleet(ABC):
                 raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
             for row in lost:
                 self.restarts += 1
-                logger.warning("server %d: %s; another is started in its place", row, self.reason(row))
+                logger.warning("server %d: %s; starting a replacement", row, self.reason(row))
                 if self.restarts > self._max_failures:
                     raise ServerLostError(
                         f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
-                        f"the last: server {row}: {self.reason(row)}"
+                        f"last: server {row}: {self.reason(row)}"
                     )
         # without the lock: servers that wait must be kept alive meanwhile
         self._open(lost)

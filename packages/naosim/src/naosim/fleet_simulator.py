@@ -15,7 +15,7 @@ from naosim.simulator import Simulator, Truth
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from naosim.fleet import Act, Fleet
+    from naosim.fleet import Fleet, Motion
     from naosim.robots import Robot
     from naosim.simulator import Flags, Floats, Ints, Starts
 
@@ -30,7 +30,7 @@ class Standby:
     start: int = _NO_START
     """Start that it prepares, or has prepared; ``_NO_START`` if neither."""
     waiting_since: float = 0.0
-    """When it was last stepped, s."""
+    """Time of its last step, s."""
 
 
 class FleetSimulator(Simulator):
@@ -43,11 +43,11 @@ class FleetSimulator(Simulator):
 
     Args:
         fleet: n servers, or 2 n with standby servers.
-        robot: what runs on them.
+        robot: the robot that runs on them.
         n: number of robots.
-        sources: what the servers sent last: (servers, width) arrays, the robot's perceptors by name.
-        truth: the same of the torsos' poses.
-        idle_s: a standby server that waits for its robot is stepped at this interval; None if the fleet sees to that.
+        sources: the servers' latest perceptors by name, (servers, width) arrays.
+        truth: the servers' latest torso poses.
+        idle_s: a standby server that waits for its robot is stepped at this interval; None if the fleet does that.
     """
 
     # a reply describes the state before the cycle that its command starts
@@ -70,7 +70,7 @@ class FleetSimulator(Simulator):
             self.groups = (slice(0, -(-n // 2)), slice(-(-n // 2), n))
         self._servers: Ints = np.arange(n)
         self._standbys = [Standby(n + row) for row in range(n)] if fleet.n > n else []
-        self._acts: dict[int, Act] = {}  # by server, of those that prepare a start
+        self._motions: dict[int, Motion] = {}  # by server, of those that prepare a start
         self._commands = np.zeros((fleet.n, len(robot.joints)))
         self._sent: Flags = np.zeros(fleet.n, dtype=np.bool_)  # servers whose replies are outstanding
         self._sources, self._source_truth = sources, truth
@@ -80,7 +80,7 @@ class FleetSimulator(Simulator):
         self._starts: Starts | None = None
         self._refresh(slice(0, n))
 
-    # what a kind of server does in its own way
+    # what depends on the kind of server
 
     @abstractmethod
     def _commands_of(self, targets_rad: Floats, rows: slice) -> Floats:
@@ -91,11 +91,11 @@ class FleetSimulator(Simulator):
         """
 
     @abstractmethod
-    def _starting(self, server: int, start: int) -> Act:
-        """Bring a server's robot into a start: yield the command of each cycle."""
+    def _starting(self, server: int, start: int) -> Motion:
+        """Move a server's robot to a start: yield the command of each cycle."""
 
     def _require_possible(self, starts: Starts) -> None:
-        """Raise ValueError if the servers cannot bring robots into these starts."""
+        """Raise ValueError if the servers cannot move robots to these starts."""
 
     # steps
 
@@ -135,9 +135,9 @@ class FleetSimulator(Simulator):
         return mask.reshape(-1)
 
     def _send(self, mask: Flags, ours: Flags) -> None:
-        """Begin a cycle on the servers of the mask and on those of ours that prepare a start."""
-        if self._acts:
-            mask |= self._fleet.cue(self._acts, self._commands, ours)
+        """Begin a cycle on the servers of ``mask`` and on those of ``ours`` that prepare a start."""
+        if self._motions:
+            mask |= self._fleet.next_commands(self._motions, self._commands, ours)
         if self._idle_s is not None:
             self._wake_standbys(mask, ours, monotonic())
         if mask.any():
@@ -145,7 +145,7 @@ class FleetSimulator(Simulator):
         self._sent |= mask
 
     def _wake_standbys(self, mask: Flags, ours: Flags, now: float) -> None:
-        """Add to the mask the standby servers among ours that have waited for long."""
+        """Add to ``mask`` the standby servers of ``ours`` that have waited longer than ``idle_s``."""
         assert self._idle_s is not None
         for standby in self._standbys:
             server = standby.server
@@ -155,7 +155,7 @@ class FleetSimulator(Simulator):
                 standby.waiting_since = now
 
     def _receive(self, ours: Flags) -> None:
-        """Finish the cycle of those of our servers whose replies are outstanding."""
+        """Finish the cycle of the servers of ``ours`` whose replies are outstanding."""
         mask = self._sent & ours
         if mask.any():
             self._fleet.receive(mask)
@@ -167,12 +167,12 @@ class FleetSimulator(Simulator):
         """Replace the starts that :meth:`start` chooses from; what standby servers have prepared is dropped.
 
         Raises:
-            ValueError: if the servers cannot bring robots into these starts.
+            ValueError: if the servers cannot move robots to these starts.
         """
         self.require_open()
         self._require_possible(starts)
         self._starts = starts
-        self._acts.clear()
+        self._motions.clear()
         for standby in self._standbys:
             standby.start = _NO_START
 
@@ -192,7 +192,7 @@ class FleetSimulator(Simulator):
                 self._servers[row], standby.server = standby.server, int(self._servers[row])
                 standby.start = _NO_START
             else:
-                self._acts[int(self._servers[row])] = self._starting(int(self._servers[row]), start)
+                self._motions[int(self._servers[row])] = self._starting(int(self._servers[row]), start)
         for row, start in zip(rows.tolist(), [] if following is None else following.tolist(), strict=False):
             if self._standbys:
                 self._prepare(self._standbys[row], start)
@@ -204,19 +204,19 @@ class FleetSimulator(Simulator):
             # only these: the episodes of other lost robots have to be truncated first
             for server in self._fleet.replace([server for server in preparing if self._fleet.failed[server]]):
                 if preparing[server] != _NO_START:
-                    self._acts[server] = self._starting(server, preparing[server])
+                    self._motions[server] = self._starting(server, preparing[server])
             self._send(np.zeros(self._fleet.n, dtype=np.bool_), ours)
             self._receive(ours)
             entering = {
                 server: start
                 for server, start in entering.items()
-                if server in self._acts or self._fleet.failed[server]
+                if server in self._motions or self._fleet.failed[server]
             }
         self._refresh(rows)
 
     def _prepare(self, standby: Standby, start: int) -> None:
         standby.start = start
-        self._acts[standby.server] = self._starting(standby.server, start)
+        self._motions[standby.server] = self._starting(standby.server, start)
 
     # servers
 

@@ -35,7 +35,7 @@ def get(name: str) -> SimulatorKind:
     """Return the simulator of this name.
 
     Raises:
-        naospec.plugins.UnknownPluginError: if no package offers it; the message lists what there is.
+        naospec.plugins.UnknownPluginError: if no package offers it; the message lists the available ones.
         naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a SimulatorKind of that name.
     """
     from naospec import plugins

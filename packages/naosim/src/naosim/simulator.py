@@ -1,9 +1,9 @@
 """The interface between simulators and everything that uses them.
 
-A simulator runs n robots of one kind, each alone in a world of its own, 20 ms a step. Its users cannot see whether it
-computes in this process or drives servers over the network. To add one, subclass :class:`Simulator`, describe it with a
-:class:`SimulatorKind`, and register the kind under the entry-point group ``naosim.simulators``;
-:mod:`naosim.conformance` checks that it behaves.
+A simulator runs n robots of one kind, each alone in a world of its own, 20 ms a step. Callers use it in the same way
+whether it computes in this process or drives servers over the network. To add one, subclass :class:`Simulator`,
+describe it with a :class:`SimulatorKind`, and register the kind under the entry-point group ``naosim.simulators``;
+:mod:`naosim.conformance` checks that it conforms.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class SimulatorParameters(Section):
 
 @dataclass(frozen=True, slots=True)
 class RuntimeOptions:
-    """Settings that change how fast a simulator computes and how it survives faults, never what it computes."""
+    """Settings that change how fast a simulator computes and how it handles faults, but not its results."""
 
     threads: int = 1
     """Threads that step an embedded simulator."""
@@ -96,7 +96,7 @@ class Starts:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where the robots are, as an observer outside their world sees them; views that the next step overwrites.
+    """True poses of the robots; views that the next step overwrites.
 
     Attributes:
         torso_position: (n, 3) metres, world frame.
@@ -115,11 +115,11 @@ class Simulator(ABC):
 
     Attributes:
         n: number of robots.
-        robot: what they are.
+        robot: their description.
         groups: robots that are best stepped together. While one group computes, the caller can process another.
-        perceptors: what each robot senses, by name: (n, width) arrays in the units of ``robot.perceptors``. NaN where
+        perceptors: by name, (n, width) arrays in the units of ``robot.perceptors``. NaN where
             a perceptor reports nothing. Valid until the next call.
-        truth: where the robots are; valid until the next call.
+        truth: the robots' poses; valid until the next call.
         latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
             command already does.
     """
@@ -179,10 +179,10 @@ class Simulator(ABC):
         Raises:
             RuntimeError: if no starts have been loaded.
             IndexError: if one of ``starts`` has not been loaded.
-            ServerLostError: if robots were lost that cannot be given a new place to run.
+            ServerLostError: if lost robots cannot be moved to a new server.
         """
 
-    # what a viewer needs
+    # for viewers
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
@@ -237,11 +237,11 @@ class Simulator(ABC):
             "leave them out"
         )
 
-    # robots can be lost with what runs them
+    # lost robots
 
     @property
     def lost(self) -> Flags:
-        """(n,) robots that lost what runs them; they stand still until they are started again."""
+        """(n,) robots whose server or world was lost; they stand still until they are started again."""
         return self._nothing_lost
 
     @property
@@ -251,7 +251,7 @@ class Simulator(ABC):
 
     @property
     def failures(self) -> int:
-        """Number of lost robots that have been given a new place to run."""
+        """Number of lost robots that have been started again."""
         return 0
 
     def loss_reason(self, row: int) -> str:
@@ -260,7 +260,7 @@ class Simulator(ABC):
         return ""
 
     def keep_alive(self) -> AbstractContextManager[None]:
-        """Return a context in which robots survive although nothing is stepped."""
+        """Return a context in which robots are not lost although nothing is stepped."""
         return nullcontext()
 
     # snapshots
@@ -278,10 +278,10 @@ class Simulator(ABC):
         del state
         raise RuntimeError(f"{type(self).__name__} cannot return to a snapshot")
 
-    # the end
+    # closing
 
     def close(self) -> None:
-        """Release what the simulator holds; calling it twice does no harm."""
+        """Release the simulator's resources; it may be called twice."""
         self.closed = True
 
     # checks for subclasses
@@ -338,7 +338,7 @@ class SimulatorKind(ABC):
 
         Raises:
             ValueError: if this machine cannot run this number of robots; the message states what to change.
-            FileNotFoundError: if a program is missing; the message says how to get it.
+            FileNotFoundError: if a program is missing; the message states how to install it.
         """
 
     def max_robots(self) -> int | None:

@@ -1,4 +1,4 @@
-"""Short names for the settings of a specification, and what became of the flat form of earlier versions."""
+"""Short names for the settings of a specification, and the fields of the flat form of earlier versions."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Setting:
 
     Attributes:
         name: short name, unique over all sections: ``learning_rate``, ``robot``.
-        path: where it stands: ``("algorithm", "learning_rate")``, ``("robot", "name")``.
+        path: its path: ``("algorithm", "learning_rate")``, ``("robot", "name")``.
         info: its field.
         plugins: plug-ins that have it; empty if every specification has it.
         choices: names to choose from, for the sections' names.
@@ -126,14 +126,14 @@ def settings() -> dict[str, Setting]:
 
 
 def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return a specification's sections with ``values`` put in, by short name or by path with dots.
+    """Return a specification's sections with ``values`` inserted, by short name or by path with dots.
 
     Args:
         values: ``{"learning_rate": 1e-4}`` or ``{"algorithm.learning_rate": 1e-4}``.
         base: specification to start from; it is not changed.
 
     Raises:
-        KeyError: with a name that is no setting.
+        KeyError: if a name is not a setting.
     """
     from naospec.sections import as_mapping
 

@@ -51,7 +51,7 @@ def load(group: str, name: str) -> Any:
     """Return what a group offers under ``name``.
 
     Raises:
-        UnknownPluginError: if there is nothing of that name; the message lists what there is.
+        UnknownPluginError: if there is nothing of that name; the message lists the available ones.
         BrokenPluginError: if it cannot be imported.
     """
     entry = _entries(group).get(name)

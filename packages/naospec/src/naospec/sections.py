@@ -145,7 +145,7 @@ class PluginSection:
         )
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """Return the union of the schemas of all installed plug-ins, told apart by ``name``."""
+        """Return the union of the schemas of all installed plug-ins, distinguished by ``name``."""
         del schema
         options = []
         for name, model, robots in variants(self.group):

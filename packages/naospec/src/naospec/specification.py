@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
-"""What a specification that leaves a section out trains."""
+"""Names of the sections that a specification omits."""
 
 DEFAULT_PRESET = "fast"
 
@@ -69,11 +69,11 @@ class LearnerSettings(Section):
     preset: str = Field(
         default=DEFAULT_PRESET,
         title="Preset",
-        description="Source of every setting that is left out.",
+        description="Preset of every setting that is left out.",
         json_schema_extra={"enum": list(presets.names())},
     )
     n_envs: int = Field(
-        default=128, ge=1, le=4096, title="Environments", description="Robots that are simulated side by side."
+        default=128, ge=1, le=4096, title="Environments", description="Robots that are simulated in parallel."
     )
     n_steps: int = Field(
         default=64,
@@ -101,7 +101,7 @@ class LearnerSettings(Section):
 
 
 class RuntimeSettings(BaseModel):
-    """Settings that change how fast a training runs and how it survives faults, never what it learns."""
+    """Settings that change how fast a training runs and how it handles faults, but not what it learns."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -247,13 +247,13 @@ class TrainingSpec(_Specification):
     runtime: RuntimeSettings = Field(
         default_factory=RuntimeSettings,
         title="Runtime",
-        description="Settings that change how fast the training runs, never what it learns.",
+        description="Settings that change how fast the training runs, but not what it learns.",
     )
 
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: Any) -> Any:
-        """Fill in what the preset decides; leave bad values to the fields' own validation."""
+        """Fill in the preset's values; leave bad values to the fields' own validation."""
         if not isinstance(data, dict):
             return data
         _refuse_flat_form(cls.__name__, data)
@@ -292,7 +292,7 @@ class TrainingSpec(_Specification):
                 "{installed}",
                 {"wanted": self.task.version, "name": self.task.name, "installed": task.version},
             )
-        # frozen for everyone else: a task fills in what depends on the robot
+        # frozen for all other code: a task fills in what depends on the robot
         object.__setattr__(self, "task", task.resolve(self.task, robot))
         if self.stages:
             if self.total_steps != sum(stage.steps for stage in self.stages):
@@ -336,7 +336,7 @@ class TrainingSpec(_Specification):
         for number, stage in enumerate(self.stages):
             content = self.model_dump(exclude={"stages"})
             if stage.robot is not None:
-                # what the training's own robot decided is for this one to decide
+                # this robot decides what the training's own robot decided
                 content = {**self.without_preset(), "stages": (), "robot": {"name": stage.robot}}
             content["total_steps"] = stage.steps
             content["seed"] = self.seed if stage.seed is None else stage.seed
@@ -369,7 +369,7 @@ class TrainingSpec(_Specification):
         return tuple(accumulate(stage.planned_steps for stage in self.stage_specs))
 
     def overrides(self) -> dict[str, Any]:
-        """Return the settings that differ from what the preset says, by path: ``algorithm.learning_rate``."""
+        """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``."""
         found: dict[str, Any] = {}
         family = self.robot_description.family
         for section in presets.SECTIONS:
@@ -380,9 +380,9 @@ class TrainingSpec(_Specification):
         return found
 
     def without_preset(self) -> dict[str, Any]:
-        """Return the sections without what preset, task and robot decide and without defaults.
+        """Return the sections without defaults and without values from preset, task and robot.
 
-        Another preset, task, robot or simulator can then decide it.
+        Another preset, task, robot or simulator can then set these.
         """
         content = self.model_dump(mode="json", exclude_defaults=False)
         changed = self.overrides()
@@ -438,7 +438,7 @@ class EvaluationSpec(_Specification):
         ge=1,
         le=4096,
         title="Environments",
-        description="Episodes that run side by side; on servers at most four a core.",
+        description="Episodes that run in parallel; on servers at most four a core.",
     )
     trajectories: int = Field(
         default=100,
@@ -496,7 +496,7 @@ def needs(spec: TrainingSpec) -> dict[str, Any]:
 
 
 def _plugin(group: str, section: Any) -> Any:
-    """Return the plug-in that a section names, or None where validation is going to complain."""
+    """Return the plug-in that a section names, or None if validation will fail."""
     name = section.get("name") if isinstance(section, dict) else None
     if not isinstance(name, str) or name not in plugins.names(group):
         return None
@@ -518,7 +518,7 @@ def _refuse_flat_form(title: str, data: dict[str, Any]) -> None:
 
 
 def _at(place: tuple[str | int, ...], error: ValidationError) -> ValidationError:
-    """Return the same errors, further inside."""
+    """Return the same errors under the path ``place``."""
     lines: list[InitErrorDetails] = [
         {
             "type": PydanticCustomError(item["type"], item["msg"].replace("{", "(").replace("}", ")")),
@@ -531,7 +531,7 @@ def _at(place: tuple[str | int, ...], error: ValidationError) -> ValidationError
 
 
 def validation_words(errors: Iterable[Any]) -> str:
-    """Return pydantic's errors as one line for users: every wrong field by its path, and what is right."""
+    """Return pydantic's errors as one line for users: every wrong field by its path, and what is expected."""
     words = []
     for item in errors:
         place = ".".join(str(part) for part in item["loc"])

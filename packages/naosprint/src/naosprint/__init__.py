@@ -1,7 +1,7 @@
-"""How simulated robots learn: tasks, PPO, evaluation and reports.
+"""Reinforcement learning for simulated robots: tasks, PPO, evaluation and reports.
 
 Importing this package is cheap: PyTorch is loaded by the first use of :func:`train`, so that a process can still call
-:func:`naosprint.threads.quiet_openmp` before. With Gymnasium, every installed task is one of its environments; see
+:func:`naosprint.threads.quiet_openmp` before. With Gymnasium, every installed task is registered as an environment; see
 :mod:`naosprint.envs`.
 """
 

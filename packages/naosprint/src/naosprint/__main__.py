@@ -76,19 +76,19 @@ def _parser() -> argparse.ArgumentParser:
 
     report = commands.add_parser(
         "report",
-        help="write a page about a policy",
-        description="Write a self-contained page, plots, tables and a film about an evaluated policy.",
+        help="write a report on a policy",
+        description="Write a self-contained page, plots, tables and a film of an evaluated policy.",
     )
     report.add_argument("evaluation", type=Path, help="directory that `evaluate --output` wrote")
     report.add_argument("output", type=Path, help="directory for report.html and the files beside it")
     report.add_argument("--metrics", type=Path, metavar="FILE", help="the training's metrics.jsonl, for its curves")
-    report.add_argument("--title", help="headline (default: the task's name)")
-    report.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
+    report.add_argument("--title", help="title of the page (default: the task's name)")
+    report.add_argument("--no-film", action="store_true", help="omit the film, which takes most of the time")
     report.set_defaults(run=_report)
 
     export = commands.add_parser(
         "export",
-        help="write a policy for use elsewhere",
+        help="export a policy",
         description="Write policy.onnx, policy.npz and policy.json.",
     )
     export.add_argument("checkpoint", help=_CHECKPOINT_HELP)
@@ -102,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     replay.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     replay.add_argument("output", type=Path, help="directory for the files")
-    replay.add_argument("--no-film", action="store_true", help="leave out the film, which takes most of the time")
+    replay.add_argument("--no-film", action="store_true", help="omit the film, which takes most of the time")
     replay.add_argument("--film-seconds", type=float, metavar="S", help="film the first S seconds (default: all)")
     _add_fields(replay, {name: EvaluationSpec.model_fields[name] for name in _REPLAY_FIELDS})
     replay.set_defaults(run=_replay)

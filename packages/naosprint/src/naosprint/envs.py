@@ -1,4 +1,4 @@
-"""Tasks as Gymnasium environments, to learn them with other libraries.
+"""Tasks as Gymnasium environments, for training with other libraries.
 
 ``import naosprint`` registers one for every installed task::
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from naosprint.arrays import BoolArray, IntArray
 
 OBSERVATION_LIMIT = 1e6
-"""Largest magnitude of an observation; no robot that is not broken comes near it."""
+"""Largest magnitude of an observation; far above that of any working robot."""
 
 N_STARTS = 64
 """Starts that episodes begin from; each reset chooses one by the environment's own generator."""
@@ -84,7 +84,7 @@ class _Robots:
         self.environment.restart(rows, np.array(starts, dtype=np.int64))
 
     def info(self, row: int) -> dict[str, Any]:
-        """Return what is known of an episode that has just ended: how, and the task's metrics."""
+        """Return the end and the task's metrics of an episode that has just ended."""
         environment = self.environment
         if environment.lost[row]:
             return {"server_lost": environment.simulator.loss_reason(row)}
@@ -138,7 +138,7 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
 
 
 class TaskVectorEnv(VectorEnv[Float32Array, Float32Array, NDArray[Any]]):
-    """Robots that do a task side by side in one simulator: the episodes of as many :class:`TaskEnv`, but faster.
+    """Robots that do a task in one simulator: the episodes of as many :class:`TaskEnv`, but faster.
 
     A robot whose episode has ended begins the next one in the next step, whose action is ignored
     (``AutoresetMode.NEXT_STEP``).

@@ -1,4 +1,4 @@
-"""Set the number and the manners of threads."""
+"""Number and wait policy of threads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
 _QUIET = {
-    # GNU OpenMP, which PyTorch's Linux wheels carry; PASSIVE alone still spins a little.
+    # GNU OpenMP, which PyTorch's Linux wheels contain; PASSIVE alone still spins a little.
     "OMP_WAIT_POLICY": "PASSIVE",
     "GOMP_SPINCOUNT": "0",
     # LLVM and Intel OpenMP: microseconds to spin after a parallel region.
@@ -28,7 +28,7 @@ def quiet_openmp() -> bool:
     in a process; settings that are already in the environment are kept.
 
     Returns:
-        Whether it came in time, which is to say before PyTorch was imported.
+        Whether the settings take effect, which they do before PyTorch is imported.
     """
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)

@@ -1,4 +1,4 @@
-"""Start a worker: ``python -m naosprint_worker``; everything else comes from the environment.
+"""Start a worker: ``python -m naosprint_worker``; all settings come from the environment.
 
 The exit status of ``python -m naosprint_worker health`` is 0 if this host's worker is healthy.
 """
@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Do what the command line says; return the exit status."""
+    """Run the command line; return the exit status."""
     parser = argparse.ArgumentParser(
         prog="naosprint-worker", description="Train sprint jobs. Settings come from the environment: NAOSPRINT_*."
     )
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _health() -> int:
-    # A container asks every few seconds: nothing of what a worker itself needs is loaded for it.
+    # A container runs this every few seconds, so it does not load what only a worker needs.
     from naojobs.settings import ServiceSettings
 
     from naosprint_worker.health import check

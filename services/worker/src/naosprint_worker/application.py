@@ -18,8 +18,8 @@ logger = logging.getLogger(__name__)
 def make_application(settings: WorkerSettings, worker: Worker) -> Celery:
     """Return the Celery application of a worker.
 
-    One message is taken at a time and only by a worker with a free slot, so that another worker receives the next. A
-    broker that is down is tried again and again; `worker` claims work without it.
+    One message is taken at a time and only by a worker with a free slot, so that another worker receives the next.
+    Connecting to a broker that is down is retried without limit; `worker` claims work without it.
     """
     app = make_celery(settings.broker_url.get_secret_value(), name="naosprint_worker")
     app.conf.update(
@@ -46,7 +46,7 @@ def serve(app: Celery, worker: Worker, settings: WorkerSettings) -> int:
         worker.shut_down()
 
     def on_setup_logging(**_: Any) -> None:
-        """Leave logging as it is: a receiver of this signal keeps Celery from setting it up its own way."""
+        """Leave logging as it is: a receiver of this signal keeps Celery from configuring it."""
 
     setup_logging.connect(on_setup_logging, weak=False)
     worker_ready.connect(on_ready, weak=False)

@@ -37,7 +37,7 @@ class TrainingAssignment(_Assignment):
 
     @classmethod
     def from_claim(cls, claim: JobClaim) -> Self:
-        """Return what the child needs of a claim; it looks up by itself where to resume."""
+        """Return the assignment for a claim; the child itself finds out where to resume."""
         return cls(lease=claim.lease, spec=claim.spec, evaluation=claim.evaluation, initial_policy=claim.initial_policy)
 
 

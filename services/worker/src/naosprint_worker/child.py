@@ -16,10 +16,10 @@ import psutil
 class Child:
     """A supervised process and its process group.
 
-    The child's standard input is a pipe whose other end only this process holds: when this process dies, however it
-    dies, the child reads end-of-file and knows (see `naosprint_worker.guard`). Standard output and error go to
-    ``log_path``. When the leader ends, the rest of its group is killed before the leader is reaped, while the group's
-    number cannot be taken by anyone else.
+    The child's standard input is a pipe whose other end only this process has: when this process dies in any way, the
+    child reads end-of-file (see `naosprint_worker.guard`). Standard output and error go to ``log_path``. When the
+    leader ends, the rest of its group is killed before the leader is reaped, while no other process can get the group's
+    number.
     """
 
     def __init__(

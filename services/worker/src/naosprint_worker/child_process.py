@@ -1,4 +1,4 @@
-"""What every child of a worker does around its own work: protection, signals, services, a proper ending."""
+"""Environment of a worker's child processes: protection, signals, services, orderly exit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, Missing
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 
-from naosprint_worker.database import DATABASE_TROUBLE, open_engine
+from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
 from naosprint_worker.progress import Progress
@@ -43,7 +43,7 @@ class StopRequestedError(Exception):
 
 
 class CheckpointsUnusableError(Exception):
-    """Failure of a job that has checkpoints of which none can be used."""
+    """Failure of a job whose checkpoints are all unusable."""
 
 
 class StopRequest:
@@ -53,11 +53,11 @@ class StopRequest:
         """No request yet."""
         self._event = threading.Event()
         self._interruptible = False
-        #: Whether it was the worker's death that asked.
+        #: Whether the reason was the worker's death.
         self.orphaned = False
 
     def install(self) -> None:
-        """Listen to SIGTERM; SIGINT is ignored, a terminal's Ctrl-C being the worker's to handle."""
+        """Listen to SIGTERM; SIGINT is ignored, since the worker handles a terminal's Ctrl-C."""
         signal.signal(signal.SIGTERM, self._on_signal)
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -90,7 +90,7 @@ class StopRequest:
 
 @dataclass(frozen=True)
 class Services:
-    """What a child needs to reach."""
+    """Services that a child uses."""
 
     settings: WorkerSettings
     sessions: Sessions
@@ -116,7 +116,7 @@ class Services:
 
         Raises:
             MissingArtifactError: a file is gone.
-            CorruptArtifactError: a file is not what the manifest promises.
+            CorruptArtifactError: a file does not match the manifest.
             PatienceExhaustedError: the store failed for too long.
         """
 
@@ -140,7 +140,7 @@ class Services:
     def requeue_if_orphaned(self, lease: Lease) -> None:
         """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""
         if self.stop.orphaned:
-            with contextlib.suppress(LeaseLostError, *DATABASE_TROUBLE):
+            with contextlib.suppress(LeaseLostError, *DATABASE_ERRORS):
                 lifecycle.lose(self.sessions, lease, f"worker {lease.owner} died")
 
 
@@ -162,7 +162,7 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
         store = ArtifactStore.from_settings(settings)
         return int(work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir))))
     except Exception as error:
-        code, outcome = judge(error, workdir)
+        code, outcome = classify(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
         outcome.leave(workdir)
         return int(code)
@@ -170,13 +170,13 @@ def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None =
         engine.dispose()
 
 
-def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
+def classify(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
     """Return the exit code and the outcome of an error that ended the work in ``workdir``."""
     from naosprint import CheckpointError, TrainingDivergedError  # loads PyTorch, which is loaded by now anyway
 
     text = "".join(traceback.format_exception(error))
     if isinstance(error, StopRequestedError):
-        return ExitCode.STOPPED, Outcome("stopped", "stopped as asked")
+        return ExitCode.STOPPED, Outcome("stopped", "stopped on request")
     if isinstance(error, LeaseLostError):
         return ExitCode.FENCED, Outcome("lease_lost", describe(error))
     if _tells_of_full_disk(error, workdir):
@@ -191,7 +191,7 @@ def judge(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
         StoreError,
         LauncherUnavailableError,
         ServersUnavailableError,
-        *DATABASE_TROUBLE,
+        *DATABASE_ERRORS,
     )
     if isinstance(error, away):
         return ExitCode.TRANSIENT, Outcome(SERVICE_UNAVAILABLE, describe(error), text)
@@ -204,7 +204,7 @@ def _tells_of_full_disk(error: BaseException, workdir: Path) -> bool:
     """Return whether an error, or its cause, is a full disk or an exhausted quota.
 
     Some errors of the system come without their number: those of NumPy's own writes, and those that ``copytree``
-    gathers. What the disk says decides about them.
+    gathers. For these the free space of the disk decides.
     """
     cause: BaseException | None = error
     while cause is not None:

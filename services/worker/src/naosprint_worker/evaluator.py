@@ -16,7 +16,7 @@ from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import EvaluationAssignment
 from naosprint_worker.child_process import Services, StopRequestedError, run_child
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode
 from naosprint_worker.report import add_report
@@ -24,7 +24,7 @@ from naosprint_worker.retry import retry
 
 
 def work(services: Services) -> ExitCode:
-    """Do the assignment in the working folder."""
+    """Run the assignment in the working folder."""
     claim = EvaluationAssignment.read(services.workdir).claim
     try:
         return _evaluate(services, claim)
@@ -59,7 +59,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
 
 def _database(services: Services, call: Callable[[], object]) -> None:
     patience_s = services.settings.worker_patience_s
-    retry(call, what="recording the evaluation", transient=DATABASE_TROUBLE, patience_s=patience_s)
+    retry(call, what="recording the evaluation", transient=DATABASE_ERRORS, patience_s=patience_s)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The child's side of supervision: notice the worker's death, be the first to go when memory runs out."""
+"""The child's side of supervision: end after the worker's death, and first when memory runs out."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from pathlib import Path
 def watch_parent(on_lost: Callable[[], None], *, grace_s: float) -> threading.Thread:
     """End this process's whole group ``grace_s`` seconds after the worker that started it has died.
 
-    Standard input must be the pipe the worker holds open. It is moved out of the way first, so that nothing this
-    process starts inherits it. On end-of-file ``on_lost`` is called (ask for a checkpoint there); whatever still runs
-    after the grace period is killed, this process included.
+    Standard input must be the pipe that the worker keeps open. It is moved to another descriptor first, so that nothing
+    this process starts inherits it. On end-of-file ``on_lost`` is called, which should request a checkpoint; all
+    processes of the group that still run after the grace period are killed, this one included.
     """
     pipe = os.dup(0)  # close-on-exec, unlike descriptor 0
     with open(os.devnull, "rb") as null:

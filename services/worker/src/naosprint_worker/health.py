@@ -13,7 +13,7 @@ from naojobs.settings import ServiceSettings
 def check(settings: ServiceSettings) -> int:
     """Return 0 if a worker of this host has a heartbeat younger than its lease; else write the reason and return 1.
 
-    All other services go by the registry, so a worker that runs but cannot reach the database is not healthy.
+    All other services use the registry, so a worker that runs but cannot reach the database is not healthy.
     """
     host = socket.gethostname()
     try:

@@ -15,7 +15,7 @@ OWNER_VARIABLE = "NAOSPRINT_CHILD_OF"
 
 @dataclass(frozen=True)
 class Owner:
-    """The identity of a worker process on one machine: a process id may be reused, so its start time belongs to it."""
+    """Identity of a worker process on one machine: its process id, which may be reused, and its start time."""
 
     namespace: str
     pid: int
@@ -37,7 +37,7 @@ class Owner:
             return None
 
     def __str__(self) -> str:
-        """Return the text form that a child carries in its environment."""
+        """Return the text form for a child's environment."""
         return f"{self.namespace} {self.pid}@{self.started!r}"
 
     def alive(self) -> bool:
@@ -52,20 +52,20 @@ class Owner:
 
 
 class OrphanSweeper:
-    """Kill processes that carry the mark of a worker which is gone.
+    """Kill processes whose environment names a worker that is gone.
 
     Only processes of this user whose environment names an owner in this process-id namespace are considered, and only
-    once they have been seen orphaned for ``grace_s`` seconds: a child that notices by itself needs them for a last
+    once they have been seen orphaned for ``grace_s`` seconds: a child that notices by itself needs this time for a last
     checkpoint.
     """
 
     def __init__(self, *, grace_s: float) -> None:
-        """Remember nothing yet."""
+        """Start without known orphans."""
         self._grace_s = grace_s
         self._first_seen: dict[tuple[int, float], float] = {}
 
     def sweep(self) -> list[int]:
-        """Look once; return the ids of the processes killed."""
+        """Check once; return the ids of the killed processes."""
         now = time.monotonic()
         seen: dict[tuple[int, float], float] = {}
         ended = []

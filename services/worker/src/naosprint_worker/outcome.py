@@ -1,4 +1,4 @@
-"""What a child process left behind: its exit status and, when it could write one, its own account."""
+"""Outcome of a child process: its exit status and, if it could write one, its own report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 OUTCOME_FILE = "outcome.json"
 
-#: Kind of an outcome that is not the work's fault: store, database or Docker engine did not answer.
+#: Kind of an outcome that the work did not cause: store, database or Docker engine did not answer.
 SERVICE_UNAVAILABLE = "service_unavailable"
 
 
@@ -25,9 +25,9 @@ class ExitCode(enum.IntEnum):
     PERMANENT = 65
     #: Something outside failed (store, database, disk, simulator); another attempt may succeed.
     TRANSIENT = 69
-    #: Its working folder's disk is full: the status alone says so, since an account may not fit there any more.
+    #: Its working folder's disk is full; there may be no space for a report.
     DISK_FULL = 74
-    #: It was asked to stop and did, leaving a checkpoint behind.
+    #: It stopped on request and left a checkpoint.
     STOPPED = 75
     #: The row no longer belongs to this attempt; nothing may be written any more.
     FENCED = 76
@@ -35,22 +35,22 @@ class ExitCode(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """A child's own account of how it ended."""
+    """A child's own report of how it ended."""
 
     kind: str
     message: str
     traceback: str = ""
 
     def write(self, workdir: Path) -> None:
-        """Store the account in ``workdir``; an earlier one is replaced as a whole."""
+        """Store the report in ``workdir``, replacing an earlier one atomically."""
         temporary = workdir / (OUTCOME_FILE + ".tmp")
         temporary.write_text(json.dumps(asdict(self)), encoding="utf-8")
         temporary.replace(workdir / OUTCOME_FILE)
 
     def leave(self, workdir: Path) -> None:
-        """Store the account in ``workdir`` if at all possible; on a full disk the attempt's own files make room.
+        """Store the report in ``workdir``; on a full disk, delete the attempt's own files first.
 
-        Call it when the work has ended: what the job goes on from lies in the store.
+        Call it when the work has ended: the job resumes from files in the store.
         """
         try:
             self.write(workdir)
@@ -63,7 +63,7 @@ class Outcome:
 
     @classmethod
     def read(cls, workdir: Path) -> Outcome | None:
-        """Return the account in ``workdir``, or None where the child died before writing one."""
+        """Return the report in ``workdir``, or None if the child died before writing one."""
         try:
             data = json.loads((workdir / OUTCOME_FILE).read_text(encoding="utf-8"))
             return cls(kind=str(data["kind"]), message=str(data["message"]), traceback=str(data.get("traceback", "")))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 PROGRESS_FILE = "progress"
 
-#: Seconds between two touches, and the most that one look at the file counts for.
+#: Seconds between two touches, and the longest time that one check of the file counts for.
 _PERIOD_S, _LONGEST_LOOK_S = 1.0, 5.0
 
 
@@ -33,7 +33,8 @@ class Progress:
 class ProgressWatch:
     """The worker's side: seconds without a sign of life.
 
-    Only time in which the worker itself ran counts, so a suspended machine is no stalled child.
+    Only time in which the worker itself ran counts, so a child does not count as stalled after its machine was
+    suspended.
     """
 
     def __init__(self, workdir: Path) -> None:
@@ -44,7 +45,7 @@ class ProgressWatch:
         self.idle_s = 0.0
 
     def look(self) -> float:
-        """Return the seconds since the child was last seen to do something."""
+        """Return the seconds since the last sign of life."""
         now = time.monotonic()
         self.idle_s += min(now - self._looked_at, _LONGEST_LOOK_S)
         self._looked_at = now

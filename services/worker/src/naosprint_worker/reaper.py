@@ -15,7 +15,7 @@ from naosprint_worker.orphans import OrphanSweeper
 
 logger = logging.getLogger(__name__)
 
-#: No worker of the same service has leases that are so many times as long as this one's.
+#: Largest ratio between the lease times of two workers of one service.
 _LONGEST_LEASES = 5
 
 
@@ -25,14 +25,14 @@ class Reaper:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._orphans = OrphanSweeper(grace_s=context.settings.worker_orphan_grace_s + 5)
-        self._trouble_at: float | None = None
+        self._outage_at: float | None = None
 
     def database_failed(self) -> None:
-        """Note that the database did not answer this worker: it may not have answered the others' heartbeats either."""
-        self._trouble_at = time.monotonic()
+        """Record an outage of the database, which may have missed the heartbeats of other workers, too."""
+        self._outage_at = time.monotonic()
 
     def sweep(self) -> None:
-        """Look for everything once."""
+        """Check everything once."""
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
         self._remove_servers()
@@ -40,7 +40,7 @@ class Reaper:
         registry.forget(self._context.sessions)
 
     def _remove_servers(self) -> None:
-        """Remove the containers of servers whose training is gone."""
+        """Remove the containers of servers whose training has ended."""
         try:
             settings = self._context.settings
             removed = reap_servers(settings.simserver, settings.rcssservermj)
@@ -48,13 +48,13 @@ class Reaper:
             logger.warning("looking for servers without an owner: %s", error)
         else:
             if removed:
-                logger.warning("removed %d servers, whose training is gone", removed)
+                logger.warning("removed %d servers, whose training has ended", removed)
 
     def _requeue(self) -> None:
         """Requeue work with expired leases, once the owners have had time to renew them since the last outage."""
         context = self._context
         lease_s = context.settings.lease_s
-        if self._trouble_at is not None and time.monotonic() - self._trouble_at < lease_s:
+        if self._outage_at is not None and time.monotonic() - self._outage_at < lease_s:
             return
         uptime = database_uptime(context.sessions)
         # Negative if its clock was set back since it started.
@@ -62,4 +62,4 @@ class Reaper:
             return
         lifecycle.shorten_leases(context.sessions, _LONGEST_LEASES * lease_s)
         for lost in lifecycle.requeue_stale(context.sessions):
-            logger.warning("%s %s was lost by its worker and is now %s", lost.kind, lost.id, lost.state)
+            logger.warning("worker of %s %s was lost; it is now %s", lost.kind, lost.id, lost.state)

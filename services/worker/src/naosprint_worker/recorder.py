@@ -41,7 +41,7 @@ class Sink(Protocol):
     transient: tuple[type[Exception], ...]
 
     def write(self, batch: Batch) -> None:
-        """Store all of ``batch`` in one transaction, or nothing of it."""
+        """Store ``batch`` in one transaction."""
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
         """Write the files of a checkpoint to the store, its manifest last."""
@@ -54,9 +54,9 @@ class Recorder:
     checkpoints; a checkpoint's row is written after every metrics row reported before it, so a checkpoint that can be
     found has its metrics.
 
-    While the store fails, checkpoints gather in ``spool`` for as long as it takes; above ``spool_bytes`` the call of
-    `checkpoint` waits, and with it the training. While the database fails, its thread tries again for ``patience_s``
-    seconds; then `failure` is set, `failed` turns true and only checkpoints are taken, into the spool.
+    While the store fails, checkpoints accumulate in ``spool``; above ``spool_bytes`` the call of `checkpoint` blocks,
+    and with it the training. While the database fails, its thread tries again for ``patience_s`` seconds; then
+    `failure` is set, `failed` turns true and only checkpoints are taken, into the spool.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Recorder:
             waiting = [*self._batch.metrics, *(row for row in self._rows if isinstance(row, MetricsRow))]
         entry = self._spool.add(path, step, [row for row in waiting if row.step > self._spooled_step])
         self._spooled_step = step
-        # Only the last one is of use to a training; hundreds of them would fill the disk.
+        # A training needs only the last one; hundreds of them would fill the disk.
         if self._previous is not None and self._previous != path:
             shutil.rmtree(self._previous, ignore_errors=True)
         self._previous = path
@@ -197,14 +197,14 @@ class Recorder:
             raise TimeoutError(f"records were not stored within {timeout_s} s")
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Flush, then end the threads; raises as `flush` does, with the threads ended all the same."""
+        """Flush, then end the threads; raises as `flush` does, after ending the threads."""
         try:
             self.flush(timeout_s)
         finally:
             self.abandon()
 
     def abandon(self) -> None:
-        """End the threads at once and forget what is not stored yet."""
+        """End the threads at once and discard what is not stored yet."""
         self._abandon.set()
         with self._changed:
             self._closed = True
@@ -224,7 +224,7 @@ class Recorder:
         if self._spool.size <= self._spool_bytes or self.failed:
             return
         mib = self._spool.size / 2**20
-        message = f"{mib:.0f} MiB of checkpoints wait for the store, as many as may: the training pauses"
+        message = f"{mib:.0f} MiB of checkpoints wait for the store, which is the limit: the training waits"
         logger.warning(message)
         self.log("warning", message)
         began = time.monotonic()
@@ -274,7 +274,7 @@ class Recorder:
                 self._changed.wait_for(lambda: self._rows or self._closed)
                 if self._closed:
                     return
-                # Gather for a moment, unless somebody waits for it.
+                # Collect records for a moment, unless a caller waits for them.
                 self._changed.wait_for(self._should_write, self._flush_s)
                 batch = self._batch = self._gather()
                 self._writing = True
@@ -316,7 +316,7 @@ class Recorder:
                 entry = self._uploads.popleft()
                 self._uploading = True
             upload = partial(self._sink.upload, entry.checkpoint, entry.step)
-            # A store may be away for a day: the checkpoint is safe on the disk meanwhile.
+            # A store may be unavailable for a day: the checkpoint is on the disk meanwhile.
             stored = self._persist(upload, f"storing the checkpoint of step {entry.step}", math.inf)
             self._put(stored)
             with self._changed:

@@ -11,7 +11,7 @@ from pathlib import Path
 from naojobs import records
 
 from naosprint_worker.child_process import Services, StopRequestedError
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.retry import describe, retry
 
 logger = logging.getLogger(__name__)
@@ -20,10 +20,10 @@ logger = logging.getLogger(__name__)
 def add_report(
     services: Services, evaluation: Path, job_id: str, step: int, *, warn: Callable[[str], None] = logger.warning
 ) -> None:
-    """Draw the report of the evaluation in ``evaluation`` and put its files there too, as far as settings want one.
+    """Draw the report of the evaluation in ``evaluation`` into the same folder, if the settings request one.
 
-    Its learning curve is that of job ``job_id`` up to ``step``. A report that cannot be drawn is left out as a whole
-    and ``warn`` is called with the reason: the metrics are worth keeping without it.
+    Its learning curve is that of job ``job_id`` up to ``step``. A report that cannot be drawn is omitted and ``warn``
+    is called with the reason; the metrics are stored without it.
 
     Raises:
         StopRequestedError: this process was asked to stop meanwhile.
@@ -39,7 +39,7 @@ def add_report(
             title = retry(
                 lambda: _write_metrics(services, job_id, step, metrics),
                 what="reading the metrics",
-                transient=DATABASE_TROUBLE,
+                transient=DATABASE_ERRORS,
                 patience_s=services.settings.worker_patience_s,
             )
             write_report(folder, evaluation=evaluation, metrics=metrics, title=title, film=wanted == "film")
@@ -53,7 +53,7 @@ def add_report(
             warn(f"the report could not be drawn, the metrics are stored without it: {describe(error)}")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    if services.stop.requested():  # what was interrupted may have taken the request for an error of its own
+    if services.stop.requested():  # the interrupted call may have raised the request as an error of its own
         raise StopRequestedError
 
 

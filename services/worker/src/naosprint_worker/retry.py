@@ -28,8 +28,8 @@ def retry(
 ) -> T:
     """Return ``call()``, repeating it with exponential, jittered back-off while it raises one of ``transient``.
 
-    ``patience_s`` bounds the time from the first failure to the last try. ``on_retry`` hears each error and the seconds
-    until the next try. Setting ``stop`` ends the waiting at once.
+    ``patience_s`` bounds the time from the first failure to the last try. ``on_retry`` is called with each error and
+    the seconds until the next try. Setting ``stop`` ends the waiting at once.
 
     Raises:
         PatienceExhaustedError: the last try also failed; its cause is the last error, ``what`` names what was tried.
@@ -45,9 +45,9 @@ def retry(
             waited_s = now - first_failure
             stopped = stop is not None and stop.is_set()
             if stopped or waited_s >= patience_s:
-                reason = "told to stop" if stopped else f"gave up after {waited_s:.0f} s"
+                reason = "stopped" if stopped else f"gave up after {waited_s:.0f} s"
                 raise PatienceExhaustedError(f"{what}: {reason}; last error: {describe(error)}") from error
-            # Jitter keeps many workers from hammering a service that has just come back.
+            # Jitter keeps many workers from retrying at the same time.
             pause_s = min(delay_s * random.uniform(0.5, 1.0), patience_s - waited_s)  # noqa: S311
             if on_retry is not None:
                 on_retry(error, pause_s)
@@ -59,7 +59,7 @@ def retry(
 
 
 def describe(error: BaseException, limit: int = 500) -> str:
-    """Return the error's type and first lines on one line, cut to ``limit`` characters."""
+    """Return the error's type and first lines on one line, truncated to ``limit`` characters."""
     text = " ".join(str(error).split())
     name = type(error).__name__
     return (f"{name}: {text}" if text else name)[:limit]

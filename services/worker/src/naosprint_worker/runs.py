@@ -23,7 +23,7 @@ from naosim.launchers import LABELS_VARIABLE
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
 from naosprint_worker.child import Child
 from naosprint_worker.context import Context
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.orphans import OWNER_VARIABLE, Owner
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
@@ -117,7 +117,7 @@ class Run:
         )
 
     def _settle(self, ending: Ending) -> None:
-        """Change the state by how the child ended."""
+        """Set the state according to how the child ended."""
         text = describe_ending(self._program, ending)
         logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
         without_checkpoint = self.kind is WorkKind.JOB and ending.returncode != ExitCode.STOPPED
@@ -159,7 +159,7 @@ class Run:
         lifecycle.transition(self._context.sessions, self._lease, target, message=message)
 
     def _give_back(self, target: WorkState, message: str) -> None:
-        """End the attempt in ``target``, or in the state that fits where a user or the training was faster."""
+        """End the attempt in ``target``, or in the state that a user or the training has requested meanwhile."""
         try:
             self._transition(target, message)
         except ConflictError:
@@ -192,11 +192,11 @@ class Run:
     def _patiently(self, call: Callable[[], T]) -> T | None:
         """Return ``call()`` once the database answers, however long that takes; give up when the worker shuts down.
 
-        Its first answer may come shortly before the other workers take back leases that have expired.
+        Retries are frequent enough to succeed before other workers requeue work whose lease has expired.
         """
         what = f"settling {self._lease.kind} {self._lease.id}"
         longest_s = self._context.settings.lease_s / 4
-        tries = partial(retry, call, what=what, transient=DATABASE_TROUBLE, max_delay_s=longest_s)
+        tries = partial(retry, call, what=what, transient=DATABASE_ERRORS, max_delay_s=longest_s)
         try:
             try:
                 return tries(patience_s=math.inf, stop=self._closing)

@@ -28,21 +28,19 @@ class WorkerSettings(ServiceSettings):
         1,
         ge=1,
         le=256,
-        description="Jobs that this worker runs side by side, besides one evaluation that a user requests.",
+        description="Jobs that this worker runs in parallel, besides one evaluation that a user requests.",
     )
     worker_dir: Path = Field(
         default_factory=lambda: Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}",
         description="Folder for the files of running attempts; emptied attempt by attempt.",
     )
-    worker_min_free_mb: int = Field(
-        256, ge=0, description="MiB that must be free on worker_dir's disk for a job to be taken; below it jobs wait."
-    )
+    worker_min_free_mb: int = Field(256, ge=0, description="MiB that must be free on worker_dir's disk to claim a job.")
     worker_poll_s: float = Field(
-        1.0, gt=0, le=60, description="Seconds between two looks for a request to cancel or pause."
+        1.0, gt=0, le=60, description="Seconds between two checks for a request to cancel or pause."
     )
-    worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two looks for work of lost workers.")
+    worker_reap_s: float = Field(10.0, gt=0, le=600, description="Seconds between two checks for work of lost workers.")
     worker_claim_s: float = Field(
-        5.0, gt=0, le=600, description="Seconds between two looks of a free worker for waiting jobs and evaluations."
+        5.0, gt=0, le=600, description="Seconds between two checks of a free worker for waiting jobs and evaluations."
     )
     worker_stop_grace_s: float = Field(
         60.0, gt=0, le=3600, description="Seconds that a training has for its last checkpoint when it is stopped."
@@ -55,7 +53,7 @@ class WorkerSettings(ServiceSettings):
         gt=0,
         le=86400,
         description="Seconds for which an attempt waits for a failing database, or for a store that it reads from; "
-        "checkpoints wait for the store as long as it takes.",
+        "checkpoints wait for the store without limit.",
     )
     worker_stall_s: float = Field(
         1800.0,
@@ -66,10 +64,10 @@ class WorkerSettings(ServiceSettings):
     worker_spool_mb: int = Field(
         256,
         ge=1,
-        description="MiB of checkpoints of one training that may wait on worker_dir's disk for a store that is away; "
-        "beyond it the training pauses until the store is back.",
+        description="MiB of checkpoints of one training that may wait on worker_dir's disk for an unavailable store; "
+        "beyond it the training waits until the store is back.",
     )
-    worker_flush_s: float = Field(1.0, gt=0, le=60, description="Seconds of metrics and logs that one write gathers.")
+    worker_flush_s: float = Field(1.0, gt=0, le=60, description="Seconds of metrics and logs in one write.")
     worker_memory_mb: int | None = Field(
         None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."
     )
@@ -77,7 +75,7 @@ class WorkerSettings(ServiceSettings):
         None,
         ge=2,
         description="Newest checkpoints that are kept of a job, besides its best one and those that were evaluated or "
-        "that another job starts from; left out: all. At least 2, since one may turn out damaged.",
+        "that another job starts from; left out: all. At least 2, since one may be damaged.",
     )
     worker_keep_every: int | None = Field(
         None, ge=1, description="With worker_keep_last: every n-th checkpoint is kept as well; left out: no others."
@@ -86,10 +84,10 @@ class WorkerSettings(ServiceSettings):
         21_600.0,
         gt=0,
         le=86_400,
-        description="Seconds between two looks for files in the store, a day old or older, that no job refers to.",
+        description="Seconds between two checks for files in the store, a day old or older, that no job refers to.",
     )
     worker_evaluation_threads: int = Field(
-        2, ge=1, le=256, description="Simulator threads of an evaluation that a user asks for."
+        2, ge=1, le=256, description="Simulator threads of an evaluation that a user requests."
     )
     worker_report: Literal["film", "pictures", "off"] = Field(
         "off",
@@ -99,18 +97,18 @@ class WorkerSettings(ServiceSettings):
     simserver: str = Field(
         "rcssserver3d",
         min_length=1,
-        description="What runs a NAO on a server: a program, `embedded` for `naosim serve`, "
+        description="Server of the NAO: a program, `embedded` for `naosim serve`, "
         "or `docker:IMAGE` for a container of that image.",
     )
     rcssservermj: str = Field(
         "",
-        description="What runs a T1 or K1 on a server: a program, or `docker:IMAGE` for a container of that image; "
+        description="Server of T1 and K1: a program, or `docker:IMAGE` for a container of that image; "
         "left out: the server of the installed package rcsssmj.",
     )
     simserver_network: str | None = Field(
         None,
-        description="Docker network of those containers, or `own` for one of each job's own where the worker itself is "
-        "a container; left out: their ports are on the loopback alone.",
+        description="Docker network of those containers, or `own` for a separate one for each job if the worker is a "
+        "container; left out: their ports are on the loopback only.",
     )
     worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
 
@@ -142,7 +140,7 @@ class WorkerSettings(ServiceSettings):
     @model_validator(mode="after")
     def _every_needs_last(self) -> Self:
         if self.worker_keep_every is not None and self.worker_keep_last is None:
-            raise ValueError("worker_keep_every: has a meaning only together with worker_keep_last; set that, too")
+            raise ValueError("worker_keep_every: needs worker_keep_last; set that, too")
         return self
 
     @model_validator(mode="after")
@@ -156,7 +154,7 @@ class WorkerSettings(ServiceSettings):
 
     @property
     def server_environment(self) -> dict[str, str]:
-        """Return the variables by which simulators find their servers."""
+        """Return the environment variables that name the simulators' servers."""
         return {
             RCSSSERVER3D_VARIABLE: self.simserver,
             RCSSSERVERMJ_VARIABLE: self.rcssservermj,

@@ -12,7 +12,7 @@ from naojobs.records import Batch, StoredCheckpoint
 from naojobs.retention import Retention, prune_checkpoints
 from naojobs.store import ArtifactStore, StoreError, checkpoint_key, new_nonce
 
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 
 logger = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ class JobSink:
     Every write checks the lease: an attempt that lost it gets `naojobs.errors.LeaseLostError` and changes nothing.
     """
 
-    transient: tuple[type[Exception], ...] = (*DATABASE_TROUBLE, StoreError)
+    transient: tuple[type[Exception], ...] = (*DATABASE_ERRORS, StoreError)
 
     def __init__(
         self, sessions: Sessions, store: ArtifactStore, lease: Lease, *, retention: Retention | None = None
@@ -37,7 +37,7 @@ class JobSink:
         self._checkpoint_ids: dict[int, str] = {}
 
     def write(self, batch: Batch) -> None:
-        """Write all of ``batch`` in one transaction, or nothing of it."""
+        """Write ``batch`` in one transaction."""
         self._checkpoint_ids |= records.write(self._sessions, self._lease, batch)
 
     def upload(self, directory: Path, step: int) -> StoredCheckpoint:
@@ -52,7 +52,7 @@ class JobSink:
         return self._checkpoint_ids.get(step)
 
     def prune(self) -> None:
-        """Delete the recorded checkpoints that need not be kept; what the store does not delete now is swept later."""
+        """Delete the recorded checkpoints that need not be kept; the sweep deletes remaining files."""
         if self._retention is None:
             return
         for key in prune_checkpoints(self._sessions, self._lease, self._retention):

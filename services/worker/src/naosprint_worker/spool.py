@@ -18,7 +18,7 @@ from naojobs.records import MetricsRow
 from naojobs.states import WorkState
 from sqlalchemy import func, select
 
-#: Folder below the workers' folder: spools outlive attempts, and workers.
+#: Folder below the workers' folder: spools persist beyond attempts and workers.
 SPOOL = "spool"
 
 _FILES, _METRICS = "checkpoint", "metrics.json"
@@ -51,8 +51,8 @@ class Entry:
 class Spool:
     """Checkpoints of one attempt that are not recorded yet.
 
-    An entry appears as a whole and stays until the database has the checkpoint's row. What an attempt leaves, the
-    next attempt on the same disk takes over. Files are hard links to those of the training where the disk has them.
+    An entry appears atomically and stays until the database has the checkpoint's row. The next attempt on the same disk
+    takes over the entries that remain. Files are hard links to those of the training where the disk supports them.
     """
 
     def __init__(self, folder: Path, attempt: int = 1) -> None:
@@ -74,7 +74,7 @@ class Spool:
             return sum(self._sizes.values())
 
     def add(self, checkpoint: Path, step: int, metrics: Sequence[MetricsRow]) -> Entry:
-        """Take over a checkpoint directory and the metrics that have yet to be recorded."""
+        """Take over a checkpoint directory and the metrics that are not recorded yet."""
         self._folder.mkdir(parents=True, exist_ok=True)
         unfinished = self._folder / f".{step:012d}"
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -91,7 +91,7 @@ class Spool:
             shutil.rmtree(self._folder / f"{step:012d}", ignore_errors=True)
 
     def left_by_others(self, since_attempt: int) -> list[Entry]:
-        """Return what attempts from ``since_attempt`` to the one before this have left here, in order of steps."""
+        """Return the entries of attempts from ``since_attempt`` to the one before this, in order of steps."""
         found: dict[int, Entry] = {}
         for entry in _entries(self._folder.parent):
             if since_attempt <= entry.attempt < self._attempt:
@@ -108,7 +108,7 @@ class Spool:
         return self._take(entry.folder, entry.step)
 
     def discard_others(self) -> None:
-        """Delete what earlier attempts have left and this one has not taken over."""
+        """Delete the entries of earlier attempts that this one has not taken over."""
         for folder in _folders(self._folder.parent):
             if int(folder.name) < self._attempt:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -129,7 +129,7 @@ class Spool:
 
 
 def sweep(worker_dir: Path, sessions: Sessions) -> list[Path]:
-    """Delete spools of jobs that are gone, that succeeded, or that went on elsewhere; return their folders."""
+    """Delete spools of jobs that are gone, that succeeded, or that resumed elsewhere; return their folders."""
     gone = []
     for job_folder in sorted(path for path in (worker_dir / SPOOL).glob("*") if path.is_dir()):
         with sessions() as session:

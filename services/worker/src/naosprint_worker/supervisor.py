@@ -17,7 +17,7 @@ from naojobs.lifecycle import Requests
 from naojobs.states import WorkState
 
 from naosprint_worker.child import Child
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.outcome import ExitCode, Outcome, last_lines
 from naosprint_worker.progress import ProgressWatch
 from naosprint_worker.retry import describe
@@ -27,12 +27,12 @@ logger = logging.getLogger(__name__)
 
 MIB = 1 << 20
 
-#: Seconds between two looks at a child's memory: finding all of its processes is not free.
+#: Seconds between two checks of a child's memory: finding all of its processes takes time.
 MEMORY_PERIOD_S = 1.0
 
 
 class Intent(enum.IntEnum):
-    """Reason to stop a child; a higher one overrules a lower one."""
+    """Reason to stop a child; a higher one overrides a lower one."""
 
     #: It was not asked to stop.
     NONE = 0
@@ -40,7 +40,7 @@ class Intent(enum.IntEnum):
     SHUTDOWN = 1
     #: A user requested a pause.
     PAUSE = 2
-    #: The database has been out of reach for too long.
+    #: The database has been unreachable for too long.
     CUT_OFF = 3
     #: It has run longer than it may.
     TIME_LIMIT = 4
@@ -159,7 +159,7 @@ class Supervisor:
                 child.kill()
                 child.wait()
                 return
-            except DATABASE_TROUBLE as error:
+            except DATABASE_ERRORS as error:
                 away_s = time.monotonic() - contact
                 logger.warning("the database has not answered for %.0f s: %s", away_s, describe(error, 200))
                 if away_s > settings.worker_patience_s:
@@ -171,7 +171,7 @@ class Supervisor:
             self._check_memory(child)
             if progress.look() > settings.worker_stall_s and self._kill_at is None and self._intent < Intent.STALLED:
                 self._intent = Intent.STALLED
-                child.kill()  # a stopped process hears of no other signal
+                child.kill()  # a suspended process does not receive other signals
             if self._kill_at is not None and time.monotonic() >= self._kill_at and child.runs():
                 self._overstayed = True
                 child.kill()

@@ -26,7 +26,7 @@ from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import TrainingAssignment
 from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
-from naosprint_worker.database import DATABASE_TROUBLE
+from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode, Outcome
 from naosprint_worker.recorder import Recorder
@@ -81,7 +81,7 @@ class Attempt:
         )
 
     def run(self) -> ExitCode:
-        """Do all that is left of the job; return how it ended."""
+        """Complete the job; return how it ended."""
         try:
             code = self._run()
         except StopRequestedError:
@@ -101,7 +101,7 @@ class Attempt:
             try:
                 return self._train(refused)
             except CheckpointError as error:
-                # Whole, but not to be resumed from, by this version at least: the one before it may be.
+                # Complete, but not usable, at least not by this version: the one before it may be.
                 if self._resumed_from is None or self._recorder.reported:
                     raise
                 refused[self._resumed_from] = error
@@ -157,7 +157,7 @@ class Attempt:
         return ExitCode.FINISHED
 
     def _stopped(self, step: int) -> ExitCode:
-        """Record what there is within the grace period; what the store does not take stays for the next attempt."""
+        """Record what is possible within the grace period; the rest stays for the next attempt."""
         services = self._services
         settings = services.settings
         grace_s = settings.worker_orphan_grace_s if services.stop.orphaned else settings.worker_stop_grace_s
@@ -214,7 +214,7 @@ class Attempt:
             The checkpoint and its files; none for a job that has no checkpoint yet.
 
         Raises:
-            CheckpointsUnusableError: all are damaged or gone. To start again would give up what was trained.
+            CheckpointsUnusableError: all are damaged or gone. Starting again would lose the training so far.
         """
         listed = self._database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
@@ -255,7 +255,7 @@ class Attempt:
     def _take_over(self, recorded: Sequence[CheckpointRef]) -> list[Entry]:
         """Move what the attempt before has left on this disk into this attempt's spool.
 
-        Only what continues the recorded checkpoints counts: the job may have gone on elsewhere meanwhile.
+        Only what continues the recorded checkpoints counts: the job may have resumed elsewhere meanwhile.
         """
         from naosprint.rl.checkpoint import CheckpointError, verify_checkpoint  # loads NumPy, which is loaded by now
 
@@ -271,7 +271,7 @@ class Attempt:
             except (CheckpointError, OSError) as error:
                 message = f"checkpoint at step {entry.step} on the worker's disk cannot be used: {error}"
                 self._recorder.event("checkpoint_unusable", message, {"step": entry.step})
-                break  # what comes behind it would lack its metrics
+                break  # later ones would lack its metrics
         self._spool.discard_others()
         return taken
 
@@ -300,7 +300,7 @@ class Attempt:
     # Small helpers
 
     def _enter(self, state: WorkState, message: str) -> None:
-        """Turn the job into ``state``; a pause asked for while the training starts goes first."""
+        """Change the job to ``state``; a pause that was requested while the training starts has precedence."""
 
         def enter() -> None:
             try:
@@ -314,11 +314,11 @@ class Attempt:
 
     def _database(self, call: Callable[[], T], what: str) -> T:
         patience_s = self._services.settings.worker_patience_s
-        return retry(call, what=what, transient=DATABASE_TROUBLE, patience_s=patience_s)
+        return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=patience_s)
 
 
 def work(services: Services) -> ExitCode:
-    """Do the assignment in the working folder."""
+    """Run the assignment in the working folder."""
     return Attempt(services, TrainingAssignment.read(services.workdir)).run()
 
 

@@ -1,4 +1,4 @@
-"""Worker: its place in the registry, its runs, its periodic duties, its end."""
+"""Worker: registration, runs, periodic duties, shutdown."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sqlalchemy import Engine
 from naosprint_worker import __version__, spool
 from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import Context
-from naosprint_worker.database import DATABASE_TROUBLE, open_engine
+from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.orphans import Owner
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
@@ -34,7 +34,7 @@ OWNER_FILE = "owner"
 
 
 class Worker:
-    """Worker process without the broker's part of it.
+    """Worker process without its connection to the broker.
 
     Its slots are filled by one thread, which looks for waiting work whenever a wake-up message arrives or a run ends,
     and every ``worker_claim_s`` seconds in any case.
@@ -66,7 +66,7 @@ class Worker:
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Enter the registry and start to claim work, without waiting for the broker."""
+        """Register and start to claim work, without waiting for the broker."""
         settings = self._settings
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ class Worker:
         self._woken.set()
 
     def shut_down(self) -> None:
-        """Claim nothing more and end what runs, trainings with a checkpoint; callable from a signal handler."""
+        """Stop claiming and end all runs, trainings with a checkpoint; callable from a signal handler."""
         self._stopping.set()
         self._woken.set()
         with self._changed:
@@ -100,13 +100,13 @@ class Worker:
             run.shut_down()
 
     def close(self) -> None:
-        """End all runs and leave the registry."""
+        """End all runs and unregister."""
         self.shut_down()
         for thread in self._threads:
             thread.join(timeout=10)
         for thread in tuple(self._runs.values()):
             thread.join()
-        with contextlib.suppress(*DATABASE_TROUBLE):
+        with contextlib.suppress(*DATABASE_ERRORS):
             registry.leave(self._context.sessions, self.id)
         shutil.rmtree(self._context.folder, ignore_errors=True)
         self._engine.dispose()
@@ -189,20 +189,20 @@ class Worker:
     def _sweep_store(self) -> None:
         """Delete files that no row refers to, for example of jobs deleted while the store was away, and old spools."""
         for folder in spool.sweep(self._settings.worker_dir, self._context.sessions):
-            logger.info("deleted %s: its job needs it no more", folder)
+            logger.info("deleted %s: its job no longer needs it", folder)
         try:
             retention.sweep(self._context.sessions, self._store)
         except StoreError as error:
             logger.warning("sweep: the store did not answer: %s", describe(error, 200))
 
     def _repeat(self, name: str, period_s: float, duty: Callable[[], None], wake: threading.Event) -> None:
-        """Do a duty at once, every ``period_s`` seconds and when ``wake`` is set, whatever goes wrong meanwhile."""
+        """Do a duty at once, every ``period_s`` seconds and when ``wake`` is set, also after errors."""
         while True:
             if wake is not self._stopping:
                 wake.clear()
             try:
                 duty()
-            except DATABASE_TROUBLE as error:
+            except DATABASE_ERRORS as error:
                 self._reaper.database_failed()
                 logger.warning("%s: the database did not answer: %s", name, describe(error, 200))
             except Exception:

@@ -240,7 +240,7 @@ def test_evaluation_can_be_stopped(checkpoint: Path) -> None:
 
 def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
     """Before anything is simulated."""
-    with pytest.raises(CheckpointError, match="no checkpoint here"):
+    with pytest.raises(CheckpointError, match="not a checkpoint"):
         evaluate(tmp_path, EvaluationSpec())
 
 

@@ -124,7 +124,7 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
 
 def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
     """Nothing is written then."""
-    with pytest.raises(CheckpointError, match="no checkpoint here"):
+    with pytest.raises(CheckpointError, match="not a checkpoint"):
         export_policy(tmp_path / "nothing", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

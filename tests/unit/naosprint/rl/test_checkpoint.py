@@ -111,7 +111,7 @@ def test_saving_again_replaces(tmp_path: Path) -> None:
 
 def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
     """The message has the path and what is missing."""
-    with pytest.raises(CheckpointError, match=r"nowhere: no checkpoint here \(checkpoint.json is missing\)"):
+    with pytest.raises(CheckpointError, match=r"nowhere: not a checkpoint \(checkpoint.json is missing\)"):
         read_manifest(tmp_path / "nowhere")
 
 

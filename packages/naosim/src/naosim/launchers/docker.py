@@ -35,7 +35,7 @@ OWNER_HOST, OWNER_PID, OWNER_START = "naosim.owner.host", "naosim.owner.pid", "n
 OWNER_CONTAINER = "naosim.owner.container"
 PREFIX = "naosim-"
 OWN_NETWORK = "own"
-"""As a network's name: one that the launcher makes, joins, and removes with its last server."""
+"""Network name that stands for the launcher's own network, which it creates and removes with its last server."""
 _STOP_S = 2
 
 
@@ -49,13 +49,13 @@ class ContainerSettings:
 
     image: str
     labels: Mapping[str, str] = field(default_factory=dict)
-    """Besides the owner's, for example job and attempt."""
+    """Labels besides the owner's, for example job and attempt."""
     memory: str = "512m"
     cpus: float = 1.0
     pids: int = 64
     network: str | None = None
-    """A network that the caller is on, too, or :data:`OWN_NETWORK`, for a caller that runs in a container; without one
-    the ports are published on this machine's loopback alone."""
+    """Network that the caller is connected to, or :data:`OWN_NETWORK` for a caller in a container.
+    None publishes the ports on this machine's loopback only."""
 
     def __post_init__(self) -> None:
         if not self.image:
@@ -83,7 +83,7 @@ def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
 
 
 def host_name() -> str:
-    """Return a name of this host or container that lasts until it is started again."""
+    """Return a name of this host or container that stays the same until its next start."""
     with contextlib.suppress(OSError):
         return f"{socket.gethostname()}/{Path('/proc/sys/kernel/random/boot_id').read_text().strip()}"
     return socket.gethostname()
@@ -141,7 +141,8 @@ class DockerLauncher:
         client: a `docker.DockerClient`; default: one from the environment.
 
     Raises:
-        OSError: the Docker SDK is not installed, no engine answers, or an own network is asked for outside a container.
+        OSError: the Docker SDK is not installed, no engine answers, or :data:`OWN_NETWORK` is requested outside a
+            container.
     """
 
     def __init__(self, program: ServerProgram, settings: ContainerSettings, client: Any = None) -> None:
@@ -234,7 +235,7 @@ class Reaper:
 
 
 class _OwnNetwork:
-    """Internal network of one launcher; it lasts as long as a server is on it."""
+    """Internal network of one launcher; it exists as long as a server uses it."""
 
     def __init__(self, api: Any, settings: ContainerSettings, container: str) -> None:
         self._api = api
@@ -245,7 +246,7 @@ class _OwnNetwork:
         self._servers = 0
 
     def enter(self) -> str:
-        """Count one more server; return the network's name."""
+        """Add a server, creating the network for the first; return the network's name."""
         with self._lock:
             if self._servers == 0:
                 name = PREFIX + secrets.token_hex(6)
@@ -262,7 +263,7 @@ class _OwnNetwork:
             return self._name
 
     def leave(self) -> None:
-        """Count one server less; the network goes with the last."""
+        """Remove a server, and the network with the last."""
         with self._lock:
             self._servers -= 1
             if self._servers == 0:
@@ -288,7 +289,7 @@ def _is_left(labels: Mapping[str, str], running: Collection[str]) -> bool:
     if is_orphan(labels):
         return True
     container = labels.get(OWNER_CONTAINER)
-    # an owner that shares our host can be looked at itself, see `is_orphan`
+    # an owner on this host is checked directly, see `is_orphan`
     return bool(container) and labels.get(OWNER_HOST) != host_name() and container not in running
 
 
@@ -394,14 +395,14 @@ def _age_s(network: Mapping[str, Any]) -> float:
 
 @contextlib.contextmanager
 def _engine_errors() -> Iterator[None]:
-    """Turn the SDK's errors into OSError, which every launcher raises, and those of an engine that does not answer."""
+    """Convert the SDK's errors to OSError, or LauncherUnavailableError if the engine does not answer."""
     try:
         yield
     except Exception as error:
         module = type(error).__module__.partition(".")[0]
         if module not in ("docker", "requests", "urllib3"):
             raise
-        # Errors of the engine have a status, those of the way to it none; a proxy answers for one that is away.
+        # Errors of the engine have a status, connection errors have none; a proxy answers for an unavailable engine.
         status = getattr(error, "status_code", None)
         unreached = module != "docker" or type(error).__name__ == "DockerException"
         away = unreached if status is None else status in _AWAY

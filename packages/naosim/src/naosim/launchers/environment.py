@@ -23,7 +23,7 @@ DOCKER_PREFIX = "docker:"
 EMBEDDED = "embedded"
 
 SERVERS_PER_CORE = 4
-"""Running servers per core; more of them only wait for each other."""
+"""Running servers per core; more would only wait for each other."""
 
 
 def launcher_from_environment(
@@ -66,7 +66,7 @@ def missing_program(
 ) -> str:
     """Return why no server can be started with the program that a variable names; empty if it is there.
 
-    Containers count as available: whether an engine answers shows when one is started.
+    Containers count as available: the engine is contacted only when one is started.
 
     Args:
         variable: name of the variable, as for :func:`launcher_from_environment`.
@@ -109,7 +109,7 @@ def most_servers() -> int:
 
 
 def require_servers(n: int) -> None:
-    """Raise ValueError if this machine cannot run n servers; the message says what to set."""
+    """Raise ValueError if this machine cannot run n servers; the message states what to set."""
     most = most_servers()
     if n > most:
         raise ValueError(

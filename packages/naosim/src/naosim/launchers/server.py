@@ -1,4 +1,4 @@
-"""Servers as launchers see them: how a program is started, where it listens, what holds on to it."""
+"""Server programs, their addresses, and handles of started servers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Protocol
 
 
 class LauncherUnavailableError(OSError):
-    """Failure of an engine that starts servers to answer; it may come back."""
+    """Failure to reach the engine that starts servers; it may be temporary."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a server listens."""
+    """Host and ports on which a server listens."""
 
     host: str
     agent_port: int
@@ -23,7 +23,7 @@ class Address:
 
 @dataclass(frozen=True)
 class ServerProgram:
-    """What a launcher must know of one kind of server.
+    """Description of one kind of server for launchers.
 
     In arguments ``{agent_port}``, ``{monitor_port}`` and ``{home}``, the server's home directory, are replaced.
 
@@ -58,14 +58,14 @@ class ServerProgram:
 
 
 class ServerHandle(Protocol):
-    """One started server."""
+    """Handle of a started server."""
 
     @property
     def address(self) -> Address:
-        """Where it listens."""
+        """Host and ports on which it listens."""
 
     def alive(self) -> bool:
-        """Return whether it still runs."""
+        """Return whether it is running."""
 
     def owns(self, port: int) -> bool:
         """Return whether it is this server that listens on a port."""
@@ -78,7 +78,7 @@ class ServerHandle(Protocol):
 
 
 class Launcher(Protocol):
-    """A way to start servers."""
+    """Interface that starts servers of one kind."""
 
     def start(self) -> ServerHandle:
         """Start a server; it may not listen yet.

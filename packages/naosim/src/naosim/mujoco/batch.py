@@ -26,7 +26,7 @@ class MujocoBatch:
     Args:
         world: the world; all share its model.
         n: number of worlds.
-        delay: steps by which a command is late, 0 or 1.
+        delay: steps by which commands are delayed, 0 or 1.
         truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
         threads: threads that step the worlds.
 
@@ -108,7 +108,7 @@ class MujocoBatch:
 
     @property
     def row_size(self) -> int:
-        """Numbers in the state of a world: integration state, sensor data, and the command that has yet to act."""
+        """Number of values in a world's state: integration state, sensor data and pending command."""
         return self._worlds.row_size
 
     def save(self) -> Floats:

@@ -1,6 +1,6 @@
 """Booster robots on rcssservermj servers; see `naosim.fleet`.
 
-What the server needs, and this client does:
+Requirements of the server that this client meets:
 
 - A robot that enters before the server's first cycle kills it, so a monitor waits for that cycle first.
 - The joints' targets are uninitialised memory after a robot has entered, and one that is huge makes MuJoCo drop those
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from naosim.fleet import Act, Fleet
+from naosim.fleet import Fleet, Motion
 from naosim.launchers import Address, Launcher
 from naosim.mujoco._mujoco import Exchange
 from naosim.mujoco.batch import PERCEPTORS
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
 
 _SILENCE_S = 1.5
-"""Servers to which nothing has been sent for so long are stepped; they drop their robot after 5 s."""
+"""Silence after which a server is stepped, s; servers drop a robot after 5 s."""
 
 _QUIET_S = 0.1
 """Silence after which a server in sync mode is waiting for its agent."""
@@ -51,11 +51,11 @@ class MujocoFleet(Fleet):
 
     Args:
         servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
-            run already; those cannot be replaced.
+            run already, which cannot be replaced.
         robot: the robot, with its gains.
         n: number of servers; only with a launcher.
         team: name of the robots' team; they play on the left.
-        timeout_s: a server that does not answer for so long has failed.
+        timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
         max_failures: number of servers that may be replaced before `replace` raises.
 
@@ -66,7 +66,7 @@ class MujocoFleet(Fleet):
 
     Raises:
         ValueError: an argument is out of range.
-        ServerLostError: a server did not start; the message says why.
+        ServerLostError: a server did not start; the message states why.
     """
 
     command_name: ClassVar[str] = "targets_rad"
@@ -130,7 +130,7 @@ class MujocoFleet(Fleet):
 
     def starting(
         self, row: int, pose_rad: Floats, position_m: tuple[float, float], heading_rad: float, settle_steps: int
-    ) -> Act:
+    ) -> Motion:
         """Beam one robot and drive it into a pose: yield the target angles of each cycle.
 
         The reply to the last of them is what the robot perceives after ``settle_steps`` steps.
@@ -208,14 +208,14 @@ class MujocoFleet(Fleet):
         for _ in range(_FIRST_CYCLES):
             if exchange.failure(row):
                 break
-            # not through `step`: other rows may be open, and the lock is held by who replaces servers
+            # not through `step`: other rows may be open, and the caller that replaces servers holds the lock
             exchange.dispatch(self._idle, only)
             exchange.gather(only, left_s())
         exchange.drain(row, _QUIET_S, left_s())
         mode, messages = exchange.play_mode(row), exchange.messages(row)
         if messages > 1 + _FIRST_CYCLES:
             exchange.fail(
-                row, f"{messages} messages came for {1 + _FIRST_CYCLES} commands: it must run in sync mode (--sync)"
+                row, f"got {messages} messages for {1 + _FIRST_CYCLES} commands: it must run in sync mode (--sync)"
             )
         if mode != _MODE:
             exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")

@@ -68,7 +68,7 @@ class MujocoSimulator(Simulator):
     # steps
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
-        """Keep the commands of a step, which :meth:`step_wait` takes: there is one group, all robots.
+        """Store the commands of a step for :meth:`step_wait`: all robots are one group.
 
         Raises:
             ValueError: if the targets have a wrong shape or are not finite.
@@ -83,7 +83,7 @@ class MujocoSimulator(Simulator):
         self._pending = targets, active
 
     def step_wait(self, rows: slice) -> None:
-        """Take the step that :meth:`step_async` began."""
+        """Run the step that :meth:`step_async` began."""
         self.require_open()
         self.require_group(rows)
         if self._pending is not None:
@@ -170,7 +170,7 @@ class MujocoSimulator(Simulator):
         centres = data.geom_xpos[self.world.geoms, 2] + np.einsum("gi,gi->g", down, boxes[:, :3])
         return float(-np.min(centres - np.einsum("gi,gi->g", np.abs(down), boxes[:, 3:])))
 
-    # what a viewer needs
+    # for viewers
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes``."""

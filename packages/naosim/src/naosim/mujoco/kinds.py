@@ -31,7 +31,7 @@ class EmbeddedParameters(SimulatorParameters):
         default=False,
         title="Exact world",
         description=(
-            "Compute every bit as the server does; evaluations always do. Otherwise ball and air are left out, which "
+            "Match the server bit for bit; evaluations always do. Otherwise ball and air are left out, which "
             "is a fifth faster."
         ),
     )
@@ -45,7 +45,7 @@ class EmbeddedParameters(SimulatorParameters):
         ge=0,
         le=1,
         title="Action delay",
-        description="Steps by which a command acts late; 1 in the server's parallel loop, which competitions use.",
+        description="Delay of commands in steps; 1 in the server's parallel loop, which competitions use.",
     )
     settle_steps: int = _SETTLE_STEPS
 

@@ -31,7 +31,7 @@ def server_launcher() -> Launcher:
     Without it the server of this interpreter's environment is started, which ``rcsssmj`` installs.
 
     Raises:
-        FileNotFoundError: if there is no such program, or no server of the league's version; the message says what to
+        FileNotFoundError: if there is no such program, or no server of the league's version; the message states what to
             install or set.
         OSError: if containers are asked for and no Docker engine answers.
         ValueError: if a variable is malformed.

@@ -13,7 +13,7 @@ from naosim.mujoco.world import torque_shares, world_of
 from naosim.simulator import Truth
 
 if TYPE_CHECKING:
-    from naosim.fleet import Act
+    from naosim.fleet import Motion
     from naosim.launchers import Launcher
     from naosim.robots import Robot
     from naosim.simulator import Flags, Floats, Ints, Starts
@@ -39,7 +39,7 @@ class RemoteMujocoSimulator(FleetSimulator):
         standby_servers: whether there are two servers per robot.
 
     Raises:
-        naosim.simulator.ServerLostError: if a server does not start; the message says why.
+        naosim.simulator.ServerLostError: if a server does not start; the message states why.
     """
 
     def __init__(
@@ -113,15 +113,15 @@ class RemoteMujocoSimulator(FleetSimulator):
         if poses.ndim != 2 or poses.shape[1] != len(self.robot.joints) or not np.isfinite(poses).all():
             raise ValueError(f"starts: expected finite poses of shape (k, {len(self.robot.joints)}), got {poses.shape}")
 
-    def _starting(self, server: int, start: int) -> Act:
-        """Bring a server's robot into a start: yield the target angles of each cycle."""
+    def _starting(self, server: int, start: int) -> Motion:
+        """Move a server's robot to a start: yield the target angles of each cycle."""
         assert self._starts is not None
         starts = self._starts
         return self._remote.starting(
             server, starts.poses_rad[start], starts.position_m, starts.heading_rad, self._settle_steps
         )
 
-    # what a viewer and a task need
+    # for viewers and tasks
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes`` by forward kinematics from what the robots perceive.

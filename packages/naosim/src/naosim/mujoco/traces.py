@@ -1,4 +1,4 @@
-"""Recordings of a running rcssservermj, and how exactly the embedded world repeats them."""
+"""Recordings of a running rcssservermj, and how exactly the embedded world reproduces them."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def load(path: Path) -> Trace:
     except (ValueError, TypeError, KeyError, StopIteration) as error:
         raise TraceError(f"{path}: field 'meta' is not usable ({error!r})") from error
     if effectors != [joint.effector for joint in robot.joints]:
-        raise TraceError(f"{path}: field 'meta.effectors' is not the order of {robot.name}")
+        raise TraceError(f"{path}: field 'meta.effectors' is not in the order of {robot.name}")
     joints, cycles = len(robot.joints), len(np.atleast_1d(data["command"]))
     widths = dict.fromkeys(PERCEPTORS[:2], joints) | {"torso_quat": 4, "torso_pos": 3, "gyro": 3, "accel": 3}
     shapes = {"command": (cycles, joints, 5), "beam": (cycles, 3), "move": (cycles, 4), "time": (cycles + 1,)}

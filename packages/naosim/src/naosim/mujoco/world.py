@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 MUJOCO_VERSION = "3.5.0"
 RCSSSMJ_VERSION = "0.2.1"
-"""The versions that the league plays with; other versions of MuJoCo compute other bits."""
+"""The versions that the league uses; other versions of MuJoCo give different last bits."""
 
 SUBSTEPS = 4
 """Physics steps of 5 ms in a step of 20 ms."""
@@ -36,7 +36,7 @@ UNIFORM_NUMBER = 2
 """Number with which the robot enters the field; it decides where it was attached."""
 
 PARKED_BALL_M = (25.0, 16.0)
-"""Where the ball lies, metres: in a corner of the field, where no robot comes."""
+"""Position of the ball, metres: a corner of the field that no robot reaches."""
 
 _FIELD_HALF_WIDTH_M, _FIELD_BORDER_M = 18.0, 3.0
 

@@ -34,7 +34,7 @@ def get(name: str) -> Robot:
     """Return the robot of this name.
 
     Raises:
-        naospec.plugins.UnknownPluginError: if no package offers it; the message lists what there is.
+        naospec.plugins.UnknownPluginError: if no package offers it; the message lists the available ones.
         naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a Robot of that name.
     """
     from naospec import plugins

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 class Actuation:
     """Mapping between a robot's joints and the actions of a policy.
 
-    An action of -1 or 1 is an end of the joint's range, or, for a robot with ``action_range_rad``, so far from the
+    An action of -1 or 1 is an end of the joint's range, or, for a robot with ``action_range_rad``, this far from the
     nominal angle. Angles of policies are in the policy convention (:mod:`naosim.robots.description`).
 
     Attributes:

@@ -134,7 +134,7 @@ class BoosterParameters(RobotParameters):
 class T1Parameters(BoosterParameters):
     """Motor gains of the T1.
 
-    With the defaults it stands without a policy. What decides is the ankle's stiffness: below 150 N m/rad the robot
+    With the defaults it stands without a policy. The ankle's stiffness is decisive: below 150 N m/rad the robot
     tips over within three seconds for any value of the other gains.
     """
 

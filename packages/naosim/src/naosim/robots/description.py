@@ -1,7 +1,7 @@
-"""What a robot is, as everything above the simulators sees it.
+"""Descriptions of robots.
 
-A robot is data. Angles are in radians. A policy sees and sets joint angles in the *policy convention*, in which the
-same number on the left and on the right is a symmetric posture: policy angle = ``sign`` x simulator angle.
+A robot is plain data. Angles are in radians. A policy sees and sets joint angles in the *policy convention*, in which
+the same number on the left and on the right is a symmetric posture: policy angle = ``sign`` x simulator angle.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class PerceptorDescription:
-    """One named array that the robot senses.
+    """One perceptor: a named array of measurements.
 
     Attributes:
         name: key in ``Simulator.perceptors``.
@@ -101,7 +101,7 @@ class Robot:
         joints: all joints, in the order of commands and joint perceptors.
         nominal_rad: simulator angle of each joint in the pose from which episodes start, by joint name; 0 if missing.
         standing_height_m: torso height with straight legs, soles on the ground.
-        fall_height_m: torso height below which an episode counts as a fall, unless the task says otherwise.
+        fall_height_m: torso height below which an episode counts as a fall, unless the task overrides it.
         erect_height_m: the same for tasks that require an upright run.
         front_axis: column of the torso's rotation matrix that points to the robot's front.
         perceptors: what it senses.
@@ -110,8 +110,8 @@ class Robot:
         action_range_rad: half the range of the target angle around nominal for an action of 1; None if actions span the
             joint's whole range.
         parameters: its settings.
-        data: what simulators of its family need besides, for example the number of a type.
-        load_shapes: returns :attr:`shapes`; called when they are first asked for.
+        data: further data for simulators of its family, for example the number of a type.
+        load_shapes: returns :attr:`shapes`; called on first use.
     """
 
     name: str

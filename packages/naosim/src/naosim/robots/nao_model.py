@@ -96,7 +96,7 @@ class RobotModel:
     joints: tuple[Joint, ...]
     """In the order of commands and joint perceptors."""
     collision_pairs: tuple[tuple[str, str], ...]
-    """Box pairs that the self-collision rule watches."""
+    """Box pairs that the self-collision rule checks."""
     touch_sensors: tuple[tuple[str, str], ...]
     """Force resistance perceptors: (name, body)."""
 

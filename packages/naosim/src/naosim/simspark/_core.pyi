@@ -1,4 +1,4 @@
-"""The compiled engine; `naosim.simspark.batch` checks what goes in."""
+"""The compiled engine; `naosim.simspark.batch` checks its arguments."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class CommandReader:
     def __init__(self, effectors: list[str]) -> None: ...
     def read(self, message: bytes, speeds: NDArray[np.float64]) -> list[tuple[Any, ...]]: ...
 
-class PerceptWriter:
+class PerceptorWriter:
     def __init__(self, items: list[tuple[str, str, int]], digits: int) -> None: ...
     def write(
         self,

@@ -18,7 +18,7 @@ DIGITS = (2, 3, None)
 """Decimals of the perceptors: 2 as the league's server prints, 3 as a development version, None for full precision."""
 
 BODY_STATE = 13
-"""Numbers a body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""
+"""Values per body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""
 
 _SHAPES = {"box": 1, "sphere": 2, "capsule": 3}
 _LIMBS = {"rarm": 0, "larm": 1, "rleg": 2, "lleg": 3}
@@ -97,8 +97,8 @@ class BatchSimulator:
         robot_type: 0 to 4.
         threads: threads that step the batch, the caller's included; they live as long as the simulator.
         digits: decimals of the perceptors (2, 3, or None for full precision).
-        self_collision: whether limbs that overlap freeze their motors, as the league's rules have it.
-        kernel: `avx512`, `avx2` or `generic`; None takes the fastest that runs here.
+        self_collision: whether limbs that overlap freeze their motors, as in the league's rules.
+        kernel: `avx512`, `avx2` or `generic`; None selects the fastest that the processor supports.
 
     Raises:
         ValueError: an argument is out of range; the message names it.
@@ -216,7 +216,7 @@ class BatchSimulator:
             environment, body, field = (int(k) for k in np.argwhere(wrong)[0])
             raise ValueError(
                 f"bodies[{environment}, {body}, {field}]: environment {environment}, {self.model.bodies[body].name}: "
-                f"must be finite and sane, not {states[environment, body, field]}"
+                f"must be finite and in range, not {states[environment, body, field]}"
             )
         self._core.set_bodies(states, self._lanes(mask))
 
@@ -315,7 +315,7 @@ def _finite(name: str, value: ArrayLike) -> Floats:
 
 
 _SPAWN = (0.0, -1.0, 1.5)
-"""Where the server builds a robot, m."""
+"""Position at which the server creates a robot, m."""
 
 
 def _as_built(offset: Vector) -> Floats:

@@ -1,4 +1,4 @@
-"""How many cycles a second the engine steps."""
+"""Benchmark of the engine's speed in cycles per second."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WARM_UP = 100
 
 
 def measure(batch: int, threads: int, cycles: int, robot_type: int = 0, kernel: str | None = None) -> dict[str, Any]:
-    """Step robots that keep moving on their feet; count only the time inside `step`.
+    """Step robots that keep moving on their feet; measure only the time inside `step`.
 
     Returns:
         `cycles_per_s`, `solves_per_step` (linear solves a group), `upright` and `awake` (shares of robots at the end).

@@ -1,7 +1,7 @@
 """Many robots on rcssserver3d servers, driven as if they were a `BatchSimulator`; see `naosim.fleet`.
 
 The trainer's connection gives the ground truth. Servers send a pose again once it has changed by more than 0.005
-(metres or matrix elements), so a truth is that exact, no more, unless `exact` asks for full frames.
+(metres or matrix elements), so poses are only accurate to 0.005 unless `exact` requests full frames.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from naosim.fleet import Act, Fleet, Rows
+from naosim.fleet import Fleet, Motion, Rows
 from naosim.launchers import Address, Launcher
 from naosim.robots import nao_model
 from naosim.robots.nao_model import RobotModel
@@ -24,7 +24,7 @@ _QUIET_S = 0.1
 """Silence after which a server in sync mode is waiting for its agent."""
 
 _GREETING_QUIET_S = 0.02
-"""The same while a robot is being built, where one cycle more does no harm."""
+"""The same while a robot is being created, when one more cycle does no harm."""
 
 _LANDING_CYCLES = 15
 """Maximum number of cycles until a trainer's move is visible."""
@@ -51,7 +51,7 @@ _PARKED_BALL = (0.0, 9.5, 0.042)
 
 
 class RemoteTruth:
-    """Where the robots are, as the monitor ports show it. Arrays are views that every step overwrites."""
+    """Poses of the robots, as the monitor ports report them. Arrays are views that every step overwrites."""
 
     def __init__(self, views: dict[str, Floats]) -> None:
         self.torso_position = views["torso_position"]
@@ -67,19 +67,19 @@ class RemoteBatch(Fleet):
 
     Args:
         servers: a launcher, which starts n servers and new ones for those that fail, or the addresses of servers that
-            run already; those cannot be replaced.
+            run already, which cannot be replaced.
         n: number of servers; only with a launcher.
         robot_type: 0 to 4.
         team: name of the robots' team; they play number `uniform_number` on the left.
         uniform_number: 1 to 11.
-        timeout_s: a server that does not answer for so long has failed.
+        timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
         max_failures: number of servers that may be replaced before `replace` raises.
-        exact: ask for the full scene in every cycle; much slower, exact to six digits.
+        exact: request the full scene in every cycle; much slower, exact to six digits.
 
     Raises:
         ValueError: an argument is out of range.
-        ServerLostError: a server did not start; the message says why.
+        ServerLostError: a server did not start; the message states why.
     """
 
     command_name: ClassVar[str] = "speeds"
@@ -133,8 +133,8 @@ class RemoteBatch(Fleet):
     def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:
         """Move robots as the trainer's `move` does and wait until they are there.
 
-        A cycle or two pass meanwhile, with joints held still but for the head, whose motion keeps the robot awake: a
-        sleeping robot that is moved stays in the air. So robots that are put in the air have sunk a little.
+        A cycle or two pass meanwhile, with joints held still except for the head, whose motion keeps the robot awake: a
+        sleeping robot that is moved stays in the air. Robots that are put in the air therefore sink a little.
 
         Args:
             position: (3,) or (n, 3), the torso's centre, m.
@@ -148,16 +148,16 @@ class RemoteBatch(Fleet):
         yaw = np.broadcast_to(np.asarray(yaw_deg, dtype=np.float64), (self.n,))
         if not (np.isfinite(where).all() and np.isfinite(yaw).all()):
             raise ValueError("position, yaw_deg: must be finite")
-        self.act_out({row: self.beaming(row, where[row], float(yaw[row])) for row in self._able(mask)})
+        self.run_motions({row: self.beaming(row, where[row], float(yaw[row])) for row in self._able(mask)})
 
     def reset(self, mask: ArrayLike | None = None) -> None:
-        """Untangle robots: hold them in the air until all joints are at 0; the caller beams them down then.
+        """Untangle robots: hold them in the air until all joints are at 0; the caller then beams them down.
 
-        On the way every joint has to obey, so that no limb is left that the self-collision rule has frozen.
+        Every joint has to reach its angle, so that no limb remains frozen by the self-collision rule.
         """
-        self.act_out({row: self.untangling(row) for row in self._able(mask)})
+        self.run_motions({row: self.untangling(row) for row in self._able(mask)})
 
-    def beaming(self, row: int, where: Floats, yaw_deg: float) -> Act:
+    def beaming(self, row: int, where: Floats, yaw_deg: float) -> Motion:
         """Beam one environment as `beam` does: yield the joint speeds of each cycle."""
         self._move(row, where, yaw_deg, show=True)
         for _ in range(_LANDING_CYCLES):
@@ -171,7 +171,7 @@ class RemoteBatch(Fleet):
         # one that was about to fall asleep has done so in the first cycle; the second wakes it
         yield self._nudge[row]
 
-    def untangling(self, row: int, pose_rad: Floats | None = None) -> Act:
+    def untangling(self, row: int, pose_rad: Floats | None = None) -> Motion:
         """Untangle one environment as `reset` does: yield the joint speeds of each cycle.
 
         Args:
@@ -242,7 +242,8 @@ class RemoteBatch(Fleet):
             exchange.collect(only, 1, 1, max(0.1, deadline - time.monotonic()))
 
         def bring_about(text: str, done: Callable[[], object], failing: str) -> None:
-            # A server gives a new agent some cycles for nothing, then answers a (syn) only when the next one comes.
+            # A server runs some cycles for a new agent without a (syn), then answers a (syn) only when the next one
+            # arrives.
             exchange.post(row, False, text.encode() + b"(syn)")
             while not exchange.failure(row):
                 exchange.drain(row, _GREETING_QUIET_S, max(0.1, deadline - time.monotonic()))

@@ -13,7 +13,7 @@ GAIN = 7.0
 """Gain of the proportional controller in 1/s: speed = GAIN * (target - angle). Paper, section IV-B."""
 
 DROP_M = 0.015
-"""Height above standing from which a robot is let down at a start, metres."""
+"""Height above standing from which a robot is dropped at a start, metres."""
 
 SETTLING_CYCLES = 60
 """Cycles for which the pose of a start is held before it counts as settled."""

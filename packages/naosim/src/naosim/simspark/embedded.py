@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class EmbeddedSimulator(Simulator):
     """NAOs in the embedded engine.
 
-    Starts are simulated once, by letting the robot down with straight joints and driving it into the start's pose for
+    Starts are simulated once, by dropping the robot with straight joints and driving it into the start's pose for
     60 cycles, and restored from a snapshot after that.
 
     Args:
@@ -45,13 +45,13 @@ class EmbeddedSimulator(Simulator):
         self._starts: Bytes | None = None
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
-        """Compute the joint speeds of a step, which :meth:`step_wait` takes: there is one group, all robots."""
+        """Compute the joint speeds of a step, which :meth:`step_wait` uses: all robots are one group."""
         self.require_open()
         self.require_group(rows)
         self._pending = motor_speeds(targets_rad, self.perceptors["joint_angles"], self._max_speed), active
 
     def step_wait(self, rows: slice) -> None:
-        """Take the step that :meth:`step_async` began."""
+        """Run the step that :meth:`step_async` began."""
         self.require_open()
         self.require_group(rows)
         if self._pending is not None:
@@ -67,7 +67,7 @@ class EmbeddedSimulator(Simulator):
         """
         self.require_open()
         if starts.orientations is not None:
-            raise ValueError("starts: the NAO's simulators have upright starts only; leave orientations out")
+            raise ValueError("starts: the NAO's simulators support upright starts only; omit orientations")
         engine = BatchSimulator(len(starts), self._type, threads=self._threads, digits=self._digits)
         settle(engine, starts.poses_rad, starts.position_m, starts.heading_rad)
         self._starts = np.array(engine.snapshot())

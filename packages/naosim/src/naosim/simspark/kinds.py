@@ -23,7 +23,7 @@ class EmbeddedParameters(SimulatorParameters):
     sensor_digits: Literal[2, 3] | None = Field(
         default=2,
         title=_DIGITS_TITLE,
-        description="Decimals that perceptors carry: 2 as in the league, 3 as some servers do, null for all.",
+        description="Decimals of the perceptors: 2 as in the league, 3 as some servers do, null for all.",
     )
 
 

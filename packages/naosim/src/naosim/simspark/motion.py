@@ -14,7 +14,7 @@ _KNEES_BENT = (("lj3", 0.5), ("lj4", -1.0), ("lj5", 0.5))
 def stepping_targets(model: RobotModel, cycle: int, n: int) -> Floats:
     """Return joint targets of a robot that shortens its legs in turn and swings its arms, shape (n, joints), rad.
 
-    Each environment is at another phase, so a batch does not touch the ground in unison.
+    Each environment is at another phase, so that the robots do not all touch the ground at the same time.
     """
     swing = np.sin(0.5 * cycle + 0.7 * np.arange(n)) * min(1.0, cycle / 100)
     targets = np.zeros((n, len(model.joints)))

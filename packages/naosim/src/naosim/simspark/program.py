@@ -1,4 +1,4 @@
-"""rcssserver3d as a program that launchers start, and the stand-in for it that comes with naosim."""
+"""rcssserver3d as a program that launchers start, and naosim's stand-in for it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The words of rcssserver3d's network protocol: messages, limits, the field's landmarks and lines, play modes.
+"""Elements of rcssserver3d's network protocol: messages, limits, the field's landmarks and lines, play modes.
 
 A message is a length of four bytes, most significant first, and that many bytes of S-expressions. Field coordinates are
 the server's: origin at the centre spot, x towards the right team's goal, y to the left team's left, z up; metres.
@@ -72,14 +72,14 @@ def _lines() -> NDArray[np.float64]:
 
 
 LANDMARKS = _landmarks()
-"""Corner flags `F1L` ... and goal posts `G1L` ..., each with its place."""
+"""Corner flags `F1L` ... and goal posts `G1L` ..., with their positions."""
 
 LINES = _lines()
 """Field lines, shape (21, 6): both ends; the centre circle is ten chords."""
 
 
 class ProtocolError(ValueError):
-    """Message that violates the protocol; the error's message says where."""
+    """Message that violates the protocol; the error's message states where."""
 
 
 def frame(payload: bytes) -> bytes:

@@ -16,7 +16,7 @@ from naosim.simspark.kinematics import body_poses
 from naosim.simulator import Truth
 
 if TYPE_CHECKING:
-    from naosim.fleet import Act
+    from naosim.fleet import Motion
     from naosim.launchers import Launcher
     from naosim.robots import Robot
     from naosim.simulator import Flags, Floats, Starts
@@ -25,10 +25,10 @@ _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 30.0
 
 _IDLE_S = 20.0
-"""Interval at which a standby server is stepped that waits for its robot: servers drop agents silent for 61 s."""
+"""Interval at which a waiting standby server is stepped, s: servers drop agents silent for 61 s."""
 
 _LANDING_M = 0.004
-"""Height above its settled position from which a robot is let down."""
+"""Height above its settled position from which a robot is dropped, m."""
 
 _LANDING_CYCLES = 30
 """Cycles in which it is driven into its own pose after that."""
@@ -37,11 +37,11 @@ _LANDING_CYCLES = 30
 class RemoteSimulator(FleetSimulator):
     """NAOs on rcssserver3d servers, all driven from this process.
 
-    At a start the robot is untangled in the air, brought into the nominal pose there, let down at the position in which
+    At a start the robot is untangled in the air, brought into the nominal pose there, dropped at the position in which
     the embedded engine's robot has settled in this pose, and driven into its own pose for 30 cycles.
 
     The torso's pose is as exact as the server sends it: coordinates change in steps of 0.005 (metres, matrix elements),
-    unless every cycle asks for the full scene.
+    unless every cycle requests the full scene.
 
     Args:
         launcher: starts the servers.
@@ -49,10 +49,10 @@ class RemoteSimulator(FleetSimulator):
         n: number of robots.
         max_failures: number of servers that may be replaced.
         standby_servers: whether there are two servers per robot.
-        exact: ask for the full scene in every cycle; much slower.
+        exact: request the full scene in every cycle; much slower.
 
     Raises:
-        naosim.simulator.ServerLostError: if a server does not start; the message says why.
+        naosim.simulator.ServerLostError: if a server does not start; the message states why.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class RemoteSimulator(FleetSimulator):
 
     def _require_possible(self, starts: Starts) -> None:
         if starts.orientations is not None:
-            raise ValueError("starts: the NAO's simulators have upright starts only; leave orientations out")
+            raise ValueError("starts: the NAO's simulators support upright starts only; omit orientations")
 
     def load_starts(self, starts: Starts) -> None:
         """Replace the starts that :meth:`start` chooses from; what standby servers have prepared is dropped.
@@ -105,8 +105,8 @@ class RemoteSimulator(FleetSimulator):
         settle(engine, self.robot.nominal[None], starts.position_m, starts.heading_rad)
         self._landing = engine.truth.torso_position[0] + np.array((0.0, 0.0, _LANDING_M))
 
-    def _starting(self, server: int, start: int) -> Act:
-        """Bring a server's robot into a start: yield the joint speeds of each cycle."""
+    def _starting(self, server: int, start: int) -> Motion:
+        """Move a server's robot to a start: yield the joint speeds of each cycle."""
         assert self._starts is not None
         remote, pose, yaw = self._remote, self._starts.poses_rad[start], yaw_deg(self._starts.heading_rad)
         yield from remote.untangling(server, self.robot.nominal)
@@ -114,7 +114,7 @@ class RemoteSimulator(FleetSimulator):
         for _ in range(_LANDING_CYCLES):
             yield motor_speeds(pose, remote.perceptors.joint_angles[server], self._model.max_speed)
 
-    # what a viewer needs
+    # for viewers
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes`` by forward kinematics from the perceived angles."""

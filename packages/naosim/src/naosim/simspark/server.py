@@ -1,12 +1,12 @@
 """A drop-in for rcssserver3d on the embedded engine: agent port and monitor port in one process.
 
-Every robot runs on an engine of its own, by its own agent's clock: robots neither collide with nor see each other and
-no agent waits for another; they hear each other. There is no referee. In sync mode a robot's cycle runs when its agent
-sends `(syn)` (or `(scene ...)` or `(init ...)`, which are answered too); in real-time mode 50 times a second.
+Each robot runs on its own engine, at its own agent's pace: robots hear each other, but do not collide with or see each
+other, and no agent waits for another. There is no referee. In sync mode a robot's cycle runs when its agent sends
+`(syn)` (or `(scene ...)` or `(init ...)`, which are answered too); in real-time mode 50 times a second.
 
 A client that breaks the protocol is disconnected, with the reason in the log; others are not affected. Memory is
-bounded: messages and connections have a limit, an agent that does not read its replies is not read either, and a
-monitor that does not read misses frames until it does.
+bounded: messages and connections have a limit, the server stops reading from an agent that does not read its replies,
+and skips frames for a monitor that does not read.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Expression = Sequence[Any]
 """An S-expression: words and tuples of them."""
 
 HANDSHAKE_S = 10.0
-"""Time after which an agent is disconnected that has not asked for a robot."""
+"""Time after which an agent that has not requested a robot is disconnected."""
 
 SILENCE_S = 61.0
 """Time after which a silent agent is disconnected in sync mode, as by the real server."""
@@ -52,13 +52,13 @@ class ServerSettings:
 
     host: str = "127.0.0.1"
     agent_port: int = protocol.AGENT_PORT
-    """0 takes a free one."""
+    """0: any free port."""
     monitor_port: int = protocol.MONITOR_PORT
     realtime: bool = False
     digits: int = 2
     """Decimals of the perceptors: 2 as the league's server, 3 as the development version."""
     seed: int | None = None
-    """Of vision and beam noise; None takes a random one."""
+    """Seed of vision and beam noise; None: random."""
     noise: bool = True
     """Whether vision and the beam effector are noisy."""
     max_agents: int = 64
@@ -97,7 +97,7 @@ class Connection(asyncio.Protocol):
         self._choked = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Start; refuse where there are too many connections."""
+        """Start, or refuse the client if there are too many connections."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         peer = transport.get_extra_info("peername")
@@ -108,7 +108,7 @@ class Connection(asyncio.Protocol):
         self.opened()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes in and deal with the messages that are complete."""
+        """Receive bytes and process the complete messages."""
         if self._transport is None:
             return
         self.heard_at = self.server.now()
@@ -119,7 +119,7 @@ class Connection(asyncio.Protocol):
         self._pump()
 
     def _pump(self) -> None:
-        # One message that runs a cycle at a time, so that a client that sends many cannot keep the others waiting.
+        # One message with a cycle at a time, so that a client that sends many does not block the others.
         self._pumping = False
         try:
             while self._transport is not None and not self._choked:
@@ -137,7 +137,7 @@ class Connection(asyncio.Protocol):
             self.close(str(error))
             return
         except FloatingPointError:
-            self.close("the robot's state is not finite any more")
+            self.close("the robot's state is no longer finite")
             return
         if self._transport is not None and not self._choked and not self._transport.is_closing():
             self._transport.resume_reading()
@@ -155,13 +155,13 @@ class Connection(asyncio.Protocol):
             self._pump()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the client."""
+        """Unregister the client."""
         if self._transport is not None:
             logger.info("%s: %s", self.name, f"lost ({exc})" if exc else "left")
             self._forget()
 
     def close(self, reason: str) -> None:
-        """Cut the client off."""
+        """Disconnect the client."""
         if self._transport is None:
             return
         logger.warning("%s: closed: %s", self.name, reason)
@@ -191,7 +191,7 @@ class Connection(asyncio.Protocol):
         """Clean up after the client."""
 
     def handle(self, payload: bytes) -> bool:
-        """Deal with one message; return whether that ran a cycle."""
+        """Process one message; return whether that ran a cycle."""
         raise NotImplementedError
 
 
@@ -214,7 +214,7 @@ class Agent(Connection):
             asyncio.get_running_loop().call_soon(self._pump)
 
     def handle(self, payload: bytes) -> bool:
-        """Carry out an agent's commands; a message that asks for it runs a cycle."""
+        """Execute an agent's commands, and run a cycle if the message requests one."""
         robot = self.robot
         expressions: Sequence[Expression]
         if robot is None:
@@ -267,7 +267,7 @@ class Agent(Connection):
 
     def _scene(self, expression: Expression) -> None:
         if self.robot is not None:
-            raise ProtocolError("scene: the robot is there already")
+            raise ProtocolError("scene: the robot exists already")
         kind = 0
         if len(expression) not in (2, 3) or not str(expression[1]).startswith("rsg/agent/nao/nao"):
             raise ProtocolError("scene: use rsg/agent/nao/nao.rsg or rsg/agent/nao/nao_hetero.rsg with a type, 0 to 4")
@@ -282,7 +282,7 @@ class Agent(Connection):
     def _init(self, expression: Expression) -> None:
         robot = self.robot
         if robot is None:
-            raise ProtocolError("init: ask for a scene first")
+            raise ProtocolError("init: send (scene ...) first")
         if robot.side:
             raise ProtocolError("init: the robot has a team already")
         values = {item[0]: item[1] for item in expression[1:] if isinstance(item, tuple) and len(item) == 2}
@@ -356,7 +356,7 @@ class Monitor(Connection):
         """Nothing was paused."""
 
     def handle(self, payload: bytes) -> bool:
-        """Carry out trainer commands; unknown ones are logged and skipped."""
+        """Execute trainer commands; log and skip unknown ones."""
         for expression in self._reader.read(payload, self._nothing):
             tag = str(expression[0]) if expression else ""
             action = self._actions.get(tag)
@@ -381,7 +381,7 @@ class Monitor(Connection):
                 continue
             if agent is selected or (robot.side == side and str(robot.uniform_number) == number):
                 return agent
-        logger.warning("%s: no robot %s of team %s is here", self.name, number[:10] or "?", team[:10] or "?")
+        logger.warning("%s: there is no robot %s of team %s", self.name, number[:10] or "?", team[:10] or "?")
         return None
 
     def _agent(self, expression: Expression) -> None:
@@ -436,7 +436,7 @@ class Monitor(Connection):
     def _kick_off(self, expression: Expression) -> None:
         team = str(expression[1]) if len(expression) == 2 else ""
         if team not in ("Left", "Right", "None"):
-            raise ProtocolError(f"kickOff: {team[:20]!r} is none of Left, Right and None")
+            raise ProtocolError(f"kickOff: must be Left, Right or None, not {team[:20]!r}")
         self._set_play_mode(f"KickOff_{team if team != 'None' else self.server.random.choice(('Left', 'Right'))}")
 
     def _drop_ball(self) -> None:
@@ -490,14 +490,14 @@ class Server:
 
     @staticmethod
     def now() -> float:
-        """Return a clock that only goes forward, s."""
+        """Return a monotonic time, s."""
         return asyncio.get_running_loop().time()
 
     async def run(self, ready: Callable[[Server], None] | None = None) -> None:
         """Listen until `stop`; call `ready` once both ports are open.
 
         Raises:
-            OSError: a port cannot be had.
+            OSError: a port is not available.
         """
         loop = asyncio.get_running_loop()
         settings = self.settings
@@ -533,7 +533,7 @@ class Server:
         self._stopped.set()
 
     def admit(self, connection: Connection) -> bool:
-        """Note a connection, if there is room for it."""
+        """Register a connection, if the limit allows it."""
         if len(self._connections) >= self.settings.max_connections:
             return False
         self._connections.add(connection)
@@ -542,7 +542,7 @@ class Server:
         return True
 
     def dismiss(self, connection: Connection) -> None:
-        """Forget a connection."""
+        """Unregister a connection."""
         self._connections.discard(connection)
         if isinstance(connection, Monitor) and connection in self._monitors:
             self._monitors.remove(connection)
@@ -552,7 +552,7 @@ class Server:
             self.selected = None
 
     def agents(self) -> list[Agent]:
-        """Return the agents that have a robot, in the order of their coming."""
+        """Return the agents that have a robot, in order of arrival."""
         return list(self._playing)
 
     def enlist(self, agent: Agent) -> None:
@@ -572,17 +572,17 @@ class Server:
         """Build a robot.
 
         Raises:
-            ProtocolError: there are too many already.
+            ProtocolError: there are too many robots.
         """
         if len(self.agents()) >= self.settings.max_agents:
-            raise ProtocolError(f"scene: {self.settings.max_agents} robots are here already")
+            raise ProtocolError(f"scene: {self.settings.max_agents} robots exist already")
         seed = self.random.getrandbits(63)
         robot = Robot(robot_type, digits=self.settings.digits, seed=seed, noise=self.settings.noise)
         robot.game_time = self._game_time()
         return robot
 
     def broadcast(self, speaker: Robot, text: str) -> None:
-        """Let everybody hear a message."""
+        """Deliver a message to all robots."""
         for agent in self.agents():
             robot = agent.robot
             if robot is None or not robot.side:
@@ -604,7 +604,7 @@ class Server:
                 agent.robot.game_time = time
 
     def scene_changed(self) -> None:
-        """Send everything again: a robot came, went or joined a team."""
+        """Send everything again: a robot entered, left or joined a team."""
         self._writer = None
         self.request_full_state()
 
@@ -614,7 +614,7 @@ class Server:
             monitor.wants_all = True
 
     def cycled(self, agent: Agent) -> None:
-        """Note that a robot's cycle has run: the ball moves with the first robot, and monitors see the result."""
+        """Record that a robot's cycle has run: the ball moves with the first robot, and monitors see the result."""
         if agent is self._playing[0]:
             self.game.ball.step()
         if self._monitors:
@@ -655,7 +655,7 @@ class Server:
         values |= {"half": "1", "score_left": f"{game.scores[0]}", "score_right": f"{game.scores[1]}"}
         values["play_mode"] = f"{protocol.PLAY_MODES.index(game.play_mode)}"
         news = values.items() if full else values.items() - self._shown.items()
-        if not full:  # a full frame may be for one monitor alone; the others have yet to hear what is new
+        if not full:  # a full frame may be for one monitor only; the others still need the changes
             self._shown = values
         text = "".join(f"({name} {values[name]})" for name in values if (name, values[name]) in news)
         return f"({_GAME_VALUES if full else ''}(time {self._game_time():g}){text})".encode()
@@ -675,7 +675,7 @@ class Server:
                     try:
                         agent.cycle()
                     except FloatingPointError:
-                        agent.close("the robot's state is not finite any more")
+                        agent.close("the robot's state is no longer finite")
             if not self._playing:
                 self.game.ball.step()
                 if self._monitors:
@@ -690,7 +690,7 @@ class Server:
                 continue
             silent = now - connection.heard_at
             if connection.robot is None and silent > self.settings.handshake_s:
-                connection.close(f"no scene asked for within {self.settings.handshake_s:g} s")
+                connection.close(f"no scene requested within {self.settings.handshake_s:g} s")
             elif connection.robot is not None and not self.settings.realtime and silent > self.settings.silence_s:
                 connection.close(f"silent for {self.settings.silence_s:g} s")
 
@@ -721,7 +721,7 @@ def _numbers(expression: Expression, count: int, what: str) -> list[float]:
 
 def _place(values: Sequence[float], what: str) -> Point:
     if any(abs(value) > _FARTHEST for value in values):
-        raise ProtocolError(f"{what}: beyond {_FARTHEST:g}")
+        raise ProtocolError(f"{what}: must be within {_FARTHEST:g}")
     return (values[0], values[1], values[2])
 
 
@@ -729,7 +729,7 @@ def serve(settings: ServerSettings) -> None:
     """Run a server in this process until SIGINT, SIGTERM or a trainer's `(killsim)`.
 
     Raises:
-        OSError: a port cannot be had.
+        OSError: a port is not available.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = settings.max_connections + 256

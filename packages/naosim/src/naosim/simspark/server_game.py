@@ -1,4 +1,4 @@
-"""What all robots of a server share: teams, play mode, score and ball. There is no referee: the trainer decides."""
+"""State shared by all robots of a server: teams, play mode, score and ball. The trainer is the referee."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Game:
         self._joined = {1: 0, 2: 0}
 
     def join(self, team: str, uniform_number: int) -> tuple[int, int]:
-        """Let a player in.
+        """Add a player.
 
         Returns:
             Side (1 left, 2 right) and number; number 0 asks for the lowest free one.
@@ -68,7 +68,7 @@ class Game:
         taken = self._numbers[side]
         number = uniform_number or next((k for k in range(1, TEAM_SIZE + 1) if k not in taken), 0)
         if not 1 <= number <= TEAM_SIZE or number in taken:
-            raise protocol.ProtocolError(f"init: number {number} of team {team} cannot be had")
+            raise protocol.ProtocolError(f"init: number {number} of team {team} is not available")
         taken.add(number)
         self._joined[side] += 1
         return side, number

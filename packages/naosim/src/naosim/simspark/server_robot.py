@@ -16,11 +16,11 @@ EFFECTORS = frozenset(joint.effector for kind in nao_model.ROBOT_TYPES for joint
 """Hinge effectors of any robot type."""
 
 SPAWN = (0.0, -1.0, 1.5)
-"""Where robots are built, in the air, m."""
+"""Position in the air at which robots are created, m."""
 
 _PARTS = {"rlowerarm": "rlowerarm", "llowerarm": "llowerarm", "rfoot": "rfoot", "lfoot": "lfoot"}
 _HEARING = 2
-"""Capacity to hear, used up by one message and regained by one a cycle: every other cycle a message gets through."""
+"""Hearing capacity: a message uses all of it, a cycle restores 1, so one message in two cycles is heard."""
 
 
 class Robot:
@@ -39,7 +39,7 @@ class Robot:
         self.speeds: NDArray[np.float64] = np.zeros((1, len(self.model.joints)))
         effectors = [joint.effector for joint in self.model.joints]
         self.commands = _core.CommandReader(effectors)
-        self._writer = _core.PerceptWriter(protocol.percept_order(self.model), digits)
+        self._writer = _core.PerceptorWriter(protocol.percept_order(self.model), digits)
         self._vision = _core.Vision(list(protocol.LANDMARKS), protocol.LINES, digits, seed, noise)
         self._digits = digits
         self._head = self.model.body_index["head"]
@@ -52,7 +52,7 @@ class Robot:
 
     @property
     def actor(self) -> Actor:
-        """Return how a monitor sees the robot."""
+        """Return the robot as a monitor sees it."""
         return Actor(self.model, self.side, self.uniform_number, self.selected)
 
     @property
@@ -68,7 +68,7 @@ class Robot:
         return position
 
     def join(self, team: str, side: int, uniform_number: int) -> None:
-        """Give the robot its team and number."""
+        """Set the robot's team and number."""
         self.team, self.side, self.uniform_number = team, side, uniform_number
 
     def beam(self, position: Point, yaw_deg: float) -> None:
@@ -99,7 +99,7 @@ class Robot:
         self.engine.set_bodies(bodies)
 
     def hear(self, who: str, team: str, direction: str, text: str) -> None:
-        """Let a message reach the robot; `who` is `self`, `mate` or `opponent`."""
+        """Deliver a message to the robot; `who` is `self`, `mate` or `opponent`."""
         if who in self._hearing:
             if self._hearing[who] < _HEARING:
                 return
@@ -113,7 +113,7 @@ class Robot:
             The message for the agent, its length in front: what was perceived before the cycle.
 
         Raises:
-            FloatingPointError: the robot's state is not finite any more.
+            FloatingPointError: the robot's state is no longer finite.
         """
         self.cycles += 1
         see = self._see(ball) if self.cycles % protocol.VISION_INTERVAL == 0 else b""

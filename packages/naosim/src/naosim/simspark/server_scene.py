@@ -86,7 +86,7 @@ def _part(name: str, actor: Actor) -> list[Step]:
     kind = actor.model.robot_type
     team = ("matTeam", "matLeft", "matRight")[actor.side]
     number = f"matNum{actor.uniform_number}" if actor.uniform_number else "matNum"
-    # the meshes of types that differ say so, those of the toed robot are painted plainly
+    # materials name the robot type, except those of the robot with toes
     dressed = team if kind == 4 else f"{team} matType{kind}"
     size = actor.model.bodies[actor.model.body_index[name]].shape.size
     scale = f"{size[0]:g} {size[0]:g} {size[0]:g}"

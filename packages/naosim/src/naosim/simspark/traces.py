@@ -1,4 +1,4 @@
-"""Recordings of a running rcssserver3d and how closely the engine repeats them."""
+"""Recordings of a running rcssserver3d and how closely the engine reproduces them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DIGIT = 1e-3
 """The recording server printed three decimals."""
 
 OFF_M = 1e-3
-"""A free run is off once the torso is this far from the recorded one, m."""
+"""Distance of the torso from the recorded one from which a free run counts as off, m."""
 
 
 class TraceError(ValueError):
@@ -37,7 +37,7 @@ class Trace:
     """(T + 1, bodies, 13), row t before cycle t's step."""
     enabled: NDArray[np.bool_]
     """(T, bodies), awake before the step."""
-    percepts: dict[str, Floats]
+    perceptors: dict[str, Floats]
     """As received in the reply to cycle t: `joint_angles` (T, joints), `gyro`, `accel` (T, 3), feet and toes (T, 6)."""
     beam: tuple[float, float, float, float]
     """Where the robot was beamed one cycle before cycle 0: x, y, z (m) and yaw (degrees)."""
@@ -48,8 +48,8 @@ class Trace:
         return len(self.command)
 
 
-_PERCEPTS = {"joint_angles": "angle", "gyro": "gyro", "accel": "accel", "foot_left": "foot_l", "foot_right": "foot_r"}
-_TOE_PERCEPTS = {"toe_left": "toe_l", "toe_right": "toe_r"}
+_PERCEPTORS = {"joint_angles": "angle", "gyro": "gyro", "accel": "accel", "foot_left": "foot_l", "foot_right": "foot_r"}
+_TOE_PERCEPTORS = {"toe_left": "toe_l", "toe_right": "toe_r"}
 
 
 def load(path: Path) -> Trace:
@@ -65,8 +65,8 @@ def load(path: Path) -> Trace:
         raise TraceError(f"{path}: no such file") from error
     except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, AttributeError, TypeError) as error:
         raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
-    percepts = _PERCEPTS | {name: key for name, key in _TOE_PERCEPTS.items() if key in data}
-    needed = ["command", "state", "enabled", "meta", *_PERCEPTS.values()]
+    perceptors = _PERCEPTORS | {name: key for name, key in _TOE_PERCEPTORS.items() if key in data}
+    needed = ["command", "state", "enabled", "meta", *_PERCEPTORS.values()]
     for key in needed:
         if key not in data:
             raise TraceError(f"{path}: field {key!r} is missing")
@@ -82,7 +82,7 @@ def load(path: Path) -> Trace:
     joints, bodies = list(model.joint_names), list(model.body_names)
     for key, expected in (("joints", joints), ("bodies", bodies)):
         if list(meta.get(key, expected)) != expected:
-            raise TraceError(f"{path}: field 'meta.{key}' is not the order of robot type {robot_type}")
+            raise TraceError(f"{path}: field 'meta.{key}' is not in the order of robot type {robot_type}")
     cycles = len(data["command"]) if data["command"].ndim else 0
     shapes = {
         "command": (cycles, len(joints)),
@@ -93,21 +93,21 @@ def load(path: Path) -> Trace:
         "accel": (cycles, 3),
         "foot_l": (cycles, 6),
         "foot_r": (cycles, 6),
-    } | {key: (cycles, 6) for key in _TOE_PERCEPTS.values() if key in data}
+    } | {key: (cycles, 6) for key in _TOE_PERCEPTORS.values() if key in data}
     for key, shape in shapes.items():
         if data[key].shape != shape or data[key].dtype.kind not in "fbiu" or cycles == 0:
             raise TraceError(
                 f"{path}: field {key!r} must be numbers of shape {shape}, not {data[key].dtype} of {data[key].shape}"
             )
         if key not in ("foot_l", "foot_r", "toe_l", "toe_r", "enabled") and not np.isfinite(data[key]).all():
-            raise TraceError(f"{path}: field {key!r} holds values that are not finite")
+            raise TraceError(f"{path}: field {key!r} contains values that are not finite")
     return Trace(
         Path(path).stem,
         robot_type,
         np.asarray(data["command"], np.float64),
         np.asarray(data["state"], np.float64),
         np.asarray(data["enabled"]).astype(bool),
-        {name: np.asarray(data[key], np.float64) for name, key in percepts.items()},
+        {name: np.asarray(data[key], np.float64) for name, key in perceptors.items()},
         (beam[0], beam[1], beam[2], beam[3]),
     )
 
@@ -137,15 +137,15 @@ def one_step(trace: Trace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]
     for k, joint in enumerate(model.joints):
         wakes[model.body_index[joint.body], k] = True
     position = np.empty(trace.state.shape[:2])[:-1]
-    errors = {name: np.empty_like(values) for name, values in trace.percepts.items()}
+    errors = {name: np.empty_like(values) for name, values in trace.perceptors.items()}
     awake = np.empty_like(trace.enabled)
     for t in range(trace.cycles):
         sim.set_bodies(trace.state[t : t + 1])
-        # the recording looks after the cycle's commands, which wake the commanded parts, and before its step
+        # the recording samples after the cycle's commands, which wake the commanded parts, and before its step
         awake[t] = (sim.truth.enabled[0] | (wakes @ (trace.command[t] != 0.0))) == trace.enabled[t]
         sim.step(trace.command[t : t + 1])
         position[t] = np.linalg.norm(sim.truth.bodies[0, :, :3] - trace.state[t + 1, :, :3], axis=-1)
-        for name, recorded in trace.percepts.items():
+        for name, recorded in trace.perceptors.items():
             ours = getattr(sim.perceptors, name)[0]
             same = np.isnan(ours) & np.isnan(recorded[t])
             errors[name][t] = np.where(same, 0.0, np.abs(ours - recorded[t]) / DIGIT)
@@ -153,7 +153,7 @@ def one_step(trace: Trace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]
 
 
 def free_run(trace: Trace) -> Floats:
-    """Run on our own from cycle 0; return the torso's distance to the recorded one after each cycle, shape (T,), m."""
+    """Run freely from cycle 0; return the torso's distance to the recorded one after each cycle, shape (T,), m."""
     sim = _start(trace)
     off = np.empty(trace.cycles)
     for t in range(trace.cycles):
@@ -174,8 +174,8 @@ def check(path: Path) -> dict[str, Any]:
         TraceError: the file cannot be used.
     """
     trace = load(path)
-    position, percepts, awake = one_step(trace)
-    units = np.concatenate([values.ravel() for values in percepts.values()])
+    position, perceptors, awake = one_step(trace)
+    units = np.concatenate([values.ravel() for values in perceptors.values()])
     off = free_run(trace)
     first = np.flatnonzero(off > OFF_M)
     return {

@@ -1,6 +1,6 @@
-"""Jobs that are known to work, as YAML files beside this module.
+"""Tested jobs, as YAML files beside this module.
 
-A file has a ``summary`` and what ``POST /jobs`` takes. With ``after`` the stages of another recipe come first, with
+A file has a ``summary`` and the fields of ``POST /jobs``. With ``after`` the stages of another recipe come first, with
 ``task`` settings that differ in them.
 """
 

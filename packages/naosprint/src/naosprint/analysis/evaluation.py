@@ -188,7 +188,7 @@ def _require_fit(environment: Environment, observations: tuple[str, ...]) -> Non
 
 
 class _Recorder:
-    """The episodes of an evaluation, run by handing the next one to whichever environment is free."""
+    """The episodes of an evaluation, each run by the next free environment."""
 
     def __init__(
         self, environment: Environment, policy: Policy, episodes: int, n_starts: int, rng: np.random.Generator | None
@@ -204,7 +204,7 @@ class _Recorder:
         self.shown = min(REPLAY_CANDIDATES, episodes)
         self.bodies: list[list[FloatArray]] = [[] for _ in range(self.shown)]
         self.angles: list[FloatArray] = []
-        # one entry per sample of every environment, cut into episodes at the end
+        # one entry per sample of every environment, split into episodes at the end
         self._owners: list[IntArray] = []
         self._samples: list[FloatArray] = []
         self._episode: IntArray = np.arange(environment.n)
@@ -287,7 +287,7 @@ class _Recorder:
                 self.bodies[int(episode[row])].append(poses[row].copy())
 
     def _drop(self, rows: IntArray) -> None:
-        """Remove what the unfinished episodes of ``rows`` left."""
+        """Remove the samples of the unfinished episodes of ``rows``."""
         for number in self._episode[rows].tolist():
             for owner in self._owners:
                 owner[owner == number] = _DROPPED

@@ -25,7 +25,7 @@ WIDTH_PX, HEIGHT_PX = 960, 400
 """Size of a picture; both even, as H.264 requires."""
 
 SPEED_STEPS = 25
-"""Steps over which the shown speed is taken: half a second."""
+"""Steps over which the displayed speed is averaged: half a second."""
 
 _DPI = 100
 _SPAN_M = 2.6  # width of the picture for a robot of unit size
@@ -34,7 +34,7 @@ _LINE = "#c3cab9"
 
 
 class Film:
-    """Pictures of a replay, taken by a camera that runs along.
+    """Pictures of a replay, taken by a camera that follows the robot.
 
     Args:
         replay: the episode.
@@ -80,7 +80,7 @@ class Film:
 
         size = self._span / _SPAN_M
         lane, reach = 1.6 * size, 4.0 * size
-        # it stays where it is while the robot drifts, unless it drifts out of it
+        # the lane stays in place while the robot drifts within it
         begin_y = float(self._replay.positions[0, 0, 1])
         middle = begin_y + lane * round((float(torso[1]) - begin_y) / lane)
         near, far = middle - lane, middle + lane
@@ -109,7 +109,7 @@ def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None
     try:
         import imageio_ffmpeg  # type: ignore[import-untyped]
     except ImportError as error:
-        raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or leave the film out") from error
+        raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or omit the film") from error
 
     chosen = range(len(replay.positions)) if frames is None else frames
     writer = imageio_ffmpeg.write_frames(

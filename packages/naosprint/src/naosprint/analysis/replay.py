@@ -1,4 +1,4 @@
-"""Replays: an episode as it looked, the pose of every body in every step.
+"""Replays: the pose of every body in every step of an episode.
 
 A replay is one JSON file, which a web page can play, and an ``.npz`` file for computing with it.
 """
@@ -65,7 +65,7 @@ class Replay:
         return float(moved[0]), float(moved[1])
 
     def moved_m(self, first: int = 0, last: int = -1) -> float:
-        """Return the horizontal distance between the torso's places in two steps, metres."""
+        """Return the horizontal distance between the torso's positions in two steps, metres."""
         if not self.robot.shapes:
             return 0.0
         x, y = (self.positions[last, 0] - self.positions[first, 0])[:2].tolist()

@@ -37,7 +37,7 @@ _SIDES = 20
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera that looks at the scene from afar, without perspective.
+    """Orthographic camera.
 
     Attributes:
         azimuth_deg: direction the camera stands in, counter-clockwise from the world's -y, so that 0 shows a robot that
@@ -80,7 +80,7 @@ def robot_collection(
         replay: the episode.
         frame: index of the step.
         camera: where to look from.
-        shift: where the point of the ground below the torso comes to lie, metres of the picture.
+        shift: where the point of the ground below the torso appears, metres of the picture.
     """
     view = camera.axes()
     positions = replay.positions[frame].astype(np.float64)

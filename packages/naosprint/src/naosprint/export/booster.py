@@ -1,4 +1,4 @@
-"""What an agent on rcssservermj needs besides the policy: motor gains, and how to start."""
+"""Data for agents on rcssservermj besides the policy: motor gains and start."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def controller(robot: Robot) -> dict[str, dict[str, float]]:
 def arrays(robot: Robot, simulator: SimulatorParameters) -> dict[str, AnyArray]:
     """Return the arrays that only Booster robots have.
 
-    ``kp`` and ``kd`` have a row per joint. ``settling_cycles`` is how long a robot holds the start pose after a beam.
+    ``kp`` and ``kd`` have a row per joint. ``settling_cycles`` is the number of cycles for which a robot holds the
+    start pose after a beam.
     """
     kp, kd = zip(*_gains(robot), strict=True)
     return {

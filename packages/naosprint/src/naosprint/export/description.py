@@ -1,4 +1,4 @@
-"""``policy.json``: what goes into a policy and what comes out, for readers."""
+"""``policy.json``: inputs and outputs of a policy, for readers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
 
 
 def _controller(robot: Robot) -> dict[str, Any] | None:
-    """Return what turns target angles into motor commands; None for robots of a family that is not ours."""
+    """Return the controller that converts target angles to motor commands; None for other robot families."""
     if robot.family == nao.FAMILY:
         return nao.controller()
     return booster.controller(robot) if robot.family == booster.FAMILY else None

@@ -1,4 +1,4 @@
-"""What an agent on rcssserver3d needs besides the policy: the joint controller, how to start, the centre of mass."""
+"""Data for agents on rcssserver3d besides the policy: joint controller, start, centre of mass."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def controller() -> dict[str, float]:
 def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
     """Return the arrays that only NAOs have.
 
-    ``feature_order`` permutes the values of all observations that have rates, followed by these rates, into the
+    ``observation_index`` permutes the values of all observations that have rates, followed by these rates, into the
     policy's order.
     """
     features = [name for name in observations if f"{name}_rate" in observations]
@@ -39,7 +39,7 @@ def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
         "gain": np.array(GAIN),
         "drop_m": np.array(DROP_M),
         "settling_cycles": np.array(SETTLING_CYCLES),
-        "feature_order": np.array([both.index(name) for name in observations if name in both]),
+        "observation_index": np.array([both.index(name) for name in observations if name in both]),
         **kinematics(model),
     }
 
@@ -47,7 +47,7 @@ def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
 def kinematics(model: RobotModel) -> dict[str, Any]:
     """Return the tables that a NAO's centre of mass is computed from.
 
-    ``chain`` has a row per joint, parents first: which joint turns which body against which other, the joint's place
+    ``chain`` has a row per joint, parents first: which joint turns which body against which other, the joint's position
     in the frames of both (``offset`` in the parent's, ``anchor`` in the body's), metres, and its axis.
     """
     place, offsets = model.body_index, np.array([body.offset for body in model.bodies])

@@ -1,3 +1,3 @@
-"""How robots learn: environments for learning, PPO, checkpoints, and the runner that ties them together."""
+"""Learning: environments, PPO, checkpoints, and the runner."""
 
 from __future__ import annotations

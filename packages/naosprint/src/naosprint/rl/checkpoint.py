@@ -5,7 +5,7 @@
     learner.npz         optimiser, generators
     environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
 
-A directory is written under another name and renamed when it is complete, so one that exists is whole.
+A directory is written under another name and renamed when it is complete, so one that exists is complete.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Manifest(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class TrainingState:
-    """Everything that a training's future depends on, besides its specification.
+    """State from which a training can continue, besides its specification.
 
     Attributes:
         stage: number of the stage that it belongs to, from 0.
@@ -159,7 +159,7 @@ def read_manifest(directory: Path) -> Manifest:
             raise CheckpointError(f"{path}: {size} bytes are too many for a manifest")
         raw = json.loads(path.read_bytes())
     except FileNotFoundError:
-        raise CheckpointError(f"{directory}: no checkpoint here ({MANIFEST} is missing)") from None
+        raise CheckpointError(f"{directory}: not a checkpoint ({MANIFEST} is missing)") from None
     except (OSError, ValueError) as error:
         if isinstance(error, CheckpointError):
             raise

@@ -18,7 +18,7 @@ PROGRESS: tuple[Metric, ...] = (
     Metric("episodes", "Episodes", "", "Episodes finished since the start of the job.", 0),
     Metric("stage", "Stage", "", "Number of the stage, from 1; only trainings with several stages.", 0),
 )
-"""How far the training is."""
+"""Metrics of a training's progress."""
 
 PACE: tuple[Metric, ...] = (
     Metric(
@@ -29,11 +29,11 @@ PACE: tuple[Metric, ...] = (
     Metric("eta_s", "Time left", "s", "Time that the rest of the training takes at the mean pace of this attempt.", 0),
     Metric("server_failures", "Server failures", "", "Servers that failed and were replaced; servers only.", 0),
 )
-"""How fast it is."""
+"""Metrics of a training's speed."""
 
 
 def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
-    """Return what a training's rows of metrics contain, in order."""
+    """Return the columns of a training's metrics, in order."""
     learner = plugins.load(plugins.LEARNERS, spec.algorithm.name)
     live = [metric for metric in spec.task_class.metrics if metric.live]
     return (*PROGRESS, *EPISODE_METRICS, *live, *learner.metrics, *PACE)

@@ -107,8 +107,8 @@ class KernelGradients:
     Args:
         policy: the networks.
         settings: PPO's settings.
-        projections: what the gradient of a parameter passes through, as hooks do for PyTorch's.
-        kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; the fastest that runs here by default.
+        projections: functions applied to the gradients of parameters, like PyTorch's hooks.
+        kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class KernelGradients:
     def _hand_over(self, parameters: list[Tensor]) -> None:
         for parameter in parameters:
             gradient, project = self._gradients[parameter], self._projections.get(parameter)
-            # the optimizer's clipping writes to what it is given, which the kernel overwrites next time
+            # gradient clipping writes in place; the kernel overwrites these arrays next time
             parameter.grad = gradient if project is None else project(gradient)
 
 

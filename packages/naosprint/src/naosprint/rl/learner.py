@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 class TrainingDivergedError(RuntimeError):
-    """A number of the training is no longer finite."""
+    """Loss, weight or observation that is no longer finite."""
 
 
 class Learner(ABC):
-    """A policy that improves by what it experiences.
+    """A policy and the algorithm that trains it.
 
     Attributes:
         steps: environment steps collected so far.
@@ -47,7 +47,7 @@ class Learner(ABC):
         """Collect one rollout.
 
         Args:
-            stop: called before every step; once it returns true, the rollout is given up.
+            stop: called before every step; once it returns true, the rollout is discarded.
 
         Returns:
             Whether the rollout is complete.
@@ -74,7 +74,7 @@ class Learner(ABC):
 
     @abstractmethod
     def state(self) -> dict[str, AnyArray]:
-        """Return everything else that the next update depends on, the environments aside."""
+        """Return everything else that the next update depends on, except the environments."""
 
     @abstractmethod
     def load_state(self, state: Mapping[str, AnyArray], observations: Float32Array) -> None:
@@ -88,8 +88,8 @@ class LearnerKind(ABC):
         name: how specifications refer to it.
         summary: one line for users.
         Parameters: its settings.
-        metrics: what every update reports.
-        charts: how that is plotted.
+        metrics: metrics of every update.
+        charts: charts of these metrics.
     """
 
     name: ClassVar[str]
@@ -103,7 +103,7 @@ class LearnerKind(ABC):
         """Return a new learner for these environments."""
 
     def describe(self) -> dict[str, Any]:
-        """Return what a user interface needs to know of the algorithm, as a JSON object."""
+        """Return a description of the algorithm for user interfaces, as a JSON object."""
         from dataclasses import asdict
 
         return {

@@ -1,8 +1,8 @@
 """Tanh networks on the processor, by oneDNN's kernels.
 
-Torch multiplies matrices of 32-bit floats by MKL and computes tanh one vector at a time. oneDNN, which torch carries
+Torch multiplies matrices of 32-bit floats by MKL and computes tanh one vector at a time. oneDNN, which torch includes
 for its compiler, does both in one pass and, on AVX-512 machines that are not Intel's, in a third of the time. The
-operator is internal to torch; where it is missing, or computes something else, plain torch takes its place.
+operator is internal to torch; where it is missing or gives wrong results, plain torch is used.
 """
 
 from __future__ import annotations

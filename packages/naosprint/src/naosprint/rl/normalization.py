@@ -134,7 +134,7 @@ class Normalizer:
         self._returns = np.array(state["returns"], dtype=np.float64)
 
     def load_statistics(self, state: Mapping[str, AnyArray]) -> None:
-        """Restore the statistics alone, which do not depend on the number of environments."""
+        """Restore only the statistics, which do not depend on the number of environments."""
         for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
             moments.mean = np.array(state[f"{name}_mean"], dtype=np.float64)
             moments.variance = np.array(state[f"{name}_variance"], dtype=np.float64)

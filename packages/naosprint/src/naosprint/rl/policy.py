@@ -1,4 +1,4 @@
-"""Trained policies, evaluated with NumPy alone."""
+"""Trained policies, computed with NumPy only."""
 
 from __future__ import annotations
 

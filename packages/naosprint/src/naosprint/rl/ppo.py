@@ -45,8 +45,8 @@ class Rollout:
     Attributes:
         observations: (T, n, D) normalized observations.
         actions: (T, n, A) actions as drawn, not clipped.
-        rewards: (T, n) normalized rewards, with the discounted value of what would have followed where an episode was
-            cut short.
+        rewards: (T, n) normalized rewards, plus the discounted value of the next state where an episode ended and that
+            value is estimated.
         episode_starts: (T, n) whether an observation is the first of its episode.
         values: (T, n) the critic's values of the observations.
         log_probs: (T, n) logarithms of the actions' probability densities.
@@ -248,7 +248,7 @@ class PPO(Learner):
         }
 
     def _beside(self, work: Callable[..., float], *arguments: Any) -> Callable[[], float]:
-        """Begin work on the other thread, if there is one, and return what waits for its result."""
+        """Start work on the other thread, if there is one, and return a function that waits for its result."""
         if self._other_thread is None:
             return lambda: work(*arguments)
         return self._other_thread.submit(work, *arguments).result
@@ -279,7 +279,7 @@ class PPO(Learner):
         self._average = {name: torch.from_numpy(np.array(value)) for name, value in state.items()}
 
     def state(self) -> dict[str, AnyArray]:
-        """Return optimizer, generator, where the episodes are, and the latest weights."""
+        """Return optimizer, generator, episode starts, and the latest weights."""
         state: dict[str, AnyArray] = {
             "generator": self.generator.get_state().numpy().copy(),
             "episode_starts": self._starts.copy(),
@@ -315,7 +315,7 @@ class PPO(Learner):
 def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple[ActorCriticPolicy, Projections]:
     """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed.
 
-    With them comes what the gradients of tied weights pass through.
+    Also return the functions that the gradients of tied weights pass through.
     """
     settings = spec.algorithm
     projections: Projections = {}

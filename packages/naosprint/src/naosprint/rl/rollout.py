@@ -1,4 +1,4 @@
-"""Environments as a learner sees them: episodes follow each other, observations and rewards are normalized."""
+"""Environments for learners: they restart automatically and normalize observations and rewards."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Transition:
         observations: (k, D) normalized observations to act on next; those of a new episode where one ended.
         rewards: (k,) normalized rewards.
         dones: (k,) whether an episode ended.
-        bootstrapped: (m,) rows of environments whose episode ended although something would have followed.
-        last_observations: (m, D) their last normalized observations, to estimate the value of that.
+        bootstrapped: (m,) rows of environments whose episode ended and whose next value is estimated.
+        last_observations: (m, D) their last normalized observations, to estimate the value of the next state.
     """
 
     observations: Float32Array
@@ -49,7 +49,7 @@ class TrainingEnvironment:
         environment: the environments.
         normalizer: statistics of observations and returns.
         window: metrics of the latest episodes.
-        on_loss: called with row and reason when an episode is cut short because its robot was lost.
+        on_loss: called with row and reason when an episode is truncated because its robot was lost.
         groups: environments that are best stepped together; see ``naosim.simulator.Simulator.groups``.
     """
 
@@ -138,7 +138,7 @@ class TrainingEnvironment:
     def _record(self, ended: IntArray) -> None:
         """Measure the episodes that ended and report lost robots."""
         environment = self.environment
-        # an episode of a robot that was lost, or that was cut short to train the start, is not a whole run
+        # an episode of a lost robot, or one that was truncated to train the start, is not a whole run
         whole = ended[~environment.lost[ended] & ~environment.short[ended]]
         general = np.stack([self._rewards[whole], environment.steps[whole].astype(np.float64)], axis=1)
         self.window.add(np.concatenate([general, environment.task.measure(whole)], axis=1))
@@ -154,7 +154,7 @@ class TrainingEnvironment:
         self._rewards[rows] = 0.0
 
     def state(self) -> dict[str, AnyArray]:
-        """Return everything that the environments' future depends on, actions aside."""
+        """Return everything that the environments' future depends on, except actions."""
         parts = {
             "environment": self.environment.state(),
             "normalizer": self.normalizer.state(),

@@ -58,7 +58,7 @@ class TrainResult:
 
 @dataclass(slots=True)
 class _Progress:
-    """What a training has done before its present stage, and in all."""
+    """Totals of a training."""
 
     steps: int = 0
     updates: int = 0
@@ -75,7 +75,7 @@ def train(
     initial_policy: Path | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> TrainResult:
-    """Train a policy and leave checkpoints in ``workdir``.
+    """Train a policy and write checkpoints to ``workdir``.
 
     Args:
         spec: what to train and how.
@@ -86,7 +86,7 @@ def train(
             from its specification.
         initial_policy: checkpoint whose weights and observation statistics to start from; everything else is new.
         stop: called between steps; once it returns true, the training saves a checkpoint of the last complete update
-            and returns. What the unfinished rollout had collected is given up.
+            and returns. The unfinished rollout is discarded.
 
     Returns:
         How it ended.
@@ -109,7 +109,7 @@ def train(
         stage = manifest.stage
         if stage >= len(spec.stage_specs):
             raise CheckpointError(
-                f"{resume}: it is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
+                f"{resume}: the checkpoint is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
             )
         if manifest.steps >= spec.stage_ends[stage] and stage + 1 < len(spec.stage_specs):
             # the stage is complete: the next one starts from its policy
@@ -197,7 +197,7 @@ class _Session:
         checkpoint = self._workdir / _name(self.steps)
         self._log(self._title())
         began_steps, began_s = self.steps, perf_counter()
-        # a first checkpoint at once shows that saving works before hours depend on it
+        # saving a checkpoint at once verifies early that saving works
         if began_steps == 0:
             checkpoint = self._save(self._state())
         while self.steps < end:

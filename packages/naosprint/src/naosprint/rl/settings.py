@@ -162,7 +162,7 @@ class PPOSettings(LearnerSettings):
     bootstrap_at_end: bool = Field(
         default=_fast("bootstrap_at_end"),
         title="Bootstrap at the end",
-        description="Where an episode ends by anything but a failure, estimate the value of what would have followed.",
+        description="Where an episode ends without a failure, estimate the value of the next state.",
     )
 
     @model_validator(mode="after")
@@ -228,7 +228,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("entropy", "Entropy", "nat", "Entropy of the policy's action distribution.", 2),
     Metric("learning_rate", "Learning rate", "", "Adam's step size in this update.", 6),
 )
-"""What every update reports."""
+"""Metrics of every update."""
 
 CHARTS: tuple[Chart, ...] = (
     Chart("KL divergence", ("approx_kl",)),
@@ -238,7 +238,7 @@ CHARTS: tuple[Chart, ...] = (
     Chart("Exploration", ("action_std",)),
     Chart("Clip fraction", ("clip_fraction",)),
 )
-"""How they are plotted."""
+"""Charts of these metrics."""
 
 
 def _nearest_divisor(number: int, wanted: int) -> int:

@@ -1,9 +1,9 @@
 """Symmetric policies: networks whose mirrored input gives the mirrored output.
 
-The robot and its task look the same in a mirror: what is a good action in a state is, with the sides exchanged, a good
-action in the mirrored state. A network that respects this has half as much to learn, see Abdolhosseini et al., "On
-Learning Symmetric Locomotion" (2019). Here its weights are tied, so that it respects it exactly: hidden units come in
-pairs of which each sees the mirror image of what the other sees.
+Robot and task are symmetric: the mirror image of a good action is a good action in the mirrored state. A network with
+this symmetry has half as much to learn, see Abdolhosseini et al., "On Learning Symmetric Locomotion" (2019). Here its
+weights are tied, so that the symmetry is exact: hidden units come in pairs, each of which sees the mirror image of the
+other's input.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Projections = dict[Tensor, Callable[[Tensor], Tensor]]
 
 
 def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> Projections:
-    """Make actor and critic symmetric, now and under every gradient step to come.
+    """Make actor and critic symmetric, now and after every gradient step.
 
     The weights are replaced by their means with their own mirror images, scaled so that units keep their norms, and
     hooks do the same to the gradients. Mirrored weights then get mirrored gradients, bit for bit, and an optimizer that

@@ -1,8 +1,7 @@
-"""What a task is.
+"""Tasks: what robots learn.
 
-A task is a class: its settings, what the robot observes, what it is rewarded for, where episodes begin and end, and
-what is measured. To add one, subclass :class:`Task` and register the class under the entry-point group
-``naosprint.tasks``; docs/how-to/own-task.md takes you through it.
+A task is a class: its settings, its observations, rewards, starts, ends and metrics. To add one, subclass :class:`Task`
+and register the class under the entry-point group ``naosprint.tasks``; docs/how-to/own-task.md shows how.
 """
 
 from __future__ import annotations
@@ -62,11 +61,11 @@ class End:
 
 
 class World:
-    """What tasks and observation blocks see of the robots; all arrays have one row per robot.
+    """State of the robots for tasks and observation blocks; all arrays have one row per robot.
 
     Attributes:
         n: number of robots.
-        robot: what they are.
+        robot: their description.
         actuation: how actions become joint targets.
         steps: (n,) steps of each robot's episode so far.
         actions: (n, A) actions of the latest step, in [-1, 1]; zero at the start of an episode.
@@ -84,7 +83,7 @@ class World:
 
     @property
     def perceptors(self) -> Mapping[str, FloatArray]:
-        """What the robots sense, by name."""
+        """Perceptors by name."""
         return self.simulator.perceptors
 
     def position(self, rows: slice | IntArray) -> FloatArray:
@@ -114,9 +113,9 @@ class World:
 class Task:
     """A task for n robots.
 
-    Subclasses declare the class attributes and override the methods that differ. Whatever a task remembers of each
-    robot between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and
-    keep their values for a robot that is lost.
+    Subclasses declare the class attributes and override the methods that differ. What a task stores for each robot
+    between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and keep
+    their values for a robot that is lost.
 
     Attributes:
         name: how specifications refer to it; equal to the entry point's name.
@@ -143,7 +142,7 @@ class Task:
     horizon_is_terminal: bool = False
     trace: ClassVar[tuple[str, ...]] = ()
 
-    # what a specification asks
+    # for specifications
 
     @classmethod
     def supports(cls, robot: Robot) -> bool:
@@ -153,7 +152,7 @@ class Task:
 
     @classmethod
     def resolve(cls, parameters: Any, robot: Robot) -> Any:
-        """Return the settings with what depends on the robot filled in.
+        """Return the settings with those that depend on the robot filled in.
 
         Raises:
             ValueError: if the robot cannot do it; the message names the setting.
@@ -166,7 +165,7 @@ class Task:
             )
         return parameters
 
-    # one run
+    # for environments
 
     def __init__(self, parameters: Any, world: World, seed: int = 0) -> None:
         self.parameters = parameters
@@ -197,10 +196,10 @@ class Task:
         return (0.0, 0.0)
 
     def begin(self, rows: IntArray) -> None:
-        """Reset what is remembered of the robots ``rows``, whose episode begins now."""
+        """Reset what is stored for the robots ``rows``, whose episode begins now."""
 
     def advance(self, rows: slice) -> None:
-        """Update what is remembered of the robots ``rows`` after a step, before anything else is computed."""
+        """Update what is stored for the robots ``rows`` after a step, before anything else is computed."""
 
     def ended(self, rows: slice) -> Sequence[BoolArray]:
         """Return for each of :attr:`ends` which of the robots ``rows`` reached it."""
@@ -228,7 +227,7 @@ class Task:
 
     @classmethod
     def describe(cls) -> dict[str, Any]:
-        """Return what a user interface needs to know of the task, as a JSON object."""
+        """Return a description of the task for user interfaces, as a JSON object."""
         from dataclasses import asdict
 
         return {

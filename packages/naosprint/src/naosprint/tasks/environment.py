@@ -37,7 +37,7 @@ class Environment:
         observations: (n, D) the latest observations.
         rewards: (n,) rewards of the latest step.
         terminated: (n,) whether the latest step ended the episode by one of the task's ends, or at its horizon.
-        truncated: (n,) whether the latest step cut the episode short: by a time limit that does not belong to the task,
+        truncated: (n,) whether the latest step truncated the episode: by a time limit that does not belong to the task,
             at the end of a short episode, or because the robot was lost.
         failed: (n,) whether it ended by a failure, after which nothing can follow.
         ends: by name of an end, (n,) whether the latest step reached it.
@@ -95,7 +95,7 @@ class Environment:
                 )
 
     def restart(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
-        """Begin a new episode with the robots ``rows`` from the starts ``starts``; leave the others alone.
+        """Begin a new episode with the robots ``rows`` from the starts ``starts``; the others do not change.
 
         Args:
             rows: (k,) robots.
@@ -146,7 +146,7 @@ class Environment:
         lost = simulator.lost[rows]
         gone = np.flatnonzero(lost) + rows.start
         if len(gone):
-            # what a server reported while it broke down is nothing to learn from
+            # the last report of a failing server is not used for learning
             last_observations = self.observer.observations[gone]
             remembered = {name: array[gone] for name, array in task.arrays.items()}
         world.steps[rows] += 1

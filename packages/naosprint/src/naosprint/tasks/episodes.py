@@ -1,4 +1,4 @@
-"""What an evaluation recorded of its episodes, and how samples become results."""
+"""Recorded episodes of an evaluation, and the statistics of their results."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Statistics:
         )
 
     def rate(self, metric: Metric, flags: BoolArray) -> Result:
-        """Return how often something is true, with Wilson's interval."""
+        """Return the fraction of true values, with Wilson's interval."""
         count, n = int(flags.sum()), len(flags)
         interval = wilson(count, n, self.confidence)
         return Result(metric, count / n, interval=interval, count=count, episodes=n)

@@ -36,7 +36,7 @@ class ObservationBlock:
         angular: whether they are angles, whose rates take the short way round.
         begin: called with the rows of robots whose episode begins, before they are measured.
         update: called with the rows of robots that have taken a step, before they are measured.
-        arrays: what the block remembers, one row per robot.
+        arrays: what the block stores, one row per robot.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Observer:
     Attributes:
         names: names of the D observations.
         observations: (n, D) the latest observations.
-        mirror: what a mirror does to them.
+        mirror: their mirror image.
     """
 
     def __init__(self, n: int, blocks: Sequence[ObservationBlock]) -> None:
@@ -92,9 +92,9 @@ class Observer:
             if not block.rates:
                 self._plain.append((block, slice(first, first + width)))
                 continue
-            features = slice(len(value_columns), len(value_columns) + width)
-            self._rated.append((block, features))
-            angular += range(features.start, features.stop) if block.angular else ()
+            values = slice(len(value_columns), len(value_columns) + width)
+            self._rated.append((block, values))
+            angular += range(values.start, values.stop) if block.angular else ()
             value_columns += range(first, first + width)
             rate_columns += range(first + width, first + 2 * width)
             names += [f"{name}_rate" for name in block.names]
@@ -109,11 +109,11 @@ class Observer:
         self._value_columns = np.array(value_columns, dtype=np.int64)
         self._rate_columns = np.array(rate_columns, dtype=np.int64)
         self._angular = np.array(angular, dtype=np.int64)
-        self._features: FloatArray = np.zeros((n, len(value_columns)))
+        self._values: FloatArray = np.zeros((n, len(value_columns)))
 
     @property
     def mirror(self) -> Mirror:
-        """What a mirror does to an observation.
+        """Mirror image of an observation.
 
         Raises:
             ValueError: if a block names a mirror image that is not observed.
@@ -121,13 +121,13 @@ class Observer:
         return Mirror.of_names(self.names, *self._mirror)
 
     def begin(self, rows: IntArray) -> None:
-        """Compute the first observation of an episode for the robots ``rows``; leave the others alone."""
+        """Compute the first observation of an episode for the robots ``rows``; the others do not change."""
         for block in self._beginning:
             block.begin(rows)  # type: ignore[misc]
-        features = self._measure(rows)
-        self._features[rows] = features
+        values = self._measure(rows)
+        self._values[rows] = values
         first = np.zeros((len(rows), len(self.names)))
-        first[:, self._value_columns] = features
+        first[:, self._value_columns] = values
         for block, columns in self._plain:
             first[:, columns] = block.measure(rows)
         self.observations[rows] = first
@@ -136,29 +136,29 @@ class Observer:
         """Compute the observations of the robots ``rows`` after a step."""
         for block in self._updating:
             block.update(rows)  # type: ignore[misc]
-        features = self._measure(rows)
-        rates = features - self._features[rows]
+        values = self._measure(rows)
+        rates = values - self._values[rows]
         if len(self._angular):
             # the short way round, also where an angle passes from pi to -pi
             turns = rates[:, self._angular]
             rates[:, self._angular] = (turns + np.pi) % (2.0 * np.pi) - np.pi
-        self._features[rows] = features
+        self._values[rows] = values
         observations = self.observations[rows]
-        observations[:, self._value_columns] = features
+        observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
         for block, columns in self._plain:
             observations[:, columns] = block.measure(rows)
 
     def _measure(self, rows: slice | IntArray) -> FloatArray:
         k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-        features = np.empty((k, self._features.shape[1]))
+        values = np.empty((k, self._values.shape[1]))
         for block, columns in self._rated:
-            features[:, columns] = block.measure(rows)
-        return features
+            values[:, columns] = block.measure(rows)
+        return values
 
     def state(self) -> dict[str, AnyArray]:
         """Return everything that the next observation depends on."""
-        state: dict[str, AnyArray] = {"observations": self.observations.copy(), "features": self._features.copy()}
+        state: dict[str, AnyArray] = {"observations": self.observations.copy(), "features": self._values.copy()}
         for block in self.blocks:
             state.update({name: array.copy() for name, array in block.arrays.items()})
         return state
@@ -166,7 +166,7 @@ class Observer:
     def load_state(self, state: Mapping[str, AnyArray]) -> None:
         """Restore what :meth:`state` returned."""
         self.observations[:] = state["observations"]
-        self._features[:] = state["features"]
+        self._values[:] = state["features"]
         for block in self.blocks:
             for name, array in block.arrays.items():
                 array[:] = state[name]
@@ -239,7 +239,7 @@ def _heading(world: World) -> ObservationBlock:
 
 
 def _height(world: World) -> ObservationBlock:
-    """Height of the torso in metres: perceived, or else from the simulator's truth, with its rate."""
+    """Height of the torso in metres: perceived if possible, else the true one, with its rate."""
     if "torso_pos" in world.perceptors:
         return ObservationBlock(("height",), lambda rows: world.perceptors["torso_pos"][rows, 2:3])
     return ObservationBlock(("height",), lambda rows: world.position(rows)[:, 2:3], rates=True)

@@ -22,7 +22,7 @@ class PenaltySettings(DisturbanceSettings):
         default=0.0,
         ge=0.0,
         title="Torque penalty",
-        description="Penalty per step for motors at their torque limit, times the mean square of the share of it.",
+        description="Penalty per step for the mean square of the motors' torques as shares of their limits.",
     )
     smoothness_penalty: float = Field(
         default=0.0,

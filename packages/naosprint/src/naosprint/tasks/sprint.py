@@ -1,7 +1,7 @@
 """The sprint tasks: run straight ahead, as fast as possible.
 
 The paper takes the speed from a start line on, over episodes that have at least 200 samples beyond it. That hides early
-falls, so the same results over all episodes stand beside it.
+falls, so the same results over all episodes are given, too.
 """
 
 from __future__ import annotations
@@ -80,8 +80,7 @@ TOP_SPEED = Metric(
     "top_speed_mps",
     "Top speed",
     "m/s",
-    "The paper's measure: mean speed from the start line that gives most, over episodes with at least 200 samples "
-    "beyond it.",
+    "The paper's measure: highest mean speed from any start line, over episodes with at least 200 samples beyond it.",
     2,
     "higher",
     live=False,
@@ -123,7 +122,7 @@ CHALLENGE_SCORE = Metric(
     "",
     "The league's run challenge: speed in m/s plus fraction of the time with both feet off the ground. The speed is "
     f"measured from {CHALLENGE_LINE_M} m on; a fall costs {CHALLENGE_PENALTY_M:.0f} m and the whole time of "
-    f"{CHALLENGE_RUN_S:.0f} s. 0 for a robot that gets no further than that.",
+    f"{CHALLENGE_RUN_S:.0f} s. 0 for a robot that gets no further.",
     3,
     "higher",
     live=False,
@@ -166,14 +165,14 @@ class SprintSettings(FallSettings):
         ge=0.0,
         le=10.0,
         title="Drift penalty",
-        description="Reward lost per metre away from the line straight ahead, as a share of that for a metre forward.",
+        description="Penalty per metre of distance from the line straight ahead, as a share of the reward per metre.",
     )
     fall_penalty_m: float = Field(
         default=0.0,
         ge=0.0,
         le=100.0,
         title="Fall penalty",
-        description="Reward lost at a fall, as that for this many metres forward.",
+        description="Penalty for a fall, as the reward for this many metres forward.",
         json_schema_extra={"unit": "m"},
     )
 
@@ -250,7 +249,7 @@ class Sprint(Task):
         )
 
     def begin(self, rows: IntArray) -> None:
-        """Note where the robots start."""
+        """Store where the robots start."""
         position = self.world.position(rows)
         self._x[rows] = self._start_x[rows] = position[:, 0]
         self._aside[rows] = np.abs(position[:, 1] - self.start_position()[1])
@@ -267,7 +266,7 @@ class Sprint(Task):
         self._fallen[rows] = position[:, 2] < self._min_height
 
     def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return who has fallen, and who has passed the finish line without falling."""
+        """Return which robots have fallen, and which have passed the finish line without falling."""
         fallen = self._fallen[rows]
         if self.finish_x_m is None:
             return fallen, np.zeros_like(fallen)
@@ -339,7 +338,7 @@ class Sprint1(Sprint):
         references=(*Sprint.presentation.references, Reference("distance_m", FINISH_X_M - START_X_M, "28 m, finish")),
         lines=(FieldLine(FINISH_X_M, "finish"),),
     )
-    # a robot that neither falls nor arrives would run for ever; 60 s is twice what the slowest useful walk needs
+    # a limit for robots that neither fall nor arrive; 60 s is twice what the slowest useful walk needs
     max_steps = 3000
 
 

@@ -1,4 +1,4 @@
-"""Estimate intervals."""
+"""Confidence intervals."""
 
 from __future__ import annotations
 
