@@ -1,10 +1,10 @@
-"""Type what README.md says into a fresh clone and see that it works.
+"""Run the commands of README.md in a fresh clone.
 
     python docs/check_readme.py            # about 10 minutes: install, up, every naoctl line, the curl example
     python docs/check_readme.py --all      # `make demo` and `make test` as well
 
-Commands run as they stand, in order, with a home folder of their own, except that a training's steps are cut to STEPS:
-what is checked is that the commands work, not what a robot learns. Exits with 1 at the first command that fails.
+Commands run as they stand, in order, with a home folder of their own, except that trainings have only STEPS steps: this
+checks that the commands work, not what a robot learns. Exits with 1 at the first command that fails.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ COMMAND_TIMEOUT_S = 1800
 
 
 class CheckError(Exception):
-    """Says which command of README.md does not work."""
+    """Failure of a command of README.md."""
 
 
 class Shell:
@@ -41,7 +41,7 @@ class Shell:
     def __init__(self, clone: Path, home: Path) -> None:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("NAOSPRINT_", "NAOCTL_"))}
         kept.pop("VIRTUAL_ENV", None)
-        # What pip has downloaded before need not come again.
+        # Reuse pip's downloads.
         kept.setdefault("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
         self.environment = {**kept, "HOME": str(home), "PATH": f"{clone / '.venv' / 'bin'}:{kept['PATH']}"}
         self.clone = clone
@@ -74,7 +74,7 @@ class Shell:
 
     @contextlib.contextmanager
     def service(self, command: str) -> Iterator[str]:
-        """Run the command that stays, until it prints the dashboard's address; yield that; end it with Ctrl-C."""
+        """Run `naoctl up` until it prints the dashboard's address; yield that; end it with Ctrl-C."""
         sys.stdout.write(f"$ {command}\n")
         log_path = self.home / "up.log"
         with log_path.open("wb") as log:
@@ -110,7 +110,7 @@ class Shell:
 
 
 def commands(readme: str) -> list[str]:
-    """Return the commands of all shell blocks in order, continued lines joined, comments cut off."""
+    """Return the commands of all shell blocks in order, continued lines joined, comments removed."""
     found = []
     for block in BLOCK.findall(readme):
         # quoted text may go over several lines
@@ -122,7 +122,7 @@ def commands(readme: str) -> list[str]:
 
 
 def check(shell: Shell, *, everything: bool) -> int:
-    """Run every command; return how many that were."""
+    """Run every command; return their number."""
     lines = commands((shell.clone / "README.md").read_text(encoding="utf-8"))
     made = [line for line in lines if line.startswith("make ")]
     stays = next(line for line in lines if line.endswith("naoctl up"))
@@ -145,7 +145,7 @@ def check(shell: Shell, *, everything: bool) -> int:
             if "-X POST" in command:
                 job = str(json.loads(answer)["id"])
             if "/stream" in command and "event: end" not in answer:
-                raise CheckError(f"{command}\ndid not tell of the job's end:\n{answer[-2000:]}")
+                raise CheckError(f"{command}\ndid not report the job's end:\n{answer[-2000:]}")
             count += 1
     return count
 

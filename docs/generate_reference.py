@@ -1,7 +1,7 @@
 """Write the reference pages from the code they describe, while mkdocs builds the site.
 
-mkdocs.yml names this file as a hook. What a page says comes from the command lines' own parsers, the pydantic models,
-the OpenAPI document and the tables of events and figures, so no page can lag behind.
+mkdocs.yml names this file as a hook. Pages are generated from the command lines' parsers, the pydantic models, the
+OpenAPI document and the tables of events and metrics, so that none is outdated.
 """
 
 from __future__ import annotations
@@ -208,7 +208,7 @@ def _specification() -> Iterator[str]:
         ]
         yield from _table(("Setting", *(_code(name) for name in shown)), rows)
     yield "\n## Recipes\n"
-    yield "Jobs that are known to work, for `naoctl submit --recipe NAME`.\n"
+    yield "Tested jobs, for `naoctl submit --recipe NAME`.\n"
     yield from _table(("Recipe", "Meaning"), [(_code(name), _cell(recipes.summary(name))) for name in recipes.names()])
 
 
@@ -255,7 +255,7 @@ def _fields(model: type[BaseModel]) -> Iterator[str]:
 
 
 def _type(part: dict[str, Any]) -> str:
-    """Say in words which values a JSON schema allows."""
+    """Describe in words which values a JSON schema allows."""
     if "x-plugin-group" in part:
         return "section, or a name: " + ", ".join(
             dict.fromkeys(_value(option["properties"]["name"]["const"]) for option in part["oneOf"])
@@ -291,7 +291,7 @@ def _api() -> Iterator[str]:
     document = json.loads(OPENAPI.read_text(encoding="utf-8"))
     yield "# HTTP API"
     yield f"\n{_text(document['info']['description'])}"
-    yield "\nA running service has this description at `/openapi.json`. Requests carry `Authorization: Bearer TOKEN`."
+    yield "\nA running service has this description at `/openapi.json`. Requests need `Authorization: Bearer TOKEN`."
     operations: dict[str, list[tuple[str, str, dict[str, Any]]]] = {}
     for path, item in document["paths"].items():
         for method in METHODS:
@@ -346,7 +346,7 @@ def _operation(operation: dict[str, Any]) -> Iterator[str]:
     yield from _table(("Status", "Meaning", "Body"), rows)
 
 
-# Figures and events
+# Metrics and events
 
 
 def _metrics() -> Iterator[str]:
@@ -393,7 +393,7 @@ def _events() -> Iterator[str]:
     )
     yield "\n## Events\n"
     yield "What happened to a job, oldest first: `naoctl logs JOB`, `GET /jobs/{job_id}/events`, and `event` messages"
-    yield "of the live stream. `data` holds what programs need.\n"
+    yield "of the live stream. `data` contains fields for programs.\n"
     yield from _table(
         ("Kind", "When", "Data"),
         [
@@ -408,7 +408,7 @@ def _events() -> Iterator[str]:
 
 
 def _attribute_comments(owner: type) -> dict[str, str]:
-    """Return what the `#:` comments in front of a class's members say."""
+    """Return the texts of the `#:` comments before a class's members."""
     import inspect
 
     found, words = {}, list[str]()
@@ -428,7 +428,7 @@ def _attribute_comments(owner: type) -> dict[str, str]:
 def _settings() -> Iterator[str]:
     yield "# Settings"
     yield "\nEvery process reads its settings from environment variables. `docker-compose.yml` sets them from `.env`,"
-    yield "whose variables stand in `.env.example`; `naoctl up` sets them itself."
+    yield "whose variables `.env.example` lists; `naoctl up` sets them itself."
     sections: Sequence[tuple[str, type[BaseModel], type[BaseModel] | None]] = (
         ("Every process", ServiceSettings, None),
         ("API", ApiSettings, ServiceSettings),
@@ -468,8 +468,8 @@ def _naoctl_variables() -> Iterator[tuple[str, str]]:
             if isinstance(variable, str):
                 seen[variable] = _cell(getattr(parameter, "help", "") or "")
     yield from sorted(seen.items())
-    yield "NAOCTL_TOKEN", "Token for the service, in place of the one that `naoctl login` keeps."
-    yield "NAOCTL_CONFIG", "File in which `naoctl` keeps addresses and tokens."
+    yield "NAOCTL_TOKEN", "Token for the service, instead of the one that `naoctl login` stored."
+    yield "NAOCTL_CONFIG", "File in which `naoctl` stores addresses and tokens."
 
 
 # Markdown
@@ -495,7 +495,7 @@ def _value(value: Any) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return text that stays within a table's cell."""
+    """Return text escaped for a table's cell."""
     return _text(" ".join(text.split())).replace("|", "\\|")
 
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the dashboard that the documentation shows, from a stack that holds an evaluated job.
+"""Take the pictures of the dashboard that the documentation shows, from a stack with an evaluated job.
 
 `make demo` leaves such a stack behind; then `.venv/bin/python docs/make_pictures.py` writes docs/images. It needs
 Chromium and its driver (`apt-get install chromium chromium-driver`), as the browser tests do.
@@ -50,7 +50,9 @@ def main() -> None:
     if CHROMIUM is None or CHROMEDRIVER is None:
         parser.exit(1, "Chromium and its driver are needed: apt-get install chromium chromium-driver\n")
     if not (arguments.data_dir / "postgres").is_dir():
-        parser.exit(1, f"{arguments.data_dir} is no data folder of a stack: run `make demo` first, or name another\n")
+        parser.exit(
+            1, f"{arguments.data_dir} is not a data folder of a stack: run `make demo` or name another\n"
+        )
     IMAGES.mkdir(exist_ok=True)
     with running_stack(arguments.data_dir) as url, tempfile.TemporaryDirectory() as scratch:
         token = (arguments.data_dir / "admin-token").read_text().strip()
@@ -74,7 +76,7 @@ def running_stack(data_dir: Path) -> Iterator[str]:
     where = ["--data-dir", str(data_dir)]
     started = subprocess.run([*naoctl, "up", "--detach", "--json", *where], stdout=subprocess.PIPE)
     if started.returncode:
-        raise SystemExit(started.returncode)  # naoctl has said on stderr what is wrong
+        raise SystemExit(started.returncode)  # naoctl has printed the reason to stderr
     try:
         yield json.loads(started.stdout)["url"]
     finally:
@@ -126,7 +128,7 @@ def take_pictures(browser: Browser, job_id: str, replay: dict[str, Any]) -> None
 
 
 def take_film(browser: Browser, job_id: str, replay: dict[str, Any]) -> None:
-    """Write the replay of some seconds of the episode in full run, as fast as it was."""
+    """Write the replay of some seconds of the episode at full speed, in real time."""
     browser.size(*GIF_VIEW)
     browser.open(f"/jobs/{job_id}/replay")
     browser.theme("light")
@@ -150,7 +152,7 @@ def show_frame(browser: Browser, frame: int) -> None:
 
 
 def settle(browser: Browser) -> None:
-    """Wait until what was changed last is drawn, in the typeface it is meant for."""
+    """Wait until the latest change is drawn, in the intended typeface."""
     browser.module(
         "await document.fonts.ready; for (const _ of [1, 2, 3]) await new Promise((r) => requestAnimationFrame(r));"
     )
@@ -165,7 +167,7 @@ def save_png(picture: Image.Image, path: Path) -> None:
 
 
 def save_gif(pictures: list[Image.Image]) -> None:
-    """Save an endless film with one palette for all frames, so that what stands still costs nothing."""
+    """Save an endless film with one palette for all frames, so that still areas need no bytes."""
     sample = Image.new("RGB", (pictures[0].width, sum(p.height for p in pictures[::8])))
     for i, picture in enumerate(pictures[::8]):
         sample.paste(picture, (0, i * picture.height))
@@ -180,7 +182,7 @@ def save_gif(pictures: list[Image.Image]) -> None:
 
 
 def report(path: Path, limit: int) -> None:
-    """Say what was written; refuse what would make the documentation slow."""
+    """Print what was written; refuse files that would make the documentation slow."""
     size = path.stat().st_size
     with Image.open(path) as picture:
         sys.stdout.write(f"{path.relative_to(ROOT)}  {picture.width} x {picture.height}  {size / 1000:.0f} kB\n")

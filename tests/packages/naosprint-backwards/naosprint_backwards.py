@@ -67,7 +67,7 @@ class RunBackwards(Task):
         )
 
     def begin(self, rows):
-        """Note where the robots start."""
+        """Store where the robots start."""
         self._start[rows] = self._x[rows] = self.world.position(rows)[:, 0]
 
     def advance(self, rows):
