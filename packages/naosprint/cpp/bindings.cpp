@@ -31,7 +31,7 @@ class Network {
   // Weight, bias, gradient of the weight, gradient of the bias of each layer. The arrays must outlive this object, which keeps them.
   Network(std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays, const std::string& kernel) : arrays_(std::move(arrays)) {
     kernel_ = kernel.empty() ? &best_kernel() : find_kernel(kernel.c_str());
-    require(kernel_ != nullptr, "kernel: is not supported by this processor");
+    require(kernel_ != nullptr, "kernel: not supported by this processor");
     require(!arrays_.empty(), "layers: at least one is needed");
     for (auto& [weight, bias, weight_gradient, bias_gradient] : arrays_) {
       require(weight.ndim() == 2 && weight_gradient.ndim() == 2 && bias.ndim() == 1 && bias_gradient.ndim() == 1, "layers: wrong shape");

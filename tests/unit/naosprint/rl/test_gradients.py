@@ -132,5 +132,5 @@ def test_wrong_shapes_are_named() -> None:
         gradients.critic(
             Samples(samples.observations[:, 1:].contiguous(), *list(vars(samples).values())[1:]), torch.arange(3)
         )
-    with pytest.raises(ValueError, match="kernel: does not run"):
+    with pytest.raises(ValueError, match="kernel: not supported"):
         KernelGradients(policy, settings(), {}, "mmx")
