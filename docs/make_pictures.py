@@ -50,9 +50,7 @@ def main() -> None:
     if CHROMIUM is None or CHROMEDRIVER is None:
         parser.exit(1, "Chromium and its driver are needed: apt-get install chromium chromium-driver\n")
     if not (arguments.data_dir / "postgres").is_dir():
-        parser.exit(
-            1, f"{arguments.data_dir} is not a data folder of a stack: run `make demo` or name another\n"
-        )
+        parser.exit(1, f"{arguments.data_dir} is not a data folder of a stack: run `make demo` or name another\n")
     IMAGES.mkdir(exist_ok=True)
     with running_stack(arguments.data_dir) as url, tempfile.TemporaryDirectory() as scratch:
         token = (arguments.data_dir / "admin-token").read_text().strip()
