@@ -368,6 +368,24 @@ def test_workers_show_only_ones_own_jobs(
     registry.leave(sessions, "worker-1")
 
 
+def test_a_stalled_job_is_shown_and_counted(
+    client: httpx.Client, admin: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
+) -> None:
+    lease = run_job()
+    lifecycle.report_stall(sessions, lease, 400.0)
+    shown = client.get(f"/jobs/{lease.job_id}").json()
+    assert shown["stalled_since"] is not None
+    assert "naosprint_stalled 1.0" in admin.get("/metrics").text
+    assert "stalled" in [event["kind"] for event in client.get(f"/jobs/{lease.job_id}/events").json()["items"]]
+    lifecycle.report_stall(sessions, lease, None)
+    assert client.get(f"/jobs/{lease.job_id}").json()["stalled_since"] is None
+    lifecycle.report_stall(sessions, lease, 400.0)
+    lifecycle.transition(sessions, lease, WorkState.FAILED, error="x")
+    text = admin.get("/metrics").text
+    assert "naosprint_stalled 0.0" in text
+    assert "naosprint_jobs_failed_recently 1.0" in text
+
+
 def test_a_queued_job_tells_why_no_worker_can_take_it(client: httpx.Client, sessions: sessionmaker[Session]) -> None:
     job_id = client.post("/jobs", json={"spec": {"task": "sprint2"}}).json()["id"]
     assert client.get(f"/jobs/{job_id}").json()["waiting_reason"] == "no worker is running"

@@ -224,6 +224,9 @@ def test_figures_for_prometheus(client: httpx.Client, admin: httpx.Client, start
     text = admin.get("/metrics").text
     assert 'naosprint_http_request_seconds_count{method="GET",route="/jobs/{job_id}",status="200"}' in text
     assert 'naosprint_jobs{state="queued"}' in text
+    for service in ("database", "schema_revision", "store", "broker"):
+        assert f'naosprint_service_up{{service="{service}"}} 1.0' in text
+    assert "\nnaosprint_backup_age_seconds " not in text, "there has been no backup"
     assert job not in text
     public = start_api(api_metrics_public=True)
     assert httpx.get(f"{public.url}/metrics").status_code == 200

@@ -148,14 +148,16 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
 
 def test_frozen_trainer_is_replaced(service: Service) -> None:
     """Its worker lives and renews the lease: only the missing steps give it away."""
-    worker = service.start_worker(NAOSPRINT_WORKER_STALL_S="30")
+    worker = service.start_worker(NAOSPRINT_WORKER_STALL_S="30", NAOSPRINT_WORKER_STALL_WARN_S="5")
     job_id = start_job(service)
     steps = service.shorten(job_id)
     training = service.until_training(worker)
     training.suspend()
+    service.until(lambda: service.job(job_id).stalled_since, what="for the job to be shown as stalled")
     service.until(lambda: "resumed" in service.kinds(job_id), what="for the second attempt")
     assert any("made no step for 30 s and was killed" in event.message for event in service.events(job_id))
     service.until_state(job_id, WorkState.SUCCEEDED)
+    assert service.job(job_id).stalled_since is None
     wait_gone(training)
     assert_resumed_and_whole(service, job_id, steps)
 

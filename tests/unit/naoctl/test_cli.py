@@ -218,6 +218,16 @@ def test_status_shows_why_a_job_waits(server: Any, naoctl: Callable[..., Ran], j
     waiting = job(state="queued", waiting_reason="no worker has task 'sprint9' version 2")
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(waiting))
     assert "no worker has task 'sprint9' version 2" in naoctl("status", job()["id"]).out
+    server.on("POST", "/jobs")(lambda request: request.json(waiting, 201))
+    assert "Waiting: no worker has task 'sprint9' version 2" in naoctl("submit").err
+
+
+def test_a_stalled_job_is_shown_as_such(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    stalled = job(state="running", stalled_since="2026-01-01T00:00:00Z")
+    server.on("GET", f"/jobs/{stalled['id']}")(lambda request: request.json(stalled))
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [stalled], "next_cursor": None}))
+    assert "Stalled" in naoctl("status", stalled["id"]).out
+    assert "stalled" in naoctl("list").out
 
 
 def test_a_finished_job_shows_its_evaluation(

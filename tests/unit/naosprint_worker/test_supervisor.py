@@ -8,6 +8,7 @@ import signal
 import sys
 import textwrap
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -46,6 +47,7 @@ class Bench:
         os.mkfifo(folder / "ready")
         self.answer: Requests | Exception = GO_ON
         self.beats = 0
+        self.stalls: list[float | None] = []
         self.ready = threading.Event()
         self._folder = folder
         self._program = textwrap.dedent(program)
@@ -55,6 +57,7 @@ class Bench:
             start=self._start,
             beat=self._beat,
             look=self._look,
+            report_stall=self.stalls.append,
             workdir=folder,
             log_path=folder / "output.log",
             time_limit_s=time_limit_s,
@@ -210,6 +213,37 @@ def test_child_that_makes_no_step_is_killed(bench: Callable[..., Bench]) -> None
     each.start()
     ending = each.join()
     assert (ending.intent, ending.returncode, ending.overstayed) == (Intent.STALLED, -signal.SIGKILL, False)
+
+
+PAUSING = """
+    import pathlib, signal, sys, threading
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(75))
+    pathlib.Path("ready").write_text("")
+    while not pathlib.Path("go").exists():
+        threading.Event().wait(0.01)
+    while True:
+        pathlib.Path("progress").touch()
+        threading.Event().wait(0.01)
+"""
+
+
+def test_stall_is_reported_once_and_so_is_its_end(bench: Callable[..., Bench], tmp_path: Path) -> None:
+    each = bench(PAUSING, worker_stall_s=600.0, worker_stall_warn_s=0.3)
+    each.start()
+    for count in (1, 2):
+        wait_for(lambda count=count: len(each.stalls) == count)
+        (tmp_path / "go").touch()
+    idle_s, end = each.stalls
+    assert idle_s is not None
+    assert idle_s > 0.3
+    assert end is None
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 30) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_child_that_makes_steps_is_left_alone(bench: Callable[..., Bench]) -> None:

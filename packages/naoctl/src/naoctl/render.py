@@ -31,6 +31,7 @@ STATE_STYLE = {
     "pausing": "yellow",
     "paused": "yellow",
     "evaluating": "magenta",
+    "stalled": "yellow",
     "succeeded": "green",
     "failed": "red",
     "cancelled": "bright_black",
@@ -148,6 +149,11 @@ def state_text(state: str) -> Text:
     return Text(state, style=STATE_STYLE.get(state, ""))
 
 
+def job_state(job: Json) -> Text:
+    """Return the state of a job, or `stalled` if it runs and makes no step."""
+    return state_text("stalled" if job.get("stalled_since") else job["state"])
+
+
 def percent(job: Json) -> float:
     """Return the share of a job's steps that is done, 0 to 1."""
     total = job.get("total_steps") or 0
@@ -158,6 +164,11 @@ def percent(job: Json) -> float:
 LIST_COLUMNS = (("Done", 0), ("Steps", 100), ("Submitted", 90))
 #: Least terminal width at which the list of jobs shows its first, second and third metric.
 METRIC_WIDTHS = (78, 112, 126)
+
+
+def stall_text(work: Json) -> str:
+    """Return how long ago a stalled job or evaluation made its last step."""
+    return f"the last step was {ago(work['stalled_since'])}"
 
 
 def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
@@ -184,7 +195,7 @@ def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 20
         room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in headings) - 4
         name = plain(job["name"])
         short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
-        table.add_row(cell(job["id"]), cell(short), state_text(job["state"]), *(cells[heading] for heading in headings))
+        table.add_row(cell(job["id"]), cell(short), job_state(job), *(cells[heading] for heading in headings))
     return table
 
 
@@ -223,6 +234,7 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
         ("Name", cell(job["name"])),
         ("State", state),
         *([("Waiting", cell(job["waiting_reason"]))] if job.get("waiting_reason") else []),
+        *([("Stalled", Text(stall_text(job), "yellow"))] if job.get("stalled_since") else []),
         ("Progress", f"{job['progress_step']:,} of {job['total_steps']:,} steps ({percent(job):.0%})"),
         ("Training", training_text(job["spec"])),
         ("Owner", cell(job["owner"])),
@@ -279,7 +291,7 @@ def live_view(
     latest = curve.latest
     step = max(int(latest.get("step", 0)), int(job.get("progress_step") or 0))
     total = job["total_steps"]
-    head = Text.assemble((plain(job["name"]), "bold"), "  ", state_text(job["state"]), f"  {job['id']}")
+    head = Text.assemble((plain(job["name"]), "bold"), "  ", job_state(job), f"  {job['id']}")
     bar_width = max(10, min(60, width - 44))
     line = Table.grid(padding=(0, 2))
     eta = duration(latest.get("eta_s")) if job["state"] == "running" else MISSING
@@ -307,6 +319,8 @@ def live_view(
     parts: list[RenderableType] = [head, line]
     if job.get("waiting_reason"):
         parts += ["", Text(f"Waiting: {plain(job['waiting_reason'])}", style="yellow")]
+    if job.get("stalled_since"):
+        parts += ["", Text(f"Stalled: {stall_text(job)}", style="yellow")]
     if curve.series:
         parts += ["", table]
     if note:

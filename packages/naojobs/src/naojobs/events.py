@@ -41,6 +41,8 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
             ("step", "checkpoint_id"),
         ),
         "running": EventKind("The training has begun."),
+        "stalled": EventKind("The training has made no step for `NAOSPRINT_WORKER_STALL_WARN_S` seconds."),
+        "recovered": EventKind("A stalled training makes steps again."),
         "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),
         "pause_requested": EventKind("A user requested a pause; the worker saves a checkpoint and stops."),
         "paused": EventKind("The job is paused.", ("reason", "failures")),

@@ -107,6 +107,7 @@ def _change(work: Job | Evaluation, target: WorkState) -> None:
     if target not in LEASED:
         work.lease_owner = None
         work.lease_expires_at = None
+        work.stalled_since = None
     if target is WorkState.QUEUED:
         work.queued_at = func.now()
         work.finished_at = None
@@ -483,6 +484,22 @@ def read_requests(sessions: Sessions, lease: Lease) -> Requests:
     return Requests(row.state, cancel=row.cancel_requested)
 
 
+def report_stall(sessions: Sessions, lease: Lease, idle_s: float | None) -> None:
+    """Record that leased work has made no step for `idle_s` seconds; none: that it makes steps again.
+
+    Raises LeaseLostError.
+    """
+    with sessions.begin() as session:
+        work = hold(session, lease)
+        work.updated_at = func.now()
+        if idle_s is None:
+            work.stalled_since = None
+            add_event(session, work, "recovered", "makes steps again")
+        else:
+            work.stalled_since = func.now() - timedelta(seconds=idle_s)
+            add_event(session, work, "stalled", f"has made no step for {idle_s:.0f} s")
+
+
 def transition(
     sessions: Sessions,
     lease: Lease,
@@ -494,8 +511,9 @@ def transition(
 ) -> WorkState:
     """Change the state of leased work to `target`; return the state it had.
 
-    The lease ends with every state outside `LEASED`. Use it with `queued` to requeue work without counting a failure
-    (a worker that shuts down); after a lost child process use `lose`, after an outage of a service `postpone`.
+    The lease ends with every state outside `LEASED`; work that a user asked to cancel becomes cancelled instead. Use it
+    with `queued` to requeue work without counting a failure (a worker that shuts down); after a lost child process use
+    `lose`, after an outage of a service `postpone`.
 
     Raises LeaseLostError, and ConflictError if the table of transitions does not allow it.
     """
@@ -516,8 +534,13 @@ def _settle(
     error: str | None = None,
     data: Mapping[str, Any] | None = None,
 ) -> None:
-    """Change the state of locked work to `target` and record it. Raises ConflictError."""
+    """Change the state of locked work to `target` and record it. Raises ConflictError.
+
+    A request to cancel was acknowledged: work that ends or gives up its lease is cancelled then, whatever came first.
+    """
     source = work.state
+    if work.cancel_requested and target not in LEASED | {WorkState.CANCELLED}:
+        target, message = WorkState.CANCELLED, f"{message or target}; cancelled as requested"
     _change(work, target)
     if error is not None:
         work.error = error

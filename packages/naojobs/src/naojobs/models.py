@@ -116,6 +116,8 @@ class Work:
     lease_owner: Mapped[str | None] = mapped_column(String(200))
     lease_expires_at: Mapped[datetime | None]
     heartbeat_at: Mapped[datetime | None]
+    #: Since when leased work has made no step, once its worker has noticed; none while it makes steps.
+    stalled_since: Mapped[datetime | None]
     cancel_requested: Mapped[bool] = mapped_column(server_default=text("false"))
     #: Why it failed, or why its last attempt was lost.
     error: Mapped[str | None]
@@ -281,8 +283,19 @@ class Worker(Base):
     robots: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     simulators: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     version: Mapped[str] = mapped_column(String(40))
+    #: Free space on the disk of its working folders.
+    disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class Backup(Base):
+    """Backup that `deploy/backup` has finished."""
+
+    __tablename__ = "backups"
+
+    id: Mapped[int] = mapped_column(BigInteger, Identity(), primary_key=True)
+    finished_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 
 class Token(Base):

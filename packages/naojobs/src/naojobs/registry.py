@@ -32,9 +32,10 @@ def beat(
     queues: Sequence[str],
     capabilities: Capabilities,
     version: str,
+    disk_free_bytes: int | None = None,
 ) -> None:
     """Register a worker, or renew its heartbeat."""
-    current = {"queues": list(queues), "version": version, **asdict(capabilities)}
+    current = {"queues": list(queues), "version": version, "disk_free_bytes": disk_free_bytes, **asdict(capabilities)}
     with sessions.begin() as session:
         session.execute(
             insert(Worker)

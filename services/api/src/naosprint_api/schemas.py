@@ -144,6 +144,9 @@ class JobPublic(_Public):
     max_attempts: int = Field(description="The job fails when failures reaches it.")
     worker: str | None = Field(validation_alias="lease_owner", description="Id of the worker that holds it.")
     heartbeat_at: datetime | None
+    stalled_since: datetime | None = Field(
+        description="Since when the running job has made no step; null if it makes steps, and in all other states."
+    )
     cancel_requested: bool
     pause_requested: bool
     parent_job_id: str | None
@@ -258,6 +261,9 @@ class EvaluationPublic(BaseModel):
     failures: int = Field(description="Attempts that were lost.")
     max_attempts: int = Field(description="The evaluation fails when failures reaches it.")
     worker: str | None = Field(description="Id of the worker that holds it.")
+    stalled_since: datetime | None = Field(
+        description="Since when the running evaluation has made no step; null if it makes steps."
+    )
     cancel_requested: bool
     time_limit_s: float = Field(description="Seconds that one attempt may take.")
     summary: dict[str, Any] | None = Field(description="Metrics over all episodes; null until it has succeeded.")
@@ -331,6 +337,7 @@ class WorkerPublic(_Public):
     robots: list[str]
     simulators: list[str]
     version: str
+    disk_free_bytes: int | None = Field(description="Free space on the disk of its working folders.")
     started_at: datetime
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from datetime import timedelta
 from typing import cast
 
 from naojobs.database import Sessions
-from naojobs.models import Job, Worker
+from naojobs.models import Backup, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.platform_collector import PlatformCollector
 from prometheus_client.process_collector import ProcessCollector
 from prometheus_client.registry import Collector
-from sqlalchemy import func, select, text
+from sqlalchemy import func, select
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
 #: Name, help and labels of what is counted in the database.
 _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
     ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
     ("naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", ()),
+    ("naosprint_jobs_failed_recently", "Jobs that have failed in the last 15 minutes.", ()),
+    ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was away.", ()),
+    ("naosprint_stalled", "Trainings and evaluations that run and make no step.", ()),
+    ("naosprint_worker_disk_free_bytes", "Free space on the disk of a worker that is alive.", ("worker",)),
+    ("naosprint_backup_age_seconds", "Time since the last backup; missing if there has been none.", ()),
+    ("naosprint_service_up", "Whether database, schema_revision, store and broker answer the API.", ("service",)),
 )
 
 _BUCKETS = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
@@ -30,33 +40,57 @@ class _Rows(Collector):
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
+        #: Whether each service that the API needs answers, by name.
+        self.services: Mapping[str, bool] = {}
 
     def describe(self) -> list[GaugeMetricFamily]:
         """Return the metrics' names without a database query."""
         return [GaugeMetricFamily(name, text, labels=labels) for name, text, labels in _ROWS]
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
-        """Count."""
-        with self._sessions.begin() as session:
-            counts = {
-                state: count for state, count in session.execute(select(Job.state, func.count()).group_by(Job.state))
-            }
-            alive = session.scalar(
-                select(func.count())
-                .select_from(Worker)
-                .where(Worker.heartbeat_at > func.now() - text("interval '30 seconds'")),
-            )
-            oldest = session.scalar(
-                select(func.extract("epoch", func.now() - func.min(Job.queued_at))).where(
-                    Job.state == WorkState.QUEUED
-                ),
-            )
-        jobs, workers, longest = self.describe()
-        for state in WorkState:
-            jobs.add_metric([state], counts.get(state, 0))
-        workers.add_metric([], alive or 0)
-        longest.add_metric([], float(oldest or 0))
-        yield from (jobs, workers, longest)
+        """Count; without a database only the services that answer are reported."""
+        families = {family.name: family for family in self.describe()}
+        up = families["naosprint_service_up"]
+        for service, answers in self.services.items():
+            up.add_metric([service], answers)
+        yield up
+        with suppress(SQLAlchemyError), self._sessions.begin() as session:
+            for name, value in _counts(session):
+                families[name].add_metric([], value)
+            by_state = session.execute(select(Job.state, func.count()).group_by(Job.state))
+            states = {state: count for state, count in by_state}  # mypy knows no dict of rows
+            for state in WorkState:
+                families["naosprint_jobs"].add_metric([state], states.get(state, 0))
+            for worker, free in session.execute(select(Worker.id, Worker.disk_free_bytes).where(_ALIVE)):
+                if free is not None:
+                    families["naosprint_worker_disk_free_bytes"].add_metric([worker], free)
+            yield from (family for family in families.values() if family is not up)
+
+
+#: Condition of workers with a heartbeat in the last 30 s.
+_ALIVE = Worker.heartbeat_at > func.now() - timedelta(seconds=30)
+
+
+def _counts(session: Session) -> Iterator[tuple[str, float]]:
+    """Yield the metrics that are one number each; one without a value is left out."""
+    queued, recently = Job.state == WorkState.QUEUED, func.now() - timedelta(minutes=15)
+    jobs = session.execute(
+        select(
+            func.coalesce(func.extract("epoch", func.now() - func.min(Job.queued_at).filter(queued)), 0),
+            func.count().filter(Job.state == WorkState.FAILED, Job.finished_at > recently),
+            func.count().filter(queued, Job.postponed > 0),
+            func.count().filter(Job.stalled_since.is_not(None)),
+        )
+    ).one()
+    evaluations = select(func.count()).select_from(Evaluation).where(Evaluation.stalled_since.is_not(None))
+    yield "naosprint_queue_oldest_seconds", float(jobs[0])
+    yield "naosprint_jobs_failed_recently", jobs[1]
+    yield "naosprint_jobs_postponed", jobs[2]
+    yield "naosprint_stalled", jobs[3] + (session.scalar(evaluations) or 0)
+    yield "naosprint_workers_alive", session.scalar(select(func.count()).select_from(Worker).where(_ALIVE)) or 0
+    age_s = session.scalar(select(func.extract("epoch", func.now() - func.max(Backup.finished_at))))
+    if age_s is not None:
+        yield "naosprint_backup_age_seconds", float(age_s)
 
 
 class Telemetry:
@@ -66,7 +100,8 @@ class Telemetry:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
         PlatformCollector(registry=self._registry)
-        self._registry.register(_Rows(sessions))
+        self._rows = _Rows(sessions)
+        self._registry.register(self._rows)
         self._seconds = Histogram(
             "naosprint_http_request_seconds",
             "Time to the end of the answer.",
@@ -96,6 +131,7 @@ class Telemetry:
             figures.append((name, family.type, tuple(figure._labelnames), family.documentation))
         return figures
 
-    def render(self) -> bytes:
-        """Return all metrics in Prometheus's text format."""
+    def render(self, services: Mapping[str, bool]) -> bytes:
+        """Return all metrics in Prometheus's text format; `services` by name, whether each answers."""
+        self._rows.services = services
         return generate_latest(self._registry)

@@ -70,6 +70,7 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
             "failures": evaluation.failures,
             "max_attempts": evaluation.max_attempts,
             "worker": evaluation.lease_owner,
+            "stalled_since": evaluation.stalled_since,
             "cancel_requested": evaluation.cancel_requested,
             "time_limit_s": evaluation.time_limit_s,
             "summary": evaluation.summary if succeeded else None,

@@ -51,7 +51,8 @@ class Run:
         self._claim = claim
         self._lease = claim.lease
         self._program = _PROGRAMS[claim.lease.kind]
-        self._time_limit_s = math.inf if isinstance(claim, JobClaim) else claim.time_limit_s
+        limit_s = context.settings.worker_time_limit_s if isinstance(claim, JobClaim) else claim.time_limit_s
+        self._time_limit_s = math.inf if limit_s is None else limit_s
         self._workdir = context.folder / f"{claim.lease.id}-{claim.lease.attempt}"
         sessions, lease_s = context.sessions, context.settings.lease_s
         self._closing = threading.Event()
@@ -60,6 +61,7 @@ class Run:
             start=self._start,
             beat=lambda: lifecycle.heartbeat(sessions, self._lease, lease_s=lease_s),
             look=lambda: lifecycle.read_requests(sessions, self._lease),
+            report_stall=lambda idle_s: lifecycle.report_stall(sessions, self._lease, idle_s),
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
             time_limit_s=self._time_limit_s,
@@ -122,12 +124,11 @@ class Run:
         logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
         without_checkpoint = self.kind is WorkKind.JOB and ending.returncode != ExitCode.STOPPED
         where = f" without a last checkpoint ({text})" if without_checkpoint else ""
-        cancelled = ending.intent is Intent.CANCEL or (ending.intent is Intent.SHUTDOWN and self._cancel_requested())
         if ending.intent is Intent.LEASE_LOST or ending.returncode == ExitCode.FENCED:
             return
         if ending.returncode == ExitCode.FINISHED:
             self._transition(WorkState.SUCCEEDED, "done")
-        elif cancelled:
+        elif ending.intent is Intent.CANCEL:
             self._transition(WorkState.CANCELLED, f"cancelled as requested{where}")
         elif ending.intent is Intent.MEMORY:
             self._fail(ending, self._memory_message(ending))
@@ -151,9 +152,6 @@ class Run:
         else:
             self._log_ending(ending)
             lifecycle.lose(self._context.sessions, self._lease, text)
-
-    def _cancel_requested(self) -> bool:
-        return lifecycle.read_requests(self._context.sessions, self._lease).cancel
 
     def _transition(self, target: WorkState, message: str) -> None:
         lifecycle.transition(self._context.sessions, self._lease, target, message=message)

@@ -61,6 +61,19 @@ class WorkerSettings(ServiceSettings):
         le=86400,
         description="Seconds without a step after which a training or an evaluation is killed and tried again.",
     )
+    worker_stall_warn_s: float = Field(
+        300.0,
+        gt=0,
+        le=86400,
+        description="Seconds without a step after which a training or an evaluation is shown as stalled.",
+    )
+    worker_time_limit_s: float | None = Field(
+        None,
+        gt=0,
+        le=30 * 86400,
+        description="Seconds that one attempt at a job may take; then the job fails, and `naoctl retry` resumes it. "
+        "Left out: no limit.",
+    )
     worker_spool_mb: int = Field(
         256,
         ge=1,

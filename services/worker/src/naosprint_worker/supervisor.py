@@ -72,9 +72,10 @@ class Ending:
 class Supervisor:
     """Supervisor of a child that works under a lease.
 
-    ``beat`` renews the lease and returns the users' requests; ``look`` only reads them. Both may raise `LeaseLostError`
-    and database errors. A lost lease, or ``worker_stall_s`` seconds without a step, kill the child at once; for every
-    other reason, ``time_limit_s`` among them, it is asked to stop and has ``grace_s`` seconds
+    ``beat`` renews the lease and returns the users' requests; ``look`` only reads them; ``report_stall`` records the
+    seconds without a step once they exceed ``worker_stall_warn_s``, and None when there is a step again. They may raise
+    `LeaseLostError` and database errors. A lost lease, or ``worker_stall_s`` seconds without a step, kill the child at
+    once; for every other reason, ``time_limit_s`` among them, it is asked to stop and has ``grace_s`` seconds
     (``worker_stop_grace_s`` by default) before it is killed.
     """
 
@@ -85,6 +86,7 @@ class Supervisor:
         start: Callable[[Callable[[], None]], Child],
         beat: Callable[[], Requests],
         look: Callable[[], Requests],
+        report_stall: Callable[[float | None], None],
         workdir: Path,
         log_path: Path,
         time_limit_s: float = math.inf,
@@ -95,6 +97,8 @@ class Supervisor:
         self._start = start
         self._beat = beat
         self._look = look
+        self._report_stall = report_stall
+        self._stalled = False
         self._workdir = workdir
         self._log_path = log_path
         self._time_limit_s = time_limit_s
@@ -153,6 +157,7 @@ class Supervisor:
                     requests = self._look()
                 contact = time.monotonic()
                 self._obey(child, requests)
+                self._note_stall(progress.idle_s)
             except LeaseLostError as error:
                 logger.warning("%s; ending its child", error)
                 self._intent = Intent.LEASE_LOST
@@ -175,6 +180,12 @@ class Supervisor:
             if self._kill_at is not None and time.monotonic() >= self._kill_at and child.runs():
                 self._overstayed = True
                 child.kill()
+
+    def _note_stall(self, idle_s: float) -> None:
+        stalled = idle_s > self._settings.worker_stall_warn_s
+        if stalled is not self._stalled:
+            self._report_stall(idle_s if stalled else None)
+            self._stalled = stalled
 
     def _obey(self, child: Child, requests: Requests) -> None:
         if requests.cancel:

@@ -156,12 +156,17 @@ class Worker:
                 self._changed.notify_all()
             self._woken.set()
 
+    def _free_bytes(self) -> int | None:
+        with contextlib.suppress(OSError):
+            return shutil.disk_usage(self._settings.worker_dir).free
+        return None
+
     def _has_space(self) -> bool:
         """Return whether the disk has room for an attempt; work waits until it has."""
-        try:
-            free_mb = shutil.disk_usage(self._settings.worker_dir).free // MIB
-        except OSError:
+        free_bytes = self._free_bytes()
+        if free_bytes is None:
             return True  # the attempt will fail with the reason
+        free_mb = free_bytes // MIB
         enough = free_mb >= self._settings.worker_min_free_mb
         if enough is self._short_of_space:  # it has changed
             self._short_of_space = not enough
@@ -184,6 +189,7 @@ class Worker:
             queues=self._settings.worker_queues,
             capabilities=self._context.capabilities,
             version=__version__,
+            disk_free_bytes=self._free_bytes(),
         )
 
     def _sweep_store(self) -> None:

@@ -34,7 +34,7 @@ from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
-from naoctl.render import ago, cell, pairs, size, state_text
+from naoctl.render import ago, cell, pairs, size, stall_text, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
@@ -401,6 +401,8 @@ def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
     rows += headline(evaluation.get("summary") or {}).items()
     if evaluation.get("waiting_reason"):
         rows.append(("Waiting", cell(evaluation["waiting_reason"])))
+    if evaluation.get("stalled_since"):
+        rows.append(("Stalled", stall_text(evaluation)))
     if evaluation.get("error"):
         rows.append(("Error", cell(evaluation["error"])))
     context.out.print(pairs(rows))

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from naoctl.client import Client
 from naoctl.commands.watch import watch_job
-from naoctl.context import NEWEST, JsonFlag, complete_job, context_of, find_job
+from naoctl.context import NEWEST, Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable
 from naoctl.help import HelpAllFlag, SettingsCommand
@@ -171,6 +171,8 @@ def submit(
             context.out.print(f"Submitted {len(made['jobs'])} jobs as group {made['id']}", markup=False)
             for job in made["jobs"]:
                 context.out.print(f"  {job['id']}  {plain(job['name'])}", markup=False)
+            for reason in dict.fromkeys(job.get("waiting_reason") for job in made["jobs"]):
+                _note_waiting(context, reason)
             return
         job = _hand_in(client, "/jobs", body, key)
         if as_json and not watch:
@@ -182,7 +184,13 @@ def submit(
         if watch:
             watch_job(context, client, job, as_json=as_json)
         else:
+            _note_waiting(context, job.get("waiting_reason"))
             context.note(f"Follow it with: naoctl watch {job['id']}")
+
+
+def _note_waiting(context: Context, reason: str | None) -> None:
+    if reason:
+        context.note(f"Waiting: {plain(reason)}")
 
 
 def read_recipe(name: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from naoctl.descriptions import Descriptions, value_text
 from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
-from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line
+from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line, stall_text
 
 #: Seconds between two lines of progress where there is no terminal.
 LINE_EVERY_S = 5.0
@@ -123,7 +123,7 @@ def _watch_live(context: Context, client: Client, job: dict[str, Any]) -> dict[s
 
 
 def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[str, Any]:
-    state, reason, printed_at, pending = "", None, 0.0, None
+    state, reason, stalled, printed_at, pending = "", None, None, 0.0, None
     metrics = Descriptions(client).shown(job)
 
     def lost(reason: str, wait_s: float) -> None:
@@ -140,6 +140,10 @@ def _watch_lines(context: Context, client: Client, job: dict[str, Any]) -> dict[
         if update.kind == "job" and job.get("waiting_reason") not in (None, reason):
             reason = job["waiting_reason"]
             context.out.print(f"Waiting: {plain(reason)}", markup=False, soft_wrap=True)
+        elif update.kind == "job" and job.get("stalled_since") != stalled:
+            stalled = job.get("stalled_since")
+            words = f"Stalled: {stall_text(job)}" if stalled else "The job makes steps again."
+            context.out.print(words, markup=False, soft_wrap=True)
         elif update.kind == "metrics":
             pending = progress_line(job, update.data, metrics)
             if time.monotonic() - printed_at >= LINE_EVERY_S:

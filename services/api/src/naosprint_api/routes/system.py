@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from anyio import to_thread
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from naojobs import registry
@@ -80,9 +81,10 @@ def may_read_figures(request: Request, service: ServiceDep) -> None:
         200: {"description": "Prometheus's text format", "content": {"text/plain": {"schema": {"type": "string"}}}},
     },
 )
-def figures(request: Request) -> Response:
+async def figures(request: Request) -> Response:
     """Get the service's metrics for Prometheus."""
-    content = service_of(request).telemetry.render()
+    service = service_of(request)
+    content = await to_thread.run_sync(service.telemetry.render, await service.probes.results())
     return Response(content, media_type="text/plain; version=0.0.4; charset=utf-8")
 
 

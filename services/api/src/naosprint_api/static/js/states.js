@@ -47,5 +47,6 @@ export function stateBadge(state, note) {
 export function stateNote(job) {
   if (job.cancel_requested && !isEnded(job.state)) return "Cancelling";
   if (job.pause_requested && ["queued", "starting", "running"].includes(job.state)) return "Pausing";
+  if (job.stalled_since) return "Stalled";
   return undefined;
 }

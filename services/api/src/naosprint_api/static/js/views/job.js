@@ -256,7 +256,13 @@ class JobView {
     const job = this.store.job;
     document.title = `${job.name} · naosprint`;
     setText(this.title, job.name);
-    const key = JSON.stringify([job.state, job.cancel_requested, job.pause_requested, job.waiting_reason]);
+    const key = JSON.stringify([
+      job.state,
+      job.cancel_requested,
+      job.pause_requested,
+      job.waiting_reason,
+      job.stalled_since,
+    ]);
     if (key !== this.key) {
       this.key = key;
       fill(this.badge, stateBadge(job.state, stateNote(job)));
@@ -296,17 +302,27 @@ class JobView {
               { style: { "margin-top": "1rem" }, "data-part": "waiting" },
               notice("warn", "The job waits.", `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`),
             )
-          : job.error
+          : job.stalled_since
             ? h(
                 "div",
-                { style: { "margin-top": "1rem" } },
+                { style: { "margin-top": "1rem" }, "data-part": "stalled" },
                 notice(
-                  job.state === "failed" ? "error" : "warn",
-                  job.state === "failed" ? "The job failed." : "An attempt was lost.",
-                  job.error,
+                  "warn",
+                  "The job has stalled.",
+                  `Its last step was at ${new Date(job.stalled_since).toLocaleTimeString()}. Its worker will end it and try again.`,
                 ),
               )
-            : null,
+            : job.error
+              ? h(
+                  "div",
+                  { style: { "margin-top": "1rem" } },
+                  notice(
+                    job.state === "failed" ? "error" : "warn",
+                    job.state === "failed" ? "The job failed." : "An attempt was lost.",
+                    job.error,
+                  ),
+                )
+              : null,
       );
     }
     const about = JSON.stringify([job.worker, job.owner, job.tags, job.parent_job_id]);

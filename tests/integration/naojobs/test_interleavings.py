@@ -1,0 +1,220 @@
+"""Requests of users, workers and their deaths in any order: the table of transitions holds, and a cancel is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from pathlib import Path
+from random import Random
+
+import pytest
+from naojobs import lifecycle, records, submission
+from naojobs.capabilities import Capabilities
+from naojobs.database import Sessions
+from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
+from naojobs.history import states_of, violations
+from naojobs.lifecycle import JobClaim
+from naojobs.models import Event, Job
+from naojobs.settings import ServiceSettings
+from naojobs.states import LEASED, WorkState
+from naojobs.submission import JobRequest
+from naosprint_worker.context import Context
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
+from naosprint_worker.runs import Run
+from naosprint_worker.settings import WorkerSettings
+from naosprint_worker.supervisor import Ending, Intent
+from sqlalchemy import func, select, update
+
+REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
+#: How a child may end by itself, beside by a stop that it was asked for.
+ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "time_limit")
+#: What may happen next to a job; requests twice as often.
+ACTIONS = ("request", "request", "run", "evaluate", "checkpoint", "look", "shut down", "end", "expire")
+
+
+def ending(how: str, intent: Intent) -> Ending:
+    """Return the end of a child whose supervisor had noted ``intent``."""
+    codes = {"finished": ExitCode.FINISHED, "stopped": ExitCode.STOPPED, "failed": ExitCode.PERMANENT}
+    intents = {"stalled": Intent.STALLED, "memory": Intent.MEMORY, "time_limit": Intent.TIME_LIMIT}
+    away = Outcome(SERVICE_UNAVAILABLE, "the store did not answer") if how == "unavailable" else None
+    code = codes.get(how, ExitCode.TRANSIENT if away else -9)
+    return Ending(max(intent, intents.get(how, intent)), code, away, False, 0, False, "")
+
+
+class Attempt:
+    """What a worker and its child do in one attempt, one transaction at a time, without the training."""
+
+    def __init__(self, context: Context, claim: JobClaim, steps: itertools.count[int]) -> None:
+        self._context, self.lease, self._steps = context, claim.lease, steps
+        self._run = Run(context, claim)
+        self.intent = Intent.NONE
+        self.ended = False
+
+    @property
+    def _state(self) -> WorkState:
+        return lifecycle.read_requests(self._context.sessions, self.lease).state
+
+    def do(self, action: str, random: Random) -> None:
+        """Do the next step of an attempt, where its state allows it. Raises LeaseLostError."""
+        sessions, state = self._context.sessions, self._state
+        if action == "run" and state in (WorkState.STARTING, WorkState.PAUSING):
+            with contextlib.suppress(ConflictError):  # a pause was requested first
+                lifecycle.transition(sessions, self.lease, WorkState.RUNNING)
+        elif action == "evaluate" and state in (WorkState.RUNNING, WorkState.PAUSING):
+            lifecycle.transition(sessions, self.lease, WorkState.EVALUATING)
+        elif action == "checkpoint":
+            step = next(self._steps)
+            key = f"jobs/{self.lease.job_id}/checkpoints/{step}"
+            records.record_checkpoint(sessions, self.lease, step=step, key=key, manifest={"files": []})
+        elif action == "look":
+            requests = lifecycle.read_requests(sessions, self.lease)
+            if requests.cancel:
+                self.intent = max(self.intent, Intent.CANCEL)
+            elif requests.state is WorkState.PAUSING:
+                self.intent = max(self.intent, Intent.PAUSE)
+        elif action == "shut down":
+            self.intent = max(self.intent, Intent.SHUTDOWN)
+        elif action == "end":
+            ways = ENDS if self.intent is Intent.NONE else ("stopped", *ENDS)
+            how = random.choice(ways)
+            self.end("crashed" if how == "finished" and state is WorkState.STARTING else how)
+
+    def end(self, how: str) -> None:
+        """Settle as the worker does."""
+        self.ended = True
+        self._run._settle(ending(how, self.intent))
+
+
+class World:
+    """A job, and what can happen to it."""
+
+    def __init__(self, context: Context) -> None:
+        self.sessions = context.sessions
+        self._context = context
+        self.job_id = submission.submit(self.sessions, JobRequest(), owner="tester")[0].id
+        self._steps = itertools.count(1)
+
+    def request(self, name: str) -> bool:
+        """Do what a user asks for; return whether it was acknowledged."""
+        calls: dict[str, Callable[[], object]] = {
+            "cancel": lambda: lifecycle.request_cancel(self.sessions, Job, self.job_id),
+            "pause": lambda: lifecycle.request_pause(self.sessions, self.job_id),
+            "resume": lambda: lifecycle.resume(self.sessions, self.job_id),
+            "retry": lambda: lifecycle.retry(self.sessions, self.job_id),
+            "delete": lambda: lifecycle.delete(self.sessions, self.job_id),
+        }
+        try:
+            calls[name]()
+        except (ConflictError, NotFoundError):
+            return False
+        return True
+
+    def claim(self) -> Attempt | None:
+        with self.sessions.begin() as session:  # a delay after an outage is of no interest here
+            session.execute(update(Job).where(Job.id == self.job_id).values(not_before=None))
+        claim = lifecycle.claim(self.sessions, Job, self.job_id, self._context.worker_id)
+        return None if claim is None else Attempt(self._context, claim, self._steps)
+
+    def expire(self) -> None:
+        """Let the lease expire, as if its worker had died."""
+        past = func.now() - timedelta(seconds=1)
+        with self.sessions.begin() as session:
+            leased = (Job.id == self.job_id, Job.lease_owner.is_not(None))
+            session.execute(update(Job).where(*leased).values(lease_expires_at=past))
+        lifecycle.requeue_stale(self.sessions)
+
+    def check(self) -> WorkState | None:
+        """Check the job's history; return its state, none if it was deleted."""
+        with self.sessions() as session:
+            job = session.get(Job, self.job_id)
+            kinds = session.scalars(select(Event.kind).where(Event.job_id == self.job_id).order_by(Event.id)).all()
+        if job is None:
+            return None
+        assert violations(kinds) == [], kinds
+        assert list(states_of(kinds))[-1] is job.state, (job.state, kinds)
+        assert not (job.cancel_requested and job.state not in LEASED), (job.state, kinds)
+        return job.state
+
+
+@pytest.fixture
+def context(service_settings: ServiceSettings, sessions: Sessions, tmp_path: Path) -> Context:
+    """A worker's context."""
+    everything = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    settings = WorkerSettings.model_validate(service_settings.model_dump())
+    return Context(settings, sessions, "worker", everything, tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_order_of_transactions_follows_the_table(context: Context, seed: int) -> None:
+    random = Random(seed)
+    world, attempt = World(context), None
+    for _ in range(150):
+        if attempt is None:
+            attempt = world.claim()
+        action = random.choice(
+            ["request", "request", "run", "evaluate", "checkpoint", "look", "shut down", "end", "expire"]
+        )
+        try:
+            if action == "request":
+                world.request(random.choice(REQUESTS))
+            elif action == "expire":
+                world.expire()
+            elif attempt is not None:
+                attempt.do(action, random)
+        except LeaseLostError:
+            attempt = None
+        if attempt is not None and attempt.ended:
+            attempt = None
+        if world.check() is None:
+            world, attempt = World(context), None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_requests_within_milliseconds_of_each_other_follow_the_table(context: Context, seed: int) -> None:
+    """Two users and a worker that does an attempt act at once."""
+    random = Random(seed)
+    world = World(context)
+    plans = [[(random.uniform(0, 0.02), random.choice(REQUESTS)) for _ in range(2)] for _ in range(2)]
+    pauses, ways = [random.uniform(0, 0.02) for _ in range(4)], Random(seed)
+    cancelled = threading.Event()
+
+    def use(plan: list[tuple[float, str]]) -> None:
+        for pause_s, name in plan:
+            time.sleep(pause_s)
+            if world.request(name) and name == "cancel":
+                cancelled.set()
+
+    def work() -> None:
+        attempt = world.claim()
+        if attempt is None:
+            return
+        with contextlib.suppress(LeaseLostError):
+            for action, pause_s in zip(("run", "checkpoint", "look", "end"), pauses, strict=True):
+                time.sleep(pause_s)
+                attempt.do(action, ways)
+
+    with ThreadPoolExecutor(3) as pool:
+        acting = [pool.submit(work), *(pool.submit(use, plan) for plan in plans)]
+    for future in acting:
+        future.result()
+    state = world.check()
+    names = {name for plan in plans for _, name in plan}
+    if cancelled.is_set() and state is not None and not names & {"resume", "retry"}:
+        assert state is WorkState.CANCELLED
+
+
+@pytest.mark.parametrize("how", ENDS)
+def test_a_cancel_that_was_acknowledged_is_kept_however_the_child_ends(context: Context, how: str) -> None:
+    """The request comes after the supervisor's last look."""
+    world = World(context)
+    attempt = world.claim()
+    assert attempt is not None
+    attempt.do("run", Random(0))
+    assert world.request("cancel")
+    attempt.end(how)
+    assert world.check() is WorkState.CANCELLED
