@@ -46,10 +46,10 @@ class Player(Runner):
             self.heading += self.asked[2] * self.cycle_s
 
     def seen(self):
-        names = ("command_forward", "command_sideways", "command_turn", "path_offset", "heading_error")
-        return super().seen() | dict(
-            zip(names, (*self.asked, np.clip(self.offset, -0.5, 0.5), wrapped(self.yaw - self.heading)))
-        )
+        error = self.yaw - self.heading
+        seen = super().seen() | dict(zip(("command_forward", "command_sideways", "command_turn"), self.asked))
+        path = {"line_offset": np.clip(self.offset, -0.5, 0.5)}
+        return seen | path | {"heading_sin": np.sin(error), "heading_cos": np.cos(error)}
 
     def steer(self, target):
         """Turn to a target, and run the faster the better it lies ahead."""

@@ -142,18 +142,18 @@ def test_the_reward_is_for_following_the_command() -> None:
             + 0.4 * (flies & fast)
             + 0.5 * np.exp(-(error[:, 2] ** 2) / TRACKING_SCALE)
             - 2.0 * np.minimum(np.abs(offset), OFFSET_LIMIT_M)
-            - 0.7 * (yaw - heading) ** 2
+            - 0.7 * (1.0 - np.cos(yaw - heading))
             - 0.3 * tilt
         )
         np.testing.assert_allclose(environment.rewards, scale * expected, atol=1e-9)
         names = environment.observer.names
-        seen = {name: environment.observations[:, names.index(name)] for name in names[-5:]}
+        seen = {name: environment.observations[:, names.index(name)] for name in names[-6:]}
         asked = np.stack([seen[f"command_{kind}"] for kind in ("forward", "sideways", "turn")], axis=1)
         np.testing.assert_array_equal(asked, command)
-        np.testing.assert_allclose(seen["path_offset"], np.clip(offset, -OFFSET_LIMIT_M, OFFSET_LIMIT_M), atol=1e-9)
-        np.testing.assert_allclose(seen["heading_error"], yaw - heading, atol=1e-9)
+        np.testing.assert_allclose(seen["line_offset"], np.clip(offset, -OFFSET_LIMIT_M, OFFSET_LIMIT_M), atol=1e-9)
+        np.testing.assert_allclose(seen["heading_sin"], np.sin(yaw - heading), atol=1e-9)
+        np.testing.assert_allclose(seen["heading_cos"], np.cos(yaw - heading), atol=1e-9)
     assert flew
-    assert "heading_sin" not in names  # the direction in the world does not matter
 
 
 def test_a_fall_ends_the_episode_and_the_time_limit_truncates_it() -> None:

@@ -204,7 +204,7 @@ class VelocitySettings(FallSettings):
         default=0.5,
         ge=0.0,
         title="Heading penalty",
-        description="Penalty per step for the squared angle between torso and commanded heading.",
+        description="Penalty per step for 1 - cos of the angle between torso and commanded heading.",
     )
     tilt_penalty: float = Field(
         default=0.2,
@@ -308,12 +308,18 @@ class Velocity(Task):
             lambda rows: self.command[rows],
             signs=(1.0, -1.0, -1.0),
         )
+        # named as in the sprint tasks, so that training can start from a policy that runs straight
         path = ObservationBlock(
-            ("path_offset", "heading_error"),
+            ("line_offset", "heading_sin", "heading_cos"),
             lambda rows: np.stack(
-                [np.clip(self._offset[rows], -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._heading_error[rows]], axis=1
+                [
+                    np.clip(self._offset[rows], -OFFSET_LIMIT_M, OFFSET_LIMIT_M),
+                    np.sin(self._heading_error[rows]),
+                    np.cos(self._heading_error[rows]),
+                ],
+                axis=1,
             ),
-            signs=(-1.0, -1.0),
+            signs=(-1.0, -1.0, 1.0),
         )
         return [*usual, command, path]
 
@@ -344,7 +350,7 @@ class Velocity(Task):
             RewardTerm(
                 "path", -settings.path_penalty, lambda rows: np.minimum(np.abs(self._offset[rows]), OFFSET_LIMIT_M)
             ),
-            RewardTerm("heading", -settings.heading_penalty, lambda rows: np.square(self._heading_error[rows])),
+            RewardTerm("heading", -settings.heading_penalty, lambda rows: 1.0 - np.cos(self._heading_error[rows])),
             RewardTerm("tilt", -settings.tilt_penalty, lambda rows: self._tilt[rows]),
             RewardTerm("fall", -settings.fall_penalty, lambda rows: self._fallen[rows].astype(np.float64)),
             *penalties(self.world, settings),
