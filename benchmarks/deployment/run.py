@@ -203,12 +203,10 @@ def measure_idle(project: Project, seconds: float) -> dict[str, Any]:
 
 def measure_sidecars(project: Project, token: str) -> dict[str, Any]:
     """Return what one server's container takes while a job trains on it."""
-    services = ("sidecar-worker", "sidecar-reaper", "docker-proxy")
-    if not project.has_registry:
-        project.compose("build", "docker-proxy", timeout_s=900)
-    project.compose("build", "simserver", timeout_s=1800)
+    services = ("sidecar-worker", "launcher")
+    project.compose("build", "simserver", "rcssservermj", timeout_s=1800)
     project.compose("up", "--detach", "--no-build", "--wait", *services)
-    flags = ("--simulator", "rcssserver3d", "--n-envs", "2", "--n-steps", "128", "--batch-size", "128")
+    flags = ("--simulator", "server", "--n-envs", "2", "--n-steps", "128", "--batch-size", "128")
     began = time.monotonic()
     job = naoctl(project, token, "submit", *flags, "--steps", "20000", "--no-evaluate", "--json")["id"]
     listing = ["docker", "ps", "--quiet", "--no-trunc", "--filter", f"label=job={job}"]

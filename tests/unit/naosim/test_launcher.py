@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from naosim.launchers import PortLease, ProcessLauncher, docker
@@ -37,7 +35,6 @@ def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> N
     assert options["mem_limit"] == options["memswap_limit"] == "256m"
     assert {host for host, _ in options["ports"].values()} == {"127.0.0.1"}
     assert options["labels"]["job"] == "job_1"
-    assert options["labels"][docker.OWNER_PID] == str(os.getpid())
     inside = container_options(RCSSSERVER3D, ContainerSettings("server:1", network="job_1"))
     assert "ports" not in inside
     assert inside["network"] == "job_1"
@@ -58,35 +55,6 @@ def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:
     assert is_orphan(labels | {docker.OWNER_START: "1"}), "the number belongs to another process now"
     assert not is_orphan(theirs | {docker.OWNER_HOST: "elsewhere"})
     assert not is_orphan(theirs | {docker.OWNER_START: ""})
-
-
-def test_an_owner_elsewhere_is_gone_when_its_container_no_longer_runs() -> None:
-    theirs = {**owner_labels(), docker.OWNER_HOST: "elsewhere/boot", docker.OWNER_CONTAINER: "a" * 64}
-    assert docker._is_left(theirs, {"b" * 64})
-    assert not docker._is_left(theirs, {"a" * 64, "b" * 64})
-    # whoever is on our own host is looked at itself, and whoever names no container cannot be
-    assert not docker._is_left({**theirs, docker.OWNER_HOST: docker.host_name()}, set())
-    assert not docker._is_left({**theirs, docker.OWNER_CONTAINER: ""}, set())
-
-
-def test_a_process_finds_the_container_that_it_runs_in(tmp_path: Path) -> None:
-    mounts = tmp_path / "mountinfo"
-    identifier = "0123456789abcdef" * 4
-    mounts.write_text(
-        "700 690 0:29 / /proc rw,nosuid - proc proc rw\n"
-        f"812 690 254:0 /var/lib/docker/containers/{identifier}/hostname /etc/hostname rw,relatime - ext4 /dev/vda rw\n"
-    )
-    assert docker.own_container(mounts) == identifier
-    mounts.write_text("700 690 254:0 / / rw,relatime - ext4 /dev/vda rw\n")
-    assert docker.own_container(mounts) is None
-    assert docker.own_container(tmp_path / "none") is None
-
-
-def test_an_own_network_is_for_owners_in_a_container(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(docker, "own_container", lambda: None)
-    client = SimpleNamespace(api=None)  # it is not asked
-    with pytest.raises(OSError, match="network: 'own' is for owners that run in a container"):
-        docker.DockerLauncher(RCSSSERVER3D, ContainerSettings("server:1", network="own"), client)
 
 
 @pytest.mark.parametrize(

@@ -59,9 +59,7 @@ def test_a_worker_without_servers_offers_what_it_can_embed(environment: pytest.M
 
 def test_trainings_find_both_servers(environment: pytest.MonkeyPatch) -> None:
     environment.setenv("NAOSPRINT_RCSSSERVERMJ", "docker:naosprint/rcssservermj")
-    environment.setenv("NAOSPRINT_SIMSERVER_NETWORK", "own")
     assert WorkerSettings().server_environment == {  # type: ignore[call-arg]
         "NAOSPRINT_SIMSERVER": "rcssserver3d",
         "NAOSPRINT_RCSSSERVERMJ": "docker:naosprint/rcssservermj",
-        "NAOSPRINT_SIMSERVER_NETWORK": "own",
     }

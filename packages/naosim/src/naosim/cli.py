@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import logging
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -106,21 +104,27 @@ def _serve(arguments: argparse.Namespace) -> int:
 
 
 def _reap(arguments: argparse.Namespace) -> int:
-    from naosim.launchers import Reaper  # the other commands need no engine
+    from naosim.launchers.docker import remove_orphans  # the other commands need no engine
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     try:
-        reaper = Reaper()
+        removed = remove_orphans(min_age_s=arguments.min_age)
     except OSError as error:
         sys.stderr.write(f"naosim: {error}\n")
         return 1
-    if arguments.every is None:
-        _print(f"{reaper.sweep(arguments.min_age)} removed")
-        return 0
-    with contextlib.suppress(KeyboardInterrupt):
-        while True:
-            reaper.sweep(arguments.min_age)
-            time.sleep(arguments.every)
+    _print(f"{removed} removed")
+    return 0
+
+
+def _launcher(arguments: argparse.Namespace) -> int:
+    from naosim import sidecars  # the other commands need no web server
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    images = {"rcssserver3d": arguments.rcssserver3d, "rcssservermj": arguments.rcssservermj}
+    try:
+        sidecars.serve(images, arguments.host, arguments.port)
+    except OSError as error:
+        sys.stderr.write(f"naosim: {error}\n")
+        return 1
     return 0
 
 
@@ -169,14 +173,21 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--script-path", help=argparse.SUPPRESS)  # an option of the real server, ignored here
     serve.add_argument("--quiet", action="store_true", help="log warnings only")
     serve.set_defaults(run=_serve)
-    reap = commands.add_parser(
-        "reap", help="remove server containers and networks on this Docker engine whose owner has died"
-    )
-    reap.add_argument("--every", type=_seconds, metavar="SECONDS", help="repeat at this interval (default: once)")
+    reap = commands.add_parser("reap", help="remove server containers on this Docker engine whose owner has died")
     reap.add_argument(
         "--min-age", type=_seconds, default=30.0, metavar="SECONDS", help="ignore younger ones (default: 30)"
     )
     reap.set_defaults(run=_reap)
+    launcher = commands.add_parser(
+        "launcher",
+        help="start servers' containers for workers, which have no access to the container engine",
+        description="Runs in a container of the engine that DOCKER_HOST names; see docs/how-to/sidecars.md.",
+    )
+    for server in ("rcssserver3d", "rcssservermj"):
+        launcher.add_argument(f"--{server}", required=True, metavar="IMAGE", help=f"image of {server}")
+    launcher.add_argument("--host", default="127.0.0.1", help="address to listen on (default: %(default)s)")
+    launcher.add_argument("--port", type=int, default=2380, help="default: %(default)s")
+    launcher.set_defaults(run=_launcher)
     return parser
 
 

@@ -111,7 +111,7 @@ class Run:
                 "PYTHONUNBUFFERED": "1",
                 OWNER_VARIABLE: str(Owner.current()),
                 **settings.server_environment,
-                LABELS_VARIABLE: f"{self._lease.kind}={self._lease.id},attempt={self._lease.attempt}",
+                LABELS_VARIABLE: f"job={self._lease.id},attempt={self._lease.attempt}",
             },
             cwd=self._workdir,
             log_path=self._workdir / "output.log",

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, Self
 
 from naojobs.retention import Retention
 from naojobs.settings import ServiceSettings
-from naosim.launchers import NETWORK_VARIABLE
 from naosim.mujoco.program import PROGRAM_VARIABLE as RCSSSERVERMJ_VARIABLE
 from naosim.simspark.program import PROGRAM_VARIABLE as RCSSSERVER3D_VARIABLE
 from naospec import plugins
@@ -111,17 +110,13 @@ class WorkerSettings(ServiceSettings):
         "rcssserver3d",
         min_length=1,
         description="Server of the NAO: a program, `embedded` for `naosim serve`, "
-        "or `docker:IMAGE` for a container of that image.",
+        "`docker:IMAGE` for a container of that image, or `launcher:http://HOST:PORT` for one that a launcher service "
+        "starts.",
     )
     rcssservermj: str = Field(
         "",
-        description="Server of T1 and K1: a program, or `docker:IMAGE` for a container of that image; "
+        description="Server of T1 and K1: a program, `docker:IMAGE` or `launcher:http://HOST:PORT`; "
         "left out: the server of the installed package rcsssmj.",
-    )
-    simserver_network: str | None = Field(
-        None,
-        description="Docker network of those containers, or `own` for a separate one for each job if the worker is a "
-        "container; left out: their ports are on the loopback only.",
     )
     worker_nice: int = Field(5, ge=0, le=19, description="Niceness of trainings, so that services stay responsive.")
 
@@ -171,7 +166,6 @@ class WorkerSettings(ServiceSettings):
         return {
             RCSSSERVER3D_VARIABLE: self.simserver,
             RCSSSERVERMJ_VARIABLE: self.rcssservermj,
-            NETWORK_VARIABLE: self.simserver_network or "",
         }
 
     @property

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from naosim.launchers.docker import ContainerSettings, DockerLauncher, Reaper
+from naosim.launchers.docker import ContainerSettings, DockerLauncher
 from naosim.launchers.environment import (
     LABELS_VARIABLE,
-    NETWORK_VARIABLE,
     launcher_from_environment,
     missing_program,
     most_servers,
@@ -14,10 +13,10 @@ from naosim.launchers.environment import (
 )
 from naosim.launchers.process import PortLease, ProcessLauncher
 from naosim.launchers.server import Address, Launcher, LauncherUnavailableError, ServerHandle, ServerProgram
+from naosim.launchers.sidecar import SidecarLauncher
 
 __all__ = [
     "LABELS_VARIABLE",
-    "NETWORK_VARIABLE",
     "Address",
     "ContainerSettings",
     "DockerLauncher",
@@ -25,9 +24,9 @@ __all__ = [
     "LauncherUnavailableError",
     "PortLease",
     "ProcessLauncher",
-    "Reaper",
     "ServerHandle",
     "ServerProgram",
+    "SidecarLauncher",
     "launcher_from_environment",
     "missing_program",
     "most_servers",

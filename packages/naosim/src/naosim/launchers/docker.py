@@ -1,11 +1,10 @@
-"""Servers as containers beside a worker, and the removal of those whose owner has died.
+"""Servers as containers that publish their ports on the loopback, and the removal of those whose owner has died.
 
 Labels of every container identify its owner: host, process and the moment that process started, because process ids are
-reused, and the container that the owner runs in, if any. Only proven orphans are removed: the owner was a process of
-this host and is gone, or the owner's whole container no longer runs.
+reused. Only proven orphans are removed: the owner was a process of this host and is gone.
 
-Requests to the engine use names, and all names begin with PREFIX, so that a filter in front of the engine can refuse
-everything else (deploy/docker-proxy).
+This is for owners that may use the container engine. A worker in a container may not: it asks the launcher service
+(:mod:`naosim.sidecars`), which builds its containers with :func:`create_server`, too.
 """
 
 from __future__ import annotations
@@ -14,15 +13,11 @@ import contextlib
 import importlib
 import logging
 import os
-import re
 import secrets
 import socket
-import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +27,8 @@ logger = logging.getLogger(__name__)
 
 LABEL = "naosim.server"
 OWNER_HOST, OWNER_PID, OWNER_START = "naosim.owner.host", "naosim.owner.pid", "naosim.owner.start"
-OWNER_CONTAINER = "naosim.owner.container"
 PREFIX = "naosim-"
-OWN_NETWORK = "own"
-"""Network name that stands for the launcher's own network, which it creates and removes with its last server."""
 _STOP_S = 2
-
-
-#: Statuses of a proxy whose engine does not answer.
-_AWAY = (502, 503, 504)
 
 
 @dataclass(frozen=True)
@@ -49,13 +37,12 @@ class ContainerSettings:
 
     image: str
     labels: Mapping[str, str] = field(default_factory=dict)
-    """Labels besides the owner's, for example job and attempt."""
+    """For example job and attempt."""
     memory: str = "512m"
     cpus: float = 1.0
     pids: int = 64
     network: str | None = None
-    """Network that the caller is connected to, or :data:`OWN_NETWORK` for a caller in a container.
-    None publishes the ports on this machine's loopback only."""
+    """Name of the container's network; without one its ports are published on this machine's loopback alone."""
 
     def __post_init__(self) -> None:
         if not self.image:
@@ -68,18 +55,7 @@ class ContainerSettings:
 
 def owner_labels() -> dict[str, str]:
     """Return labels that identify this process."""
-    labels = {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
-    container = own_container()
-    return labels if container is None else {**labels, OWNER_CONTAINER: container}
-
-
-def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
-    """Return the id of the Docker container that this process runs in, None outside of one."""
-    with contextlib.suppress(OSError):
-        # the engine mounts the container's own /etc/hostname out of a folder that is named after the container
-        if found := re.search(r"/containers/([0-9a-f]{64})/hostname /etc/hostname ", mounts.read_text()):
-            return found[1]
-    return None
+    return {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
 
 
 def host_name() -> str:
@@ -113,7 +89,7 @@ def container_options(program: ServerProgram, settings: ContainerSettings) -> di
         "command": program.container_command(),
         "detach": True,
         "init": True,
-        "labels": {**settings.labels, LABEL: "1", **owner_labels()},
+        "labels": {**settings.labels, LABEL: "1"},
         "mem_limit": settings.memory,
         "memswap_limit": settings.memory,
         "nano_cpus": int(settings.cpus * 1e9),
@@ -141,23 +117,13 @@ class DockerLauncher:
         client: a `docker.DockerClient`; default: one from the environment.
 
     Raises:
-        OSError: the Docker SDK is not installed, no engine answers, or :data:`OWN_NETWORK` is requested outside a
-            container.
+        OSError: the Docker SDK is not installed, or no engine answers.
     """
 
     def __init__(self, program: ServerProgram, settings: ContainerSettings, client: Any = None) -> None:
         self._program = program
-        self._settings = settings
+        self._settings = replace(settings, labels={**settings.labels, **owner_labels()})
         self._api: Any = (client if client is not None else connect()).api
-        self._network = None
-        if settings.network == OWN_NETWORK:
-            container = own_container()
-            if container is None:
-                raise OSError(
-                    f"network: {OWN_NETWORK!r} is for owners that run in a container; leave it out to have the ports "
-                    "published on the loopback"
-                )
-            self._network = _OwnNetwork(self._api, settings, container)
 
     def start(self) -> ServerHandle:
         """Start a container; the server in it may not listen yet.
@@ -165,190 +131,122 @@ class DockerLauncher:
         Raises:
             OSError: it cannot be started.
         """
-        network = self._settings.network if self._network is None else self._network.enter()
-        name = PREFIX + secrets.token_hex(6)
-        try:
-            with _engine_errors():
-                _create(self._api, name, self._program, replace(self._settings, network=network))
-                try:
-                    self._api.start(name)
-                    address = _address(self._api, name, self._program, network)
-                    return _ServerContainer(self._api, name, address, self._network)
-                except BaseException:
-                    with contextlib.suppress(OSError), _engine_errors():
-                        self._api.remove_container(name, force=True, v=True)
-                    raise
-        except BaseException:
-            if self._network is not None:
-                self._network.leave()
-            raise
-
-    def reap(self, min_age_s: float = 30.0) -> int:
-        """Remove containers, and their networks, whose owner has died; return how many. Errors are logged."""
-        return Reaper(self._api).sweep(min_age_s)
+        name = new_name()
+        with engine_errors():
+            create_server(self._api, name, self._program, self._settings)
+            try:
+                return _ServerContainer(self._api, name, _published(self._api, name, self._program))
+            except BaseException:
+                remove_server(self._api, name)
+                raise
 
 
-class Reaper:
-    """Removal of containers and networks whose owner has died.
+def remove_orphans(api: Any = None, min_age_s: float = 30.0) -> int:
+    """Remove server containers whose owner was a process of this host and is gone; return how many. Errors are logged.
 
     Args:
         api: a `docker.APIClient`; default: one from the environment.
+        min_age_s: younger containers are kept.
 
     Raises:
         OSError: the Docker SDK is not installed, or no engine answers.
     """
-
-    def __init__(self, api: Any = None) -> None:
-        self._api: Any = api if api is not None else connect().api
-
-    def sweep(self, min_age_s: float = 30.0) -> int:
-        """Remove containers, and their networks, whose owner has died; return how many. Errors are logged."""
-        ours = {"label": f"{LABEL}=1"}
-        try:
-            with _engine_errors():
-                containers = self._api.containers(all=True, filters=ours)
-                networks = self._api.networks(filters=ours)
-                running = {one["Id"] for one in self._api.containers()} if containers or networks else set()
-        except OSError as error:
-            logger.warning("orphaned servers: %s", error)
-            return 0
-        removed = 0
-        for one in containers:
-            name = one["Names"][0].lstrip("/") if one.get("Names") else ""
-            if _is_left(one["Labels"], running) and time.time() - one["Created"] >= min_age_s:
-                removed += self._remove("container", name, partial(self._api.remove_container, force=True, v=True))
-        for one in networks:
-            if _is_left(one["Labels"], running) and _age_s(one) >= min_age_s:
-                owner = one["Labels"].get(OWNER_CONTAINER)
-                removed += self._remove("network", one["Name"], partial(_remove_network, self._api, owner=owner))
-        return removed
-
-    def _remove(self, what: str, name: str, remove: Callable[[str], None]) -> bool:
-        try:
-            with _engine_errors():
-                remove(name)
-        except OSError as error:
-            logger.warning("orphaned %s %s: %s", what, name, error)
-            return False
-        logger.info("removed orphaned %s %s", what, name)
-        return True
+    api = api if api is not None else connect().api
+    removed = 0
+    try:
+        with engine_errors():
+            for one in api.containers(all=True, filters={"label": f"{LABEL}=1"}):
+                if is_orphan(one["Labels"]) and time.time() - one["Created"] >= min_age_s:
+                    api.remove_container(one["Id"], force=True, v=True)
+                    logger.info("removed orphaned container %s", one["Id"][:12])
+                    removed += 1
+    except OSError as error:
+        logger.warning("orphaned servers: %s", error)
+    return removed
 
 
-class _OwnNetwork:
-    """Internal network of one launcher; it exists as long as a server uses it."""
-
-    def __init__(self, api: Any, settings: ContainerSettings, container: str) -> None:
-        self._api = api
-        self._settings = settings
-        self._container = container
-        self._lock = threading.Lock()
-        self._name = ""
-        self._servers = 0
-
-    def enter(self) -> str:
-        """Add a server, creating the network for the first; return the network's name."""
-        with self._lock:
-            if self._servers == 0:
-                name = PREFIX + secrets.token_hex(6)
-                labels = {**self._settings.labels, LABEL: "1", **owner_labels()}
-                with _engine_errors():
-                    self._api.create_network(name, driver="bridge", internal=True, labels=labels)
-                    try:
-                        self._api.connect_container_to_network(self._container, name)
-                    except BaseException:
-                        self._api.remove_network(name)
-                        raise
-                self._name = name
-            self._servers += 1
-            return self._name
-
-    def leave(self) -> None:
-        """Remove a server, and the network with the last."""
-        with self._lock:
-            self._servers -= 1
-            if self._servers == 0:
-                try:
-                    with _engine_errors():
-                        _remove_network(self._api, self._name, self._container)
-                except OSError as error:
-                    logger.warning("network %s: %s", self._name, error)
+def new_name() -> str:
+    """Return a name for a container or a network that cannot be guessed."""
+    return PREFIX + secrets.token_hex(16)
 
 
-def _remove_network(api: Any, name: str, owner: str | None) -> None:
-    """Disconnect all containers from a network and remove it; ``owner`` is the container that created it."""
-    found = api.inspect_network(name)
-    # a container that has stopped is not listed, but would not start again without the network
-    for container in {*(found.get("Containers") or {}), *((owner,) if owner else ())}:
-        with contextlib.suppress(OSError), _engine_errors():
-            api.disconnect_container_from_network(container, name, force=True)
-    api.remove_network(name)
+def create_server(api: Any, name: str, program: ServerProgram, settings: ContainerSettings) -> None:
+    """Create and start the container of a server; nothing of it is left if that fails.
 
-
-def _is_left(labels: Mapping[str, str], running: Collection[str]) -> bool:
-    """Return whether the owner that labels name is gone; ``running`` are the ids of all running containers."""
-    if is_orphan(labels):
-        return True
-    container = labels.get(OWNER_CONTAINER)
-    # an owner on this host is checked directly, see `is_orphan`
-    return bool(container) and labels.get(OWNER_HOST) != host_name() and container not in running
-
-
-def _create(api: Any, name: str, program: ServerProgram, settings: ContainerSettings) -> None:
+    Raises:
+        docker.errors.DockerException: the engine refuses.
+    """
     options = container_options(program, settings)
     image, command, labels = options.pop("image"), options.pop("command"), options.pop("labels")
     network, ports = options.pop("network", None), options.pop("ports", None)
-    options.pop("detach")
     api.create_container(
         image,
         command,
+        detach=options.pop("detach"),
         name=name,
         labels=labels,
         ports=None if ports is None else [port.partition("/")[0] for port in ports],
         host_config=api.create_host_config(network_mode=network, port_bindings=ports, **options),
     )
+    try:
+        api.start(name)
+    except BaseException:
+        remove_server(api, name)
+        raise
+
+
+def describe_server(api: Any, name: str) -> str:
+    """Return a container's state and the end of its log."""
+    try:
+        with engine_errors():
+            state = api.inspect_container(name)["State"]
+            words = " ".join(api.logs(name, tail=5).decode(errors="replace").split())[-400:]
+    except OSError as error:
+        return f"container {name}: {error}"
+    killed = ", out of memory" if state.get("OOMKilled") else ""
+    return f"container {name}, {state['Status']}, exit code {state.get('ExitCode')}{killed}: {words}"
+
+
+def server_runs(api: Any, name: str) -> bool:
+    """Return whether a container runs."""
+    try:
+        with engine_errors():
+            return bool(api.inspect_container(name)["State"]["Running"])
+    except OSError:
+        return False
+
+
+def remove_server(api: Any, name: str) -> None:
+    """Stop and remove a container; errors are logged."""
+    try:
+        with engine_errors():
+            api.stop(name, timeout=_STOP_S)
+    except OSError as error:
+        logger.info("container %s: %s", name, error)
+    with contextlib.suppress(OSError), engine_errors():
+        api.remove_container(name, force=True, v=True)
 
 
 class _ServerContainer:
     """One server's container."""
 
-    def __init__(self, api: Any, name: str, address: Address, network: _OwnNetwork | None) -> None:
+    def __init__(self, api: Any, name: str, address: Address) -> None:
         self.address = address
         self._api = api
         self._name = name
-        self._network = network
 
     def alive(self) -> bool:
-        try:
-            with _engine_errors():
-                return bool(self._api.inspect_container(self._name)["State"]["Running"])
-        except OSError:
-            return False
+        return server_runs(self._api, self._name)
 
     def owns(self, port: int) -> bool:
         # the engine has given this port to this container
         return port in (self.address.agent_port, self.address.monitor_port)
 
     def describe(self) -> str:
-        try:
-            with _engine_errors():
-                state = self._api.inspect_container(self._name)["State"]
-                words = " ".join(self._api.logs(self._name, tail=5).decode(errors="replace").split())[-400:]
-        except OSError as error:
-            return f"container {self._name}: {error}"
-        killed = ", out of memory" if state.get("OOMKilled") else ""
-        return f"container {self._name}, {state['Status']}, exit code {state.get('ExitCode')}{killed}: {words}"
+        return describe_server(self._api, self._name)
 
     def stop(self) -> None:
-        try:
-            with _engine_errors():
-                self._api.stop(self._name, timeout=_STOP_S)
-        except OSError as error:
-            logger.info("container %s: %s", self._name, error)
-        with contextlib.suppress(OSError), _engine_errors():
-            self._api.remove_container(self._name, force=True, v=True)
-        if self._network is not None:
-            self._network.leave()
-            self._network = None
+        remove_server(self._api, self._name)
 
 
 def connect() -> Any:
@@ -361,15 +259,13 @@ def connect() -> Any:
         docker = importlib.import_module("docker")
     except ImportError as error:
         raise OSError("the Docker SDK is not installed: pip install docker") from error
-    with _engine_errors():
+    with engine_errors():
         client = docker.from_env()
         client.ping()
         return client
 
 
-def _address(api: Any, name: str, program: ServerProgram, network: str | None) -> Address:
-    if network is not None:
-        return Address(name, program.agent_port, program.monitor_port)
+def _published(api: Any, name: str, program: ServerProgram) -> Address:
     status = ""
     for _ in range(50):
         found = api.inspect_container(name)
@@ -384,26 +280,17 @@ def _address(api: Any, name: str, program: ServerProgram, network: str | None) -
     raise OSError(f"container {name} has no published ports ({status})")
 
 
-def _age_s(network: Mapping[str, Any]) -> float:
-    """Return a network's age in seconds; 0 if the engine does not report it."""
-    created = str(network.get("Created", ""))
-    with contextlib.suppress(ValueError):
-        # nanoseconds are more than Python's fractions
-        return time.time() - datetime.fromisoformat(re.sub(r"\.(\d{6})\d*", r".\1", created)).timestamp()
-    return 0.0
-
-
 @contextlib.contextmanager
-def _engine_errors() -> Iterator[None]:
-    """Convert the SDK's errors to OSError, or LauncherUnavailableError if the engine does not answer."""
+def engine_errors() -> Iterator[None]:
+    """Turn the SDK's errors into OSError, which every launcher raises, and those of an engine that does not answer."""
     try:
         yield
     except Exception as error:
         module = type(error).__module__.partition(".")[0]
         if module not in ("docker", "requests", "urllib3"):
             raise
-        # Errors of the engine have a status, connection errors have none; a proxy answers for an unavailable engine.
-        status = getattr(error, "status_code", None)
-        unreached = module != "docker" or type(error).__name__ == "DockerException"
-        away = unreached if status is None else status in _AWAY
+        # Errors of the engine have a status, those of the way to it none.
+        away = getattr(error, "status_code", None) is None and (
+            module != "docker" or type(error).__name__ == "DockerException"
+        )
         raise (LauncherUnavailableError if away else OSError)(f"Docker: {error}") from error

@@ -9,17 +9,16 @@ import os
 import shutil
 from collections.abc import Callable, Mapping
 
-from naosim.launchers.docker import ContainerSettings, DockerLauncher, Reaper
+from naosim.launchers.docker import ContainerSettings, DockerLauncher, remove_orphans
 from naosim.launchers.process import ProcessLauncher
 from naosim.launchers.server import Launcher, ServerProgram
-
-NETWORK_VARIABLE = "NAOSPRINT_SIMSERVER_NETWORK"
-"""Docker network of the containers; without it they publish their ports on the loopback."""
+from naosim.launchers.sidecar import SidecarLauncher
 
 LABELS_VARIABLE = "NAOSPRINT_SIMSERVER_LABELS"
-"""Labels of the containers, ``key=value,key=value``, for example of the job they serve."""
+"""Job and attempt that containers serve, ``job=ID,attempt=NUMBER``; they become labels."""
 
 DOCKER_PREFIX = "docker:"
+SERVICE_PREFIX = "launcher:"
 EMBEDDED = "embedded"
 
 SERVERS_PER_CORE = 4
@@ -32,8 +31,8 @@ def launcher_from_environment(
     """Return the launcher of the program that an environment variable names.
 
     Args:
-        variable: name of the variable. Its value is a program's name or path, ``docker:IMAGE``, or ``embedded``.
-            Without it the program's own name is looked up.
+        variable: name of the variable. Its value is a program's name or path, ``docker:IMAGE``, ``launcher:URL`` of a
+            launcher service, or ``embedded``. Without it the program's own name is looked up.
         program: the kind of server.
         embedded: returns the launcher that ``embedded`` stands for.
 
@@ -49,8 +48,13 @@ def launcher_from_environment(
         image = value.removeprefix(DOCKER_PREFIX)
         if not image:
             raise ValueError(f"{variable}: name the image after '{DOCKER_PREFIX}'")
-        network = os.environ.get(NETWORK_VARIABLE) or None
-        return DockerLauncher(program, ContainerSettings(image, labels=_labels(), network=network))
+        return DockerLauncher(program, ContainerSettings(image, labels=_labels()))
+    if value.startswith(SERVICE_PREFIX):
+        labels = _labels()
+        job, attempt = labels.get("job", ""), labels.get("attempt", "")
+        if not job or not attempt.isdecimal():
+            raise ValueError(f"{LABELS_VARIABLE}: a launcher service needs job=ID,attempt=NUMBER")
+        return SidecarLauncher(program, value.removeprefix(SERVICE_PREFIX), job, int(attempt))
     try:
         return ProcessLauncher(program, (value,))
     except FileNotFoundError:
@@ -75,7 +79,7 @@ def missing_program(
         embedded: whether ``embedded`` stands for a server.
     """
     value = environment.get(variable) or program.name
-    known = value.startswith(DOCKER_PREFIX) or (embedded and value == EMBEDDED)
+    known = value.startswith((DOCKER_PREFIX, SERVICE_PREFIX)) or (embedded and value == EMBEDDED)
     if known or shutil.which(value) is not None:
         return ""
     return f"{variable}: there is no program {value!r}"
@@ -100,7 +104,7 @@ def reap_servers(*programs: str) -> int:
     Raises:
         OSError: if no Docker engine answers.
     """
-    return Reaper().sweep() if any(program.startswith(DOCKER_PREFIX) for program in programs) else 0
+    return remove_orphans() if any(program.startswith(DOCKER_PREFIX) for program in programs) else 0
 
 
 def most_servers() -> int:
