@@ -115,6 +115,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
             "NAOSPRINT_API_PORT": str(port),
             "NAOSPRINT_WORKER_DIR": str(base / "worker"),
             "NAOSPRINT_WORKER_POLL_S": "0.1",
+            "NAOSPRINT_WORKER_CHECKPOINT_S": "0",
             "NAOSPRINT_WORKER_FLUSH_S": "0.1",
             "NAOSPRINT_WORKER_CLAIM_S": "1",
             "NAOSPRINT_WORKER_CONCURRENCY": "2",  # one slot trains while the other lets a checkpoint run

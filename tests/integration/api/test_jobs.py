@@ -398,3 +398,39 @@ def test_a_queued_job_tells_why_no_worker_can_take_it(client: httpx.Client, sess
     assert other["waiting_reason"] is None
     assert client.post(f"/jobs/{job_id}/cancel").json()["waiting_reason"] is None
     registry.leave(sessions, "w")
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "field"),
+    [
+        ("/jobs", '{"spec": {"seed": %s}}', "spec.seed"),
+        ("/jobs", '{"spec": {"algorithm": {"gamma": %s}}}', "spec.algorithm.gamma"),
+        ("/jobs", '{"priority": %s}', "priority"),
+        ("/groups", '{"job": {}, "seeds": [%s]}', "seeds.0"),
+        ("/groups", '{"job": {}, "grid": {"learning_rate": [0.001, %s]}}', "grid.learning_rate.1"),
+    ],
+)
+@pytest.mark.parametrize("value", ["1" + "0" * 400, "1" + "0" * 5000, '"\\ud800"', "NaN", "1e999"], ids=range(5))
+def test_values_that_nothing_can_hold_are_refused(
+    client: httpx.Client, path: str, body: str, field: str, value: str
+) -> None:
+    answer = client.post(path, content=body % value, headers={"Content-Type": "application/json"})
+    document = problem(answer, 422)
+    # a number of more than 4300 digits is no JSON for Python
+    assert document["errors"][0]["field"] == ("body" if len(value) > 4300 else field)
+
+
+@pytest.mark.parametrize("body", ['{"name": "\\udfff"}', '{"tags": ["\\ud83d"]}', '{"\\ud800": 1}'])
+def test_half_a_surrogate_pair_is_refused(client: httpx.Client, body: str) -> None:
+    problem(client.post("/jobs", content=body, headers={"Content-Type": "application/json"}), 422)
+
+
+def test_nonsense_is_refused_before_it_trains(client: httpx.Client) -> None:
+    for name, section, value in (("learning_rate", "algorithm", 1.0), ("reward_scale", "task", 1e30)):
+        document = problem(
+            client.post(
+                "/jobs", json={"spec": {section: {"name": "ppo" if section == "algorithm" else "sprint1", name: value}}}
+            ),
+            422,
+        )
+        assert document["errors"][0]["field"] == f"spec.{section}.{name}"

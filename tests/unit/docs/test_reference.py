@@ -172,6 +172,6 @@ def _literals(value: ast.expr) -> list[ast.expr]:
 
 def test_a_table_says_all_that_a_schema_allows(pages: dict[str, Any]) -> None:
     page = pages["specification.md"]
-    assert "| `batch_size` | whole number ≥ 2 | `2048` |" in page
-    assert "| `target_kl` | number > 0 or null |" in page
+    assert "| `batch_size` | whole number ≥ 2, ≤ 4,194,304 | `2048` |" in page
+    assert "| `target_kl` | number > 0, ≤ 10 or null |" in page
     assert "one of `minibatch`" not in page and "`minibatch`, `rollout`, `none`" in page

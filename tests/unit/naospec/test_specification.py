@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, needs, plugins, presets, validation_words
 from naospec.flat import MOVED, nest, settings
+from naospec.sections import variants
 from pydantic import ValidationError
 
 
@@ -315,3 +317,32 @@ def test_evaluations_refuse_what_does_not_exist() -> None:
         with pytest.raises(ValidationError, match=words):
             EvaluationSpec.model_validate(content)
     assert EvaluationSpec().episodes == 1000
+
+
+def _numbers(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the numbers of a settings model, with their schema."""
+    for name, field in schema["properties"].items():
+        for option in (field, *field.get("anyOf", ())):
+            if option.get("type") in ("number", "integer") and not {"enum", "const"} & option.keys():
+                yield name, option
+
+
+@pytest.mark.parametrize("group", [plugins.TASKS, plugins.ROBOTS, plugins.SIMULATORS, plugins.LEARNERS])
+def test_every_number_has_bounds(group: str) -> None:
+    """A value out of all reason is refused before it trains."""
+    unbounded = {
+        f"{plugin}.{name}"
+        for plugin, model, _ in variants(group)
+        for name, option in _numbers(model.model_json_schema())
+        if not ({"minimum", "exclusiveMinimum"} & option.keys() and {"maximum", "exclusiveMaximum"} & option.keys())
+    }
+    assert not unbounded
+
+
+@pytest.mark.parametrize(
+    "settings", [{"learning_rate": 1.0}, {"reward_scale": 1e30}, {"reward_scale": 1e-30}, {"torque_penalty": 1e9}]
+)
+def test_nonsense_is_refused_with_the_field(settings: dict[str, float]) -> None:
+    (name,) = settings
+    with pytest.raises(ValidationError, match=name):
+        spec_of(**settings)

@@ -33,12 +33,14 @@ class TaskSettings(Section):
     version: int | None = Field(
         default=None,
         ge=1,
+        le=1_000_000,
         title="Task version",
         description="Version of the task; left out: the installed one.",
     )
     reward_scale: float = Field(
         default=100.0,
-        gt=0.0,
+        ge=1e-6,
+        le=1e6,
         title="Reward scale",
         description="Factor of the sum of all reward terms.",
     )

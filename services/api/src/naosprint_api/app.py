@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -15,6 +15,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import ASGIApp
 
 from naosprint_api import __version__, problems
+from naosprint_api.dependencies import storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
 from naosprint_api.routes import artifacts, catalog, jobs, policies, streams, system, tokens
@@ -48,6 +49,7 @@ def create_app(service: Service) -> FastAPI:
         redoc_url=None,
         openapi_url="/openapi.json" if service.settings.api_docs_public else None,
         redirect_slashes=False,
+        dependencies=[Depends(storable_body)],
     )
     app.state.service = service
     # Streams come before jobs: /jobs/stream is no job's id.

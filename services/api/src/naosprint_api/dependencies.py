@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable
 from functools import partial
-from math import ceil
+from math import ceil, isfinite
 from typing import Annotated, cast
 
 from fastapi import Depends, Header, Path, Query, Request, Security
@@ -40,6 +40,39 @@ async def _service(request: Request) -> Service:
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+async def storable_body(request: Request) -> None:
+    """Refuse a JSON body with values that JSON allows, but no column of the database holds.
+
+    Raises ProblemError for a number beyond 64 bits, one that is not finite, and text with half of a surrogate pair.
+    """
+    if request.method not in {"POST", "PUT", "PATCH"} or not await request.body():
+        return
+    try:
+        waiting = [("", await request.json())]
+    except (ValueError, RecursionError):
+        return  # the framework has refused it, or the route does not read JSON
+    while waiting:
+        path, value = waiting.pop()
+        if isinstance(value, dict):
+            waiting += [(f"{path}.{name}", part) for name, value in value.items() for part in (name, value)]
+        elif isinstance(value, list):
+            waiting += [(f"{path}.{number}", part) for number, part in enumerate(value)]
+        elif problem := _unstorable(value):
+            field = path.lstrip(".").encode(errors="replace").decode() or "body"
+            raise ProblemError(422, f"{field}: {problem}", [FieldError(field=field, message=problem)])
+
+
+def _unstorable(value: object) -> str:
+    """Return why a value cannot be stored; empty if it can."""
+    if isinstance(value, int) and not -MAX_BIGINT <= value <= MAX_BIGINT:
+        return "the number is beyond 64 bits; use a smaller one"
+    if isinstance(value, float) and not isfinite(value):
+        return "the number is not finite; use a finite one"
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        return "the text has half of a surrogate pair; send whole characters"
+    return ""
 
 
 def _caller(request: Request) -> str:

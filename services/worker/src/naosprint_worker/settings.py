@@ -79,6 +79,12 @@ class WorkerSettings(ServiceSettings):
         description="MiB of checkpoints of one training that may wait on worker_dir's disk for an unavailable store; "
         "beyond it the training waits until the store is back.",
     )
+    worker_checkpoint_s: float = Field(
+        10.0,
+        ge=0,
+        le=86_400,
+        description="Minimum number of seconds between two checkpoints of a training.",
+    )
     worker_flush_s: float = Field(1.0, gt=0, le=60, description="Seconds of metrics and logs in one write.")
     worker_memory_mb: int | None = Field(
         None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."

@@ -137,6 +137,7 @@ class Attempt:
             resume=start.folder if start else None,
             initial_policy=initial,
             stop=lambda: services.step() or self._recorder.failed,
+            min_checkpoint_s=services.settings.worker_checkpoint_s,
         )
         if result.status == "stopped":
             return self._stopped(result.steps)

@@ -38,6 +38,13 @@ def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, r
         assert all(isinstance(value, float) and math.isfinite(value) for value in row.values())
 
 
+def test_checkpoints_keep_their_distance_in_seconds(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """An interval of one update does not fill a disk; the end is saved in any case."""
+    spec = make_spec(total_steps=2000, n_steps=64, checkpoint_interval_steps=1)
+    train(spec, workdir=tmp_path, reporter=recorder, min_checkpoint_s=3600)
+    assert [step for _, step in recorder.checkpoints] == [0, 2048]
+
+
 def test_metrics_without_a_value_are_left_out(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
     """Before the first episode ends there is no distance."""
     train(make_spec(n_envs=2, n_steps=4, batch_size=8, total_steps=8), workdir=tmp_path, reporter=recorder)

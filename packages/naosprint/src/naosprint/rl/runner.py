@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -74,6 +75,7 @@ def train(
     resume: Path | None = None,
     initial_policy: Path | None = None,
     stop: Callable[[], bool] = lambda: False,
+    min_checkpoint_s: float = 0.0,
 ) -> TrainResult:
     """Train a policy and write checkpoints to ``workdir``.
 
@@ -87,6 +89,8 @@ def train(
         initial_policy: checkpoint whose weights and observation statistics to start from; everything else is new.
         stop: called between steps; once it returns true, the training saves a checkpoint of the last complete update
             and returns. The unfinished rollout is discarded.
+        min_checkpoint_s: seconds between two checkpoints, however short the interval in steps is; those at the end of a
+            stage and when the training stops are always saved.
 
     Returns:
         How it ended.
@@ -117,7 +121,7 @@ def train(
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
     result = None
     while stage < len(spec.stage_specs):
-        result = _train_stage(spec, stage, progress, workdir, reporter, resume, initial_policy, stop)
+        result = _train_stage(spec, stage, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s)
         if result.status == "stopped":
             return result
         stage, resume, initial_policy = stage + 1, None, result.checkpoint
@@ -134,10 +138,11 @@ def _train_stage(
     resume: Path | None,
     initial_policy: Path | None,
     stop: Callable[[], bool],
+    min_checkpoint_s: float,
 ) -> TrainResult:
     inner, n_starts = open_training_environment(spec.stage_specs[stage])
     try:
-        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter)
+        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter, min_checkpoint_s)
         if resume is not None:
             session.resume(resume)
         else:
@@ -161,6 +166,7 @@ class _Session:
         n_starts: int,
         workdir: Path,
         reporter: Reporter,
+        min_checkpoint_s: float = 0.0,
     ) -> None:
         self.whole = whole
         self.spec = spec = whole.stage_specs[stage]
@@ -174,6 +180,8 @@ class _Session:
         ]
         self._workdir = workdir
         self._reporter = reporter
+        self._min_checkpoint_s = min_checkpoint_s
+        self._saved_at = -inf
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
         # the last checkpoint of the stage before is also the state in which this one begins
         border = stage > 0 and (workdir / _name(self.first_step)).exists()
@@ -228,7 +236,9 @@ class _Session:
                 }
                 self._report(metrics, pace)
                 interval = spec.runtime.checkpoint_interval_steps
-                if self.steps // interval > before.steps // interval or self.steps >= end:
+                saved = began_steps if self._saved_step is None else self._saved_step
+                due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
+                if due or self.steps >= end:
                     checkpoint = self._save(self._state())
                     self._log(f"checkpoint at {self.steps:,} steps: {self._means()}")
         if self._saved_step != self.steps:
@@ -344,6 +354,7 @@ class _Session:
         if self._saved_step != state.steps:
             save_checkpoint(path, self.whole, state)
             self._saved_step = state.steps
+            self._saved_at = perf_counter()
             self._reporter.checkpoint(path, state.steps)
         return path
 

@@ -24,6 +24,7 @@ class PPOSettings(LearnerSettings):
     batch_size: int = Field(
         default=_fast("batch_size"),
         ge=2,
+        le=MAX_ROLLOUT_STEPS,
         title="Minibatch size",
         description="Samples per gradient step; must divide n_envs * n_steps.",
         json_schema_extra={"unit": "samples"},
@@ -32,7 +33,7 @@ class PPOSettings(LearnerSettings):
         default=_fast("n_epochs"), ge=1, le=1000, title="Epochs", description="Passes over each rollout per update."
     )
     learning_rate: float = Field(
-        default=_fast("learning_rate"), gt=0.0, le=1.0, title="Learning rate", description="Step size of Adam."
+        default=_fast("learning_rate"), gt=0.0, le=0.1, title="Learning rate", description="Step size of Adam."
     )
     learning_rate_schedule: Literal["constant", "linear", "adaptive"] = Field(
         default=_fast("learning_rate_schedule"),
@@ -49,12 +50,14 @@ class PPOSettings(LearnerSettings):
     target_kl: float | None = Field(
         default=_fast("target_kl"),
         gt=0.0,
+        le=10.0,
         title="Target KL",
         description="End an update early when the approximate KL divergence exceeds 1.5 times this; null: never.",
     )
     target_kl_final: float | None = Field(
         default=_fast("target_kl_final"),
         gt=0.0,
+        le=10.0,
         title="Final target KL",
         description="Target KL at the end of the training, approached linearly over total_steps; null: no change.",
     )
@@ -69,7 +72,11 @@ class PPOSettings(LearnerSettings):
         description="If set, the discount factor from gamma_steps on.",
     )
     gamma_steps: int = Field(
-        default=_fast("gamma_steps"), ge=0, title="Discount steps", description="Steps after which final_gamma holds."
+        default=_fast("gamma_steps"),
+        ge=0,
+        le=10_000_000_000,
+        title="Discount steps",
+        description="Steps after which final_gamma holds.",
     )
     gae_lambda: float = Field(
         default=_fast("gae_lambda"), ge=0.0, le=1.0, title="GAE lambda", description="Lambda of the advantage estimate."
@@ -77,18 +84,21 @@ class PPOSettings(LearnerSettings):
     entropy_coefficient: float = Field(
         default=_fast("entropy_coefficient"),
         ge=0.0,
+        le=10.0,
         title="Entropy coefficient",
         description="Weight of the entropy bonus in the loss.",
     )
     value_coefficient: float = Field(
         default=_fast("value_coefficient"),
         ge=0.0,
+        le=1000.0,
         title="Value coefficient",
         description="Weight of the value loss in the loss.",
     )
     max_grad_norm: float | None = Field(
         default=_fast("max_grad_norm"),
         gt=0.0,
+        le=1e6,
         title="Gradient norm limit",
         description="Gradients with a larger norm are scaled down to it; null: no limit.",
     )
@@ -133,6 +143,7 @@ class PPOSettings(LearnerSettings):
     log_std_steps: int | None = Field(
         default=_fast("log_std_steps"),
         ge=1,
+        le=10_000_000_000,
         title="Log-std steps",
         description="Steps after which log-std is final_log_std; null: at the end of the training.",
     )
@@ -151,6 +162,7 @@ class PPOSettings(LearnerSettings):
     observation_clip: float = Field(
         default=_fast("observation_clip"),
         gt=0.0,
+        le=1e6,
         title="Observation clip",
         description="Largest magnitude of a normalized observation.",
     )

@@ -25,6 +25,7 @@ class FallSettings(PenaltySettings):
     min_height_m: float | None = Field(
         default=None,
         gt=0.0,
+        le=10.0,
         title="Minimum torso height",
         description="Torso height below which an episode ends as a fall; left out: the robot's own.",
         json_schema_extra={"unit": "m"},

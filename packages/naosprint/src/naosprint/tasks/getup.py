@@ -79,7 +79,11 @@ class GetUpSettings(PenaltySettings):
         json_schema_extra={"unit": "steps"},
     )
     pose_weight: float = Field(
-        default=0.5, ge=0.0, title="Pose weight", description="Weight of being near the nominal pose while upright."
+        default=0.5,
+        ge=0.0,
+        le=1000.0,
+        title="Pose weight",
+        description="Weight of being near the nominal pose while upright.",
     )
 
 

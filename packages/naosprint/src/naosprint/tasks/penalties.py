@@ -21,18 +21,21 @@ class PenaltySettings(DisturbanceSettings):
     torque_penalty: float = Field(
         default=0.0,
         ge=0.0,
+        le=1000.0,
         title="Torque penalty",
         description="Penalty per step for the mean square of the motors' torques as shares of their limits.",
     )
     smoothness_penalty: float = Field(
         default=0.0,
         ge=0.0,
+        le=1000.0,
         title="Smoothness penalty",
         description="Penalty per step for the mean square change of the action.",
     )
     action_penalty: float = Field(
         default=0.0,
         ge=0.0,
+        le=1000.0,
         title="Action penalty",
         description="Penalty per step for the mean square of the action.",
     )

@@ -186,33 +186,37 @@ class VelocitySettings(FallSettings):
         json_schema_extra={"unit": "steps"},
     )
     turn_weight: float = Field(
-        default=0.5, ge=0.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
+        default=0.5, ge=0.0, le=1000.0, title="Turn weight", description="Weight of the turn rate's tracking reward."
     )
     flight_weight: float = Field(
         default=0.0,
         ge=0.0,
+        le=1000.0,
         title="Flight weight",
         description=f"Reward per step with both feet off the ground at commands of {FLIGHT_SPEED_MPS:g} m/s and more.",
     )
     path_penalty: float = Field(
         default=1.0,
         ge=0.0,
+        le=1000.0,
         title="Path penalty",
         description="Penalty per step and metre of distance from the commanded path.",
     )
     heading_penalty: float = Field(
         default=0.5,
         ge=0.0,
+        le=1000.0,
         title="Heading penalty",
         description="Penalty per step for 1 - cos of the angle between torso and commanded heading.",
     )
     tilt_penalty: float = Field(
         default=0.2,
         ge=0.0,
+        le=1000.0,
         title="Tilt penalty",
         description="Penalty per step for the squared sine of the torso's tilt.",
     )
-    fall_penalty: float = Field(default=0.0, ge=0.0, title="Fall penalty", description="Penalty for a fall.")
+    fall_penalty: float = Field(default=0.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
