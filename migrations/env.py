@@ -1,4 +1,4 @@
-"""Alembic's environment: which database, which models."""
+"""Alembic's environment: database and models."""
 
 from __future__ import annotations
 

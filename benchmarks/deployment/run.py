@@ -1,9 +1,9 @@
-"""Measure the deployment: sizes of images, times to start, and what one job needs of everything.
+"""Measure the deployment: sizes of images, times to start, and the needs of one job.
 
     python benchmarks/deployment/run.py [--record FILE] [--steps 1000000] [--no-sidecars]
 
 Builds the images and starts a compose project of its own on the engine at hand, as tests/e2e/compose does, with the
-same images in place of official ones where there is no registry. Figures of a job are differences between before and
+same images in place of official ones where there is no registry. Results of a job are differences between before and
 after it: rows and bytes in Postgres, bytes in the store, messages of the broker, and the highest memory of each
 container meanwhile, sampled about each second.
 """
@@ -39,7 +39,7 @@ CONNECTIONS = (
 
 
 def sql(project: Project, text: str) -> str:
-    """Ask the database."""
+    """Query the database."""
     flags = ("--username=naosprint", "--dbname=naosprint", "--no-align", "--tuples-only", f"--command={text}")
     return project.compose("exec", "-T", "postgres", "psql", *flags).stdout.strip()
 
@@ -79,7 +79,7 @@ class Usage:
         self.sample()
 
     def sample(self) -> None:
-        """Look once. Memory that the kernel may take back at once, inactive file cache, does not count."""
+        """Sample once. Memory that the kernel may take back at once, inactive file cache, does not count."""
         for name, identifier in self._containers.items():
             try:
                 found = self._engine.stats(identifier, stream=False, one_shot=True)
@@ -127,7 +127,7 @@ def counts(project: Project) -> dict[str, int]:
 
 
 def store_bytes(project: Project, job: str) -> dict[str, int]:
-    """Return what a job keeps in the store, in bytes by kind."""
+    """Return the size of a job's files in the store, in bytes by kind."""
     code = (
         "import json, sys; from naojobs.settings import ServiceSettings; from naojobs.store import ArtifactStore; "
         "s = ArtifactStore.from_settings(ServiceSettings()); "
@@ -142,7 +142,7 @@ def store_bytes(project: Project, job: str) -> dict[str, int]:
 
 
 def measure_start(project: Project) -> dict[str, float]:
-    """Return the times to start, images being there, in seconds."""
+    """Return the times to start with existing images, in seconds."""
     project.compose("down", "--volumes", "--timeout", "20")
     everything = timed(lambda: project.compose("up", "--detach", "--no-build", "--wait", "api", "worker"))
     project.compose("stop", "api", "worker")
@@ -157,7 +157,7 @@ def measure_start(project: Project) -> dict[str, float]:
 
 
 def measure_job(project: Project, token: str, *flags: str) -> dict[str, Any]:
-    """Run one job; return what it took."""
+    """Run one job; return its needs."""
     services = ("postgres", "broker", "store", "api", "worker")
     containers = {service: project.container(service)["Id"] for service in services}
     before, usage = counts(project), Usage(containers)
@@ -186,7 +186,7 @@ def measure_job(project: Project, token: str, *flags: str) -> dict[str, Any]:
 
 
 def measure_idle(project: Project, seconds: float) -> dict[str, Any]:
-    """Return what a worker without a job takes."""
+    """Return the needs of a worker without a job."""
     containers = {service: project.container(service)["Id"] for service in ("postgres", "broker", "api", "worker")}
     before, usage = counts(project), Usage(containers)
     with watching(usage):
@@ -232,7 +232,7 @@ def measure_sidecars(project: Project, token: str) -> dict[str, Any]:
 
 
 def rounded(value: Any) -> Any:
-    """Return figures with four significant digits."""
+    """Return numbers with four significant digits."""
     if isinstance(value, float):
         return float(f"{value:.4g}")
     if isinstance(value, dict):
@@ -241,11 +241,11 @@ def rounded(value: Any) -> Any:
 
 
 def main() -> None:
-    """Measure and print; write the record where one is asked for."""
+    """Measure and print; write the record if requested."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--record", type=Path, help="write the figures to this file")
+    parser.add_argument("--record", type=Path, help="write the results to this file")
     parser.add_argument("--steps", type=int, default=1_000_000, help="steps of the job that is measured")
-    parser.add_argument("--no-sidecars", action="store_true", help="leave out the job on servers")
+    parser.add_argument("--no-sidecars", action="store_true", help="omit the job on servers")
     arguments = parser.parse_args()
     if reason := missing_engine():
         parser.exit(1, f"{reason}\n")

@@ -1,4 +1,4 @@
-"""Step the same motion on naosim and on libode's dWorldStep, side by side: same paths, how many cycles a second each.
+"""Step the same motion on naosim and on libode's dWorldStep, side by side: compare paths and cycles per second.
 
 Needs libode's headers (Debian: libode-dev) and a C++ compiler; writes results.json beside this file with --write.
 """
@@ -26,7 +26,7 @@ WARM_UP = 100
 
 
 def record(cycles: int, robot_type: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Let one robot step on its feet; return its commands, its torso's path and its start height."""
+    """Let one robot step in place; return its commands, its torso's path and its start height."""
     sim = BatchSimulator(1, robot_type, digits=None, self_collision=False)
     height = sim.model.standing_height + 0.005
     sim.beam((0.0, 0.0, height))
@@ -77,7 +77,7 @@ def naosim(commands: np.ndarray, robot_type: int, height: float, batch: int) -> 
 
 
 def measure(cycles: int, batch: int, robot_type: int) -> dict[str, Any]:
-    """Return both speeds and how far the two paths lie apart."""
+    """Return both speeds and the distance of the two paths."""
     commands, path, height = record(cycles, robot_type)
     oracle, ode_seconds = libode(commands, robot_type, height)
     ours_seconds = naosim(commands, robot_type, height, batch)
@@ -96,7 +96,7 @@ def measure(cycles: int, batch: int, robot_type: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print one result a robot type; the machine's name and load stand beside them."""
+    """Print one result a robot type; with the machine's name and load."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=2000)
     parser.add_argument("--batch", type=int, default=64)

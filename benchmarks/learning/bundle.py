@@ -1,7 +1,7 @@
 """Bundle the policy of a finished training: weights, card, replay, and its page in the docs.
 
     naoctl submit --recipe sprint                            # train it, hours of a core
-    python benchmarks/learning/bundle.py sprint --job JOB    # evaluate it, and write what is bundled
+    python benchmarks/learning/bundle.py sprint --job JOB # evaluate it, and bundle it
     python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`
     python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
 
@@ -49,13 +49,13 @@ CURVE_POINTS = 200
 def main() -> int:
     """Bundle or refresh policies."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="+", metavar="NAME", help="name of the policy, as users will call it")
+    parser.add_argument("names", nargs="+", metavar="NAME", help="name of the policy for users")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--job", help="finished job whose policy it is; its parents are its lineage")
     source.add_argument("--training", type=Path, metavar="FOLDER", help="folder of a training without the service")
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
-    parser.add_argument("--latest", type=int, default=5, help="choose among so many latest checkpoints (default: 5)")
+    parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
     options = parser.parse_args()
     if options.refresh:
         for name in options.names:
@@ -97,11 +97,11 @@ def main() -> int:
 
 
 def put_in_place(name: str, checkpoint: Path) -> None:
-    """Copy what a policy needs of its checkpoint."""
+    """Copy the policy's files from its checkpoint."""
     target = BUNDLED / name
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
-    # as it was written: the specification's digest counts every field that there was then
+    # unchanged: the specification's digest includes every field of that version
     slim = json.loads((checkpoint / MANIFEST).read_text())
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
     (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
@@ -109,7 +109,7 @@ def put_in_place(name: str, checkpoint: Path) -> None:
 
 
 def refresh(name: str) -> None:
-    """Evaluate a bundled policy as its card says, and write card, replay and page again; say what changed."""
+    """Evaluate a bundled policy with its card's settings, rewrite card, replay and page, and print what changed."""
     card = naopolicies.card(name)
     write(name, EvaluationSpec.model_validate(card["evaluation"]), card["lineage"])
     old, new = by_name(card), by_name(naopolicies.card(name))

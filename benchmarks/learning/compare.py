@@ -2,7 +2,7 @@
 
     python benchmarks/learning/compare.py OTHER_CHECKOUT WORKDIR [--rounds 3]
 
-Both checkouts need their ``.venv`` (``make install``), and the machine must be quiet. What counts are the ratios: this
+Both checkouts need their ``.venv`` (``make install``), and the machine must be idle. Compare only the ratios: this
 checkout's steps a second over the other's, within each round.
 """
 
@@ -23,7 +23,7 @@ NAMES = ("engine", "environments", "learner", "whole_loop")
 
 
 def measured(checkout: Path, workdir: Path) -> dict[str, float]:
-    """Return the section ``throughput`` of a checkout, measured by its own benchmark; its own record stays as it is."""
+    """Return the section ``throughput`` of a checkout, measured by its own benchmark; keep its record."""
     record = checkout / "benchmarks/learning/results.json"
     before = record.read_bytes()
     try:

@@ -1,11 +1,11 @@
-"""Measure what is learned and how fast; write results.json and the plots beside this file.
+"""Measure results and speed of learning; write results.json and the plots beside this file.
 
     python benchmarks/learning/run.py WORKDIR                    # everything, hours of two quiet cores
     python benchmarks/learning/run.py WORKDIR --only throughput  # or some of it
     python benchmarks/learning/run.py WORKDIR --only plots       # draw again from results.json
 
-Trainings lie in WORKDIR and are continued, not repeated, when the script is called again. Each runs on one core, so
-that two sections can be measured side by side on two.
+Trainings are stored in WORKDIR and are continued, not repeated, when the script is called again. Each runs on one core,
+so that two sections can be measured in parallel on two.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ CHAIN: tuple[dict[str, Any], ...] = (
         "log_std_steps": None,
         "ema_decay": 0.95,
     },
-    # a quiet end
+    # a last part with small updates
     {
         "total_steps": 15_000_000,
         "gamma": 0.99,
@@ -365,7 +365,7 @@ SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def machine() -> dict[str, Any]:
-    """Return what this was measured on."""
+    """Return a description of the machine."""
     model = next(
         (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
         platform.processor(),

@@ -1,10 +1,11 @@
-"""Measure cycles per second through rcssserver3d's protocol: what the client costs over merely draining the ports.
+"""Measure cycles per second through rcssserver3d's protocol: the cost of the client compared with draining the ports.
 
     python benchmarks/protocol/run.py [--servers 2] [--cycles 2000] [--program rcssserver3d]
 
 Every server walks in place under a sine gait, so that poses change and frames are of their usual size. Three clients
-take turns with the same servers: `drained` sends commands, and reads and drops what comes from both ports; `truth` is
-`naosim.simspark.RemoteBatch`, every message and frame parsed; `agent only` reads and drops the agent port alone.
+take turns with the same servers: `drained` sends commands, and reads and drops the messages of both ports; `truth` is
+`naosim.simspark.RemoteBatch`, every message and frame parsed; `agent only` reads and drops those of the agent port
+only.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ MESSAGES = [text(k) for k in range(20)]
 
 
 class Drain:
-    """Play one robot on each server and look at nothing but the length of what comes."""
+    """Play one robot on each server and read only the length of messages."""
 
     def __init__(self, servers: list[Address], *, monitor: bool) -> None:
         self.agents, self.monitors = [], []

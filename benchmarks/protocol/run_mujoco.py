@@ -1,9 +1,9 @@
-"""Measure cycles per second of real rcssservermj servers: what commands cost them, and what the client costs.
+"""Measure cycles per second of real rcssservermj servers: the cost of commands and of the client.
 
     python benchmarks/protocol/run_mujoco.py [--servers 1] [--robot t1] [--rounds 12] [--json FILE]
 
-Three clients take turns with the same servers, whose robots sway on their feet. `syn` answers `(syn)` and drops what
-comes; `drained` sends prepared commands for every joint but the head's and drops what comes; `driven` is
+Three clients take turns with the same servers, whose robots sway on their feet. `syn` answers `(syn)` and drops all
+messages; `drained` sends prepared commands for every joint except the head's and drops all messages; `driven` is
 `naosim.mujoco.client.MujocoFleet`, which writes the same commands and reads every message. CPU time a cycle is that of
 one server, all its threads, and of the client per server.
 """
@@ -93,7 +93,7 @@ def main() -> None:
     robot, n = robots.get(arguments.robot), arguments.servers
     fleet = Fleet(robot, n)
     agents = [fleet.agents[row] for row in range(n)]
-    fleet._closing.set()  # what keeps silent servers alive would disturb the others
+    fleet._closing.set()  # the thread that keeps silent servers alive would disturb the others
     still = np.repeat(robot.nominal[None], n, axis=0)
     moved = np.array([joint.actuated for joint in robot.joints])
     sway = [still + 0.02 * moved * np.sin(0.1 * cycle + np.arange(len(robot.joints))) for cycle in range(63)]

@@ -50,7 +50,7 @@ LIMIT_MS = 100.0
 
 
 class Load:
-    """Collects what clients and followers see; safe to share by threads."""
+    """Thread-safe collection of what clients and followers receive."""
 
     def __init__(self) -> None:
         self.stop = threading.Event()
@@ -59,7 +59,7 @@ class Load:
         self._lock = threading.Lock()
 
     def request(self, client: httpx.Client, kind: str, method: str, path: str, **arguments: object) -> httpx.Response:
-        """Send a request and note how long it took, in seconds."""
+        """Send a request and record its time, in seconds."""
         started = time.perf_counter()
         response = client.request(method, path, **arguments)  # type: ignore[arg-type]
         elapsed = time.perf_counter() - started
@@ -69,7 +69,7 @@ class Load:
         return response
 
     def use(self, client: httpx.Client, jobs: list[str], number: int) -> None:
-        """Do what a dashboard does, until told to stop."""
+        """Send a dashboard's requests until stopped."""
         turn = number
         while not self.stop.is_set():
             turn += 1
@@ -91,7 +91,7 @@ def follow(url: str, headers: dict[str, str], job_id: str) -> tuple[int, int]:
 
 
 def follow_all(url: str, headers: dict[str, str], job_id: str, count: int) -> list[tuple[int, int]]:
-    """Let so many followers read the same stream side by side."""
+    """Let many followers read the same stream in parallel."""
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(follow, [url] * count, [headers] * count, [job_id] * count))
 
@@ -127,7 +127,7 @@ def main() -> int:
     parser.add_argument("--followers", type=int, default=50)
     parser.add_argument("--clients", type=int, default=4)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--record", type=Path, help="file to write the figures to, as JSON")
+    parser.add_argument("--record", type=Path, help="file for the results, as JSON")
     options = parser.parse_args()
 
     with ExitStack() as stack:
@@ -181,7 +181,7 @@ def main() -> int:
         assert claim is not None
         lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
         before_mb = process.memory_info().rss / 1e6
-        # In a process of their own: 50 readers and the clients would measure how they wait for each other.
+        # In a process of their own: 50 readers and the clients would delay each other.
         readers = stack.enter_context(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))
         followers = readers.submit(follow_all, url, headers, jobs[0], options.followers)
         users = [
@@ -233,7 +233,7 @@ def main() -> int:
 
 
 def wait_until_ready(url: str, seconds: float = 30.0) -> None:
-    """Wait until the API says that it can do its work."""
+    """Wait until the API reports that it is ready."""
     until = time.monotonic() + seconds
     while True:
         try:

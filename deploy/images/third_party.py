@@ -1,7 +1,7 @@
-"""Print what packages need from elsewhere, one requirement a line: what to install before the packages themselves.
+"""Print the third-party requirements of packages, one a line, to install before the packages themselves.
 
 Usage: third_party.py FOLDER... with a pyproject.toml in each; FOLDER[EXTRA,EXTRA] for its optional parts. An image
-installs these first, so that a change of our own code costs no new download.
+installs these first, so that a change of the project's code needs no new download.
 """
 
 from __future__ import annotations

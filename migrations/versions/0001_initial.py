@@ -1,4 +1,4 @@
-"""Make the tables of the job service.
+"""Create the tables of the job service.
 
 Revision: 0001
 Revises: nothing
@@ -188,7 +188,7 @@ def upgrade() -> None:
         "ix_evaluations_open", "evaluations", ["state"], postgresql_where=sa.text("state IN ('queued', 'running')")
     )
     op.create_index("ix_evaluations_checkpoint_id", "evaluations", ["checkpoint_id"])
-    # Jobs and checkpoints point at each other, so this one comes when both are there.
+    # Jobs and checkpoints refer to each other, so this one is added when both exist.
     op.create_foreign_key(
         "fk_jobs_parent_checkpoint_id", "jobs", "checkpoints", ["parent_checkpoint_id"], ["id"], ondelete="SET NULL"
     )

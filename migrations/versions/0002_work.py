@@ -1,4 +1,4 @@
-"""Give jobs and evaluations one life cycle, and record what work needs and what workers have.
+"""Give jobs and evaluations one life cycle, and record requirements of work and capabilities of workers.
 
 Revision: 0002
 Revises: 0001
@@ -33,7 +33,7 @@ def upgrade() -> None:
         op.add_column(table, sa.Column("task_version", sa.Integer()))
         op.add_column(table, sa.Column("robot", sa.String(length=100)))
         op.add_column(table, sa.Column("simulator", sa.String(length=100)))
-    # Until now every job was one of a NAO, every task had one version, and a queue was named like its simulator.
+    # Until now every job was for a NAO, every task had one version, and a queue was named like its simulator.
     op.execute(
         "UPDATE jobs SET task = spec->>'task', task_version = 1, "
         "robot = 'nao-' || coalesce(spec->>'robot_type', '0'), simulator = queue"

@@ -1,4 +1,4 @@
-"""Remember which jobs start from the policy of another one, even when that one is deleted.
+"""Record which jobs start from the policy of another one, even after that one is deleted.
 
 Revision: 0003
 Revises: 0002

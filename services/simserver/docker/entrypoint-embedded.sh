@@ -1,5 +1,5 @@
 #!/bin/sh
-# Takes --agent-port and --server-port, as rcssserver3d does, and remembers the monitor port for the health check.
+# Accepts --agent-port and --server-port like rcssserver3d, and stores the monitor port for the health check.
 set -eu
 previous=
 monitor=3200

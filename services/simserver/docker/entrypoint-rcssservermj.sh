@@ -1,5 +1,5 @@
 #!/bin/sh
-# Takes the arguments of rcssservermj, and remembers the monitor port for the health check.
+# Accepts the arguments of rcssservermj, and stores the monitor port for the health check.
 set -eu
 previous=
 monitor=60001

@@ -1,6 +1,7 @@
-"""Succeed if the monitor port listens. It is looked up, not connected to: a waiting server accepts nobody.
+"""Succeed if the monitor port listens.
 
-Standard library only: it runs in the server's image.
+The port is looked up, not connected to, since a waiting server accepts no connections. Standard library only: it runs in
+the server's image.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from pathlib import Path
 
 
 def main() -> int:
-    """Return 0 where the server is well."""
+    """Return 0 if the server is healthy."""
     file = Path("/tmp/monitor-port")  # noqa: S108 - inside the container
     port = int(file.read_text()) if file.exists() else 3200
     tables = [Path("/proc/net/tcp"), Path("/proc/net/tcp6")]

@@ -164,7 +164,7 @@ def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tm
     folder, aside = service.artifacts / "jobs", tmp_path / "aside"
     folder.rename(aside)
     folder.write_text("in the way: nothing can be written below this name")
-    service.until(lambda: "the training pauses" in log_text(service, job_id), what="for the training to pause")
+    service.until(lambda: "the training waits" in log_text(service, job_id), what="for the training to pause")
     reached = service.job(job_id).progress_step
     assert reached > service.checkpoints(job_id)[-1].step + ROLLOUT * 20
     assert (service.job(job_id).attempt, service.job(job_id).failures) == (1, 0)

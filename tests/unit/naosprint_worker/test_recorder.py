@@ -233,7 +233,7 @@ def test_a_store_that_is_away_is_waited_for_within_the_limit_of_the_disk(
 
     thread = threading.Thread(target=third)
     thread.start()
-    while not any("the training pauses" in str(line) for line in sink.of("log")):
+    while not any("the training waits" in str(line) for line in sink.of("log")):
         assert sink.tried.acquire(timeout=30)
     assert not returned.is_set()
     assert not recorder.failed

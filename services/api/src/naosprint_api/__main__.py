@@ -18,8 +18,8 @@ from naosprint_api.settings import ApiSettings
 
 #: Seconds that running requests may take when the service stops.
 _GRACE_S = 10
-#: How long a thread may keep the interpreter while others wait for it. Requests hop between the loop and threads; at
-#: Python's own 5 ms each hop waits that long for whoever encodes a page of jobs.
+#: How long a thread may keep the interpreter while others wait for it. Requests change between the loop and threads;
+#: with Python's default of 5 ms each change waits that long while a page of jobs is encoded.
 _SWITCH_S = 0.0005
 #: Allocations between two collections of garbage. Python's own 700 make a page of jobs cost a third more.
 _GARBAGE = 20_000
@@ -38,7 +38,7 @@ class Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
-        """End the streams, then all that uvicorn ends."""
+        """End the streams, then everything else."""
         self._service.broadcaster.close()
         await super().shutdown(sockets)
 
@@ -63,10 +63,10 @@ def make_server(settings: ApiSettings) -> Server:
 
 
 def answer_evenly() -> None:
-    """Keep the interpreter's own work from holding up single requests.
+    """Keep the interpreter's own work from delaying single requests.
 
-    What has been loaded by now stays: looking it through for garbage over and over takes 100 ms each time, in which
-    nobody is answered.
+    Objects loaded so far are permanent: searching them for garbage takes 100 ms each time, during which no request is
+    answered.
     """
     sys.setswitchinterval(_SWITCH_S)
     gc.collect()

@@ -25,7 +25,7 @@ from naosprint_api.settings import ApiSettings
 STATIC = Path(__file__).parent / "static"
 
 _DESCRIPTION = """\
-Submit trainings of simulated humanoid robots, follow them live and download what they have learned.
+Submit trainings of simulated humanoid robots, follow them live and download the trained policies.
 
 Every error is a problem document (RFC 9457) whose `errors` name the fields to change.
 """
@@ -44,7 +44,7 @@ def create_app(service: Service) -> FastAPI:
         version=__version__,
         description=_DESCRIPTION,
         lifespan=lifespan,
-        # The pages of these load scripts from elsewhere; the document itself stays.
+        # The framework's pages load scripts from other origins; only the document is served.
         docs_url=None,
         redoc_url=None,
         openapi_url="/openapi.json" if service.settings.api_docs_public else None,
@@ -52,7 +52,7 @@ def create_app(service: Service) -> FastAPI:
         dependencies=[Depends(storable_body)],
     )
     app.state.service = service
-    # Streams come before jobs: /jobs/stream is no job's id.
+    # Streams come before jobs: the `stream` in /jobs/stream is not an id.
     routers = (
         system.router,
         catalog.router,
@@ -96,7 +96,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
 
 
 def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
-    """Return what a server runs, and the service behind it."""
+    """Return the application for a server, and its service."""
     service = Service.build(settings)
     app = create_app(service)
     return Envelope(BodyLimit(app, settings.api_max_body_bytes), service.telemetry), service

@@ -1,4 +1,4 @@
-"""News from the database: who follows a job is woken when it changes."""
+"""Notifications from the database: followers of a job are woken up when it changes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _IDLE_S, _BLIND_S = 10.0, 1.0
 
 
 class Subscription:
-    """Wakes one follower; remembers which jobs were deleted while it was busy."""
+    """Wake-up event of one follower, with the jobs that were deleted while it was busy."""
 
     def __init__(self) -> None:
         #: Owner by id.
@@ -26,7 +26,7 @@ class Subscription:
 
 
 class Broadcaster:
-    """Listens to the database on one connection and tells all followers of this process."""
+    """Listener to the database on one connection, which wakes up all followers of this process."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -36,11 +36,11 @@ class Broadcaster:
         self.closing = False
 
     async def start(self) -> None:
-        """Start to listen; a database that is down is tried again and again."""
+        """Start to listen; connecting to a database that is down is retried without limit."""
         self._task = asyncio.create_task(self._listen(), name="broadcast")
 
     async def stop(self) -> None:
-        """Stop to listen and send all followers away."""
+        """Stop listening and end all followers."""
         self.close()
         if self._task is not None:
             self._task.cancel()
@@ -48,18 +48,18 @@ class Broadcaster:
                 await self._task
 
     def close(self) -> None:
-        """Send all followers away: the service ends."""
+        """End all followers, because the service stops."""
         self.closing = True
         self._wake_all()
 
     @property
     def followers(self) -> int:
-        """Return how many follow."""
+        """Return the number of followers."""
         return len(self._subscriptions)
 
     @contextmanager
     def subscribe(self, job_id: str | None = None) -> Iterator[Subscription]:
-        """Follow one job, or all; news between two waits is not lost."""
+        """Follow one job, or all; changes between two waits are not lost."""
         subscription = Subscription()
         self._subscriptions[subscription] = job_id
         try:
@@ -68,7 +68,7 @@ class Broadcaster:
             del self._subscriptions[subscription]
 
     async def wait(self, subscription: Subscription) -> bool:
-        """Wait for news or until it is time to look anyway; return whether there are news."""
+        """Wait for a change or until the next poll; return whether there was a change."""
         with suppress(TimeoutError):
             async with asyncio.timeout(_IDLE_S if self._listening else _BLIND_S):
                 await subscription.wake.wait()
@@ -88,11 +88,11 @@ class Broadcaster:
                 ) as connection:
                     await connection.execute(f"LISTEN {CHANNEL}")
                     self._listening = True
-                    self._wake_all()  # whatever was missed until now
+                    self._wake_all()  # changes may have been missed until now
                     async for notification in connection.notifies():
                         self._tell(notification.payload)
             except (psycopg.Error, OSError) as error:
-                _log.warning("no notifications from the database (%s); followers look every %g s", error, _BLIND_S)
+                _log.warning("no notifications from the database (%s); followers poll every %g s", error, _BLIND_S)
             self._listening = False
             await asyncio.sleep(_BLIND_S)
 

@@ -30,12 +30,12 @@ MAX_BIGINT = 2**63 - 1
 
 
 def service_of(request: Request) -> Service:
-    """Return what this process holds open."""
+    """Return this process's services."""
     return cast(Service, request.app.state.service)
 
 
 async def _service(request: Request) -> Service:
-    # What waits for nothing is async: it runs where the request is, not in a thread of its own.
+    # Functions that do not block are async, so that they need no thread.
     return service_of(request)
 
 
@@ -142,7 +142,7 @@ def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
 
 
 async def follower(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
-    """Return the owner of the token, looked up in the threads for followers: many may connect at once."""
+    """Return the owner of the token, looked up in the threads for followers, since many may connect at once."""
     principal = await service.feed.in_thread(partial(authenticate, request, service, credentials))
     return require(Scope.READ, principal, service)
 
@@ -155,7 +155,7 @@ Admin = Annotated[Principal, Depends(needs(Scope.ADMIN))]
 JobId = Annotated[str, Path(pattern=PATTERN, description="Id of the job.")]
 CheckpointId = Annotated[str, Path(pattern=PATTERN, description="Id of the checkpoint.")]
 EvaluationId = Annotated[str, Path(pattern=PATTERN, description="Id of the evaluation.")]
-FileName = Annotated[str, Path(max_length=900, description="Name of the file as its list gives it.")]
+FileName = Annotated[str, Path(max_length=900, description="Name of the file as in the list of files.")]
 After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only items after this id.")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Maximum number of items.")]
 IdempotencyKey = Annotated[

@@ -31,8 +31,8 @@ T = TypeVar("T")
 def parse_range(header: str, size: int) -> tuple[int, int] | None:
     """Return (start, stop) of a Range header for a file of `size` bytes; none to send all of it.
 
-    A header that is not one byte range is ignored, as RFC 9110 allows. Raises ProblemError 416 if nothing of
-    the range lies in the file.
+    A header that is not one byte range is ignored, as RFC 9110 allows. Raises ProblemError 416 if the range is outside
+    the file.
     """
     match = _RANGE.fullmatch(header.strip())
     if match is None or match.group(0) == "bytes=-":
@@ -53,9 +53,9 @@ def parse_range(header: str, size: int) -> tuple[int, int] | None:
 
 
 class StoredResponse(StreamingResponse):
-    """Response whose content comes from the store, read in the threads that are for it.
+    """Response whose content comes from the store, read in its own threads.
 
-    The store is opened before the response starts, so that one that fails becomes a problem document.
+    The store is opened before the response starts, so that a failure becomes a problem document.
     """
 
     def __init__(
@@ -94,15 +94,15 @@ def send_file(
     *,
     presigned: bool,
 ) -> Response:
-    """Answer with a file of an artifact, or the asked range of it.
+    """Answer with a file of an artifact, or the requested range of it.
 
-    Only names that the manifest lists are ever looked up, so none can lead elsewhere.
-    With `presigned`, a store that can sign is redirected to. Raises NotFoundError, StoreError.
+    Only names that the manifest lists are ever looked up, so none can lead elsewhere. With `presigned`, redirect to the
+    store if it can sign. Raises NotFoundError, StoreError.
     """
     entry = manifest.entry(name)
     if entry is None:
         _log.warning("refused a file name that is not in the list of %s: %.200r", key, name)
-        raise NotFoundError(f"there is no file {name[:200]!r}; take a name of the list")
+        raise NotFoundError(f"there is no file {name[:200]!r}; use a name from the list")
     target = f"{key}/{entry.name}"
     if presigned and (url := store.url_for(target)) is not None:
         return RedirectResponse(url, status_code=307)

@@ -1,4 +1,4 @@
-"""News for followers: those at the same position share one read."""
+"""Changes for followers; those at the same position share one read."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from naosprint_api.queries import Position, news_of
 from naosprint_api.views import event_view, job_view, log_view
 
 Result = TypeVar("Result")
-#: A job, what a follower has seen of it, the kinds of news it wants, and whether it is behind.
+#: A job, a follower's position, the kinds of records it follows, and whether it is behind.
 _Wanted: TypeAlias = tuple[str, Position, frozenset[str], bool]
 
-#: How long a read waits for more followers, and thereby how often at most each is told news.
+#: How long a read waits for more followers, and so the shortest time between two updates of each.
 GATHER_S = 0.25
-#: The same for followers that are known to be behind: just long enough for those of whom many come at once.
+#: The same for followers that are known to be behind: just long enough for those that connect at once.
 HURRIED_GATHER_S = 0.02
-#: Followers who share a read are told one after the other, so far apart: all at once would hold up every request.
+#: Time between the followers that share a read: to wake them up all at once would delay other requests.
 APART_S, LONGEST_S = 0.002, 0.25
-#: Threads that followers may use at a time, so that many of them never starve requests.
+#: Threads that followers may use at a time, so that many followers do not block requests.
 THREADS = 2
 
 
@@ -37,7 +37,7 @@ THREADS = 2
 class Batch:
     """News of a job since a position; `state` is None if the job was deleted."""
 
-    #: The news as server-sent events, encoded once for all who read them.
+    #: The changes as server-sent events, encoded once for all followers.
     news: bytes
     #: What has been seen behind them.
     position: Position
@@ -51,14 +51,14 @@ class Batch:
 
 
 class Feed:
-    """Reader of news, once for all followers that request the same."""
+    """Reader of changes, once for all followers that request the same."""
 
     def __init__(self, sessions: Sessions, *, stale_s: float) -> None:
         self._sessions = sessions
         self._stale_s = stale_s
         self._limiter = anyio.CapacityLimiter(THREADS)
-        #: Reads that have not begun yet, and the turns of those who wait for them. Only these may be joined, for they
-        #: will see all that is committed by now.
+        #: Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
+        #: include everything committed until now.
         self._gathering: dict[_Wanted, tuple[asyncio.Task[Batch], Iterator[int]]] = {}
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
@@ -72,7 +72,7 @@ class Feed:
             self._gathering[wanted] = asyncio.create_task(self._gather(wanted)), itertools.count()
         task, turns = self._gathering[wanted]
         turn = next(turns)
-        # A follower that leaves must not take the read away from the others.
+        # A follower that disconnects must not cancel the read of the others.
         batch = await asyncio.shield(task)
         await asyncio.sleep(turn * APART_S % LONGEST_S)
         return batch

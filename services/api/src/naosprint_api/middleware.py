@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from naosprint_api.problems import FieldError, ProblemError, problem_response
 from naosprint_api.telemetry import Telemetry
 
-#: Everything the pages need comes from this service itself, and they cannot be framed.
+#: Pages load resources only from this service, and cannot be framed.
 CONTENT_SECURITY_POLICY = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'"
 )
@@ -92,10 +92,10 @@ def route_of(scope: Scope) -> str:
 
 
 class BodyLimit:
-    """Refuses a request body that is too large, announced or not, without ever holding it.
+    """Middleware that refuses a request body that is too large, announced or not, without storing it.
 
-    A body that is not much too large is read to its end and thrown away: many clients look for the answer only when
-    they have sent everything. For a larger one the connection is closed behind the answer.
+    A body that is slightly too large is read to its end and discarded: many clients read the answer only when they have
+    sent everything. For a larger one the connection is closed after the answer.
     """
 
     def __init__(self, app: ASGIApp, max_bytes: int) -> None:
@@ -132,7 +132,7 @@ class BodyLimit:
         await self._app(scope, counted, send)
 
     async def _drain(self, receive: Receive, received: int) -> int:
-        """Read on until the body or our patience ends; return the bytes of the body so far, 0 if it did not end."""
+        """Read on until the body ends or a limit is reached; return the body's bytes, 0 if it did not end."""
         while received <= self._patience_bytes:
             message = await receive()
             received += len(message.get("body", b""))

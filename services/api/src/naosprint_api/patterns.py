@@ -1,4 +1,4 @@
-"""Patterns of text in requests, and what they allow in words: an error never shows a regular expression."""
+"""Patterns of text in requests, and their descriptions: errors show no regular expressions."""
 
 from __future__ import annotations
 

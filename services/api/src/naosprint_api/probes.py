@@ -11,7 +11,7 @@ import anyio
 
 #: Seconds within which a service has to answer.
 DEADLINE_S = 3.0
-#: Seconds for which a result is good enough for others who ask.
+#: Seconds for which a result is reused.
 KEEP_S = 1.0
 
 
@@ -21,14 +21,14 @@ class Probe:
 
     #: What the check reports on.
     names: Sequence[str]
-    #: Returns which of the names are in order; an error counts as none.
+    #: Returns which of the names work; an error counts as none.
     check: Callable[[], set[str]]
 
 
 class Probes:
-    """Results of probes, shared by all who ask at the same time or shortly after.
+    """Results of probes, shared by concurrent and shortly following requests.
 
-    However many ask, a service is asked once at a time: one that does not answer holds one thread.
+    At most one probe of a service runs at a time: one that does not answer blocks one thread.
     """
 
     def __init__(self, probes: Sequence[Probe], *, deadline_s: float = DEADLINE_S, keep_s: float = KEEP_S) -> None:
@@ -39,19 +39,19 @@ class Probes:
         self._latest: tuple[float, Mapping[str, bool]] | None = None
 
     async def results(self) -> Mapping[str, bool]:
-        """Return by name whether it is in order."""
+        """Return by name whether each service works."""
         if self._latest is not None and time.monotonic() - self._latest[0] < self._keep_s:
             return self._latest[1]
         if self._task is None:
             self._task = asyncio.create_task(self._ask())
-        # One that leaves must not take the probes away from the others.
+        # A request that is cancelled must not cancel the probes of the others.
         return await asyncio.shield(self._task)
 
     async def _ask(self) -> Mapping[str, bool]:
         good: set[str] = set()
 
         async def ask(probe: Probe, limiter: anyio.CapacityLimiter) -> None:
-            # A thread that is left behind keeps its place until the service answers.
+            # An abandoned thread stays in use until the service answers.
             with anyio.move_on_after(self._deadline_s):
                 good.update(await anyio.to_thread.run_sync(probe.check, limiter=limiter, abandon_on_cancel=True))
 

@@ -31,7 +31,7 @@ class FieldError(BaseModel):
     field: str = Field(
         description="Path of the field, e.g. spec.algorithm.learning_rate; `body` for the request as a whole."
     )
-    message: str = Field(description="What is wrong, and what would be right.")
+    message: str = Field(description="What is wrong, and what is expected.")
 
 
 class Problem(BaseModel):
@@ -93,7 +93,7 @@ def field_errors(error: RequestValidationError) -> list[FieldError]:
             message = "missing; give it a value" if path else "give a JSON body and Content-Type: application/json"
         elif item["type"] in {"model_attributes_type", "dict_type", "model_type"} and not path:
             message = "give a JSON object and Content-Type: application/json"
-        # A validator over several fields puts the one to change in front of its message.
+        # A validator of several fields starts its message with the field to change.
         head, colon, rest = message.partition(": ")
         if colon and all(part.isidentifier() or part.isdecimal() for part in head.split(".")):
             path, message = [*path, *_below(path, head.split("."))], rest

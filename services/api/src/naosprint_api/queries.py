@@ -63,8 +63,8 @@ def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str 
         return list(session.scalars(statement))
 
 
-#: Seconds before the newest change seen from which a follower looks again: `updated_at` is when a transaction began,
-#: so one that began earlier may show later.
+#: Seconds before the newest change seen from which a follower reads again: `updated_at` is when a transaction began, so
+#: an earlier one may be committed later.
 OVERLAP = timedelta(seconds=10)
 
 #: Changes that are read at a time.
@@ -80,7 +80,7 @@ class Change:
 
 
 def changes(sessions: Sessions, wanted: JobFilter, *, after: Change) -> list[Change]:
-    """Return the changes behind `after`, oldest first, at most `PAGE` of them."""
+    """Return the changes after `after`, oldest first, at most `PAGE` of them."""
     place = tuple_(Job.updated_at, Job.id)
     statement = wanted.apply(select(Job)).with_only_columns(Job.updated_at, Job.id)
     statement = statement.where(place > (after.at, after.job_id)).order_by(Job.updated_at, Job.id).limit(PAGE)
@@ -177,7 +177,7 @@ def metrics_columns(sessions: Sessions, job_id: str, *, after_step: int, max_poi
 
 
 def events_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> list[Event]:
-    """Return events of a job behind the event `after`, oldest first."""
+    """Return events of a job after the event `after`, oldest first."""
     with sessions.begin() as session:
         return list(
             session.scalars(
@@ -187,7 +187,7 @@ def events_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> 
 
 
 def logs_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> list[Log]:
-    """Return log lines of a job behind the line `after`, oldest first."""
+    """Return log lines of a job after the line `after`, oldest first."""
     with sessions.begin() as session:
         return list(
             session.scalars(select(Log).where(Log.job_id == job_id, Log.id > after).order_by(Log.id).limit(limit)),
@@ -235,7 +235,7 @@ class Position:
 
     @classmethod
     def parse(cls, text: str) -> Position | None:
-        """Read the id of a server-sent event; none if it is not one of ours."""
+        """Read the id of a server-sent event; none if it is not valid."""
         parts = text.split("-")
         if len(parts) != 3 or not all(part.isascii() and part.isdecimal() and len(part) < 19 for part in parts):
             return None
@@ -244,7 +244,7 @@ class Position:
 
 @dataclass(slots=True)
 class News:
-    """News of a job since a position."""
+    """Changes of a job since a position."""
 
     job: Job | None
     #: Why no worker can take the job, if it is queued.
@@ -263,7 +263,7 @@ def news_of(
 ) -> News:
     """Return the job and what is new about it, at most `limit` of each kind.
 
-    The job is read first: if it has ended, all that came before its end is in the rows read after it.
+    The job is read first: if it has ended, everything before its end is in the rows read after it.
     """
     with sessions.begin() as session:
         news = News(session.get(Job, job_id))

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from naosprint_api.patterns import ID, NAME, PLAIN, TAG
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
-#: Words that refer to a job in commands, which no job can have as its name.
+#: Words that refer to a job in commands, and so are not allowed as names.
 RESERVED_NAMES = frozenset({"last"})
 
 
@@ -85,7 +85,7 @@ class JobCreate(_Request):
 class GroupCreate(_Request):
     """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
 
-    job: JobCreate = Field(description="What all jobs have in common.")
+    job: JobCreate = Field(description="Fields that all jobs share.")
     seeds: list[int] = Field(default_factory=list, max_length=MAX_GROUP_SIZE, description="One job for each seed.")
     grid: dict[str, Annotated[list[Any], Field(min_length=1, max_length=MAX_GROUP_SIZE)]] = Field(
         default_factory=dict,
@@ -133,16 +133,16 @@ class JobPublic(_Public):
     tags: list[str]
     state: WorkState
     priority: int
-    queue: str = Field(description="The queue of the broker that its wake-up message goes to.")
+    queue: str = Field(description="Queue of the broker for its wake-up message.")
     waiting_reason: str | None = Field(
         None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
     )
-    spec: dict[str, Any] = Field(description="What it trains, as it was stored.")
-    evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for not at all.")
-    attempt: int = Field(description="How often a worker has claimed it.")
+    spec: dict[str, Any] = Field(description="Specification of the training, as stored.")
+    evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for no evaluation.")
+    attempt: int = Field(description="Number of claims by workers.")
     failures: int = Field(description="Attempts lost since the last submit or retry.")
     max_attempts: int = Field(description="The job fails when failures reaches it.")
-    worker: str | None = Field(validation_alias="lease_owner", description="Id of the worker that holds it.")
+    worker: str | None = Field(validation_alias="lease_owner", description="Id of the worker that leases it.")
     heartbeat_at: datetime | None
     stalled_since: datetime | None = Field(
         description="Since when the running job has made no step; null if it makes steps, and in all other states."
@@ -186,7 +186,7 @@ class MetricsPublic(BaseModel):
     columns: dict[str, list[float | None]]
     rows: int = Field(description="Rows in this answer.")
     total_rows: int = Field(description="Rows after `after_step`, before thinning.")
-    last_seq: int = Field(description="Give it as `metrics_after` to a stream to continue behind these rows.")
+    last_seq: int = Field(description="Give it as `metrics_after` to a stream to continue after these rows.")
 
 
 class EventPublic(_Public):
@@ -253,14 +253,14 @@ class EvaluationPublic(BaseModel):
     job_id: str
     checkpoint_id: str
     state: EvaluationState
-    spec: dict[str, Any] = Field(description="How it evaluates, as it was stored.")
+    spec: dict[str, Any] = Field(description="Specification of the evaluation, as stored.")
     waiting_reason: str | None = Field(
         description="Why no worker can take the queued evaluation; null if a worker can, and in all other states."
     )
-    attempt: int = Field(description="How often a worker has claimed it.")
-    failures: int = Field(description="Attempts that were lost.")
+    attempt: int = Field(description="Number of claims by workers.")
+    failures: int = Field(description="Number of lost attempts.")
     max_attempts: int = Field(description="The evaluation fails when failures reaches it.")
-    worker: str | None = Field(description="Id of the worker that holds it.")
+    worker: str | None = Field(description="Id of the worker that leases it.")
     stalled_since: datetime | None = Field(
         description="Since when the running evaluation has made no step; null if it makes steps."
     )
@@ -323,7 +323,7 @@ class TokenPublic(_Public):
 class TokenMade(TokenPublic):
     """New token with its secret."""
 
-    token: str = Field(description="The secret. It is shown only here: the service keeps only its SHA-256.")
+    token: str = Field(description="The secret. It is shown only here: the service stores only its SHA-256.")
 
 
 class WorkerPublic(_Public):
@@ -341,4 +341,4 @@ class WorkerPublic(_Public):
     started_at: datetime
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")
-    jobs: list[str] = Field(description="The jobs it holds a lease on.")
+    jobs: list[str] = Field(description="Its leased jobs.")

@@ -31,7 +31,7 @@ from naosprint_api.views import evaluation_view, job_view
 
 #: Seconds for which the store may be silent.
 STORE_DEADLINE_S = 5.0
-#: Threads that wait for the store, and for the broker, at a time.
+#: Number of threads for the store, and for the broker.
 STORE_THREADS, BROKER_THREADS = 16, 4
 
 _log = logging.getLogger(__name__)
@@ -53,13 +53,13 @@ class Service:
     telemetry: Telemetry
     feed: Feed
     probes: Probes
-    #: Threads for the store and for the broker: one that does not answer holds these, never those of requests.
+    #: Threads for the store and for the broker: one that does not answer blocks these, but not those of requests.
     store_threads: CapacityLimiter
     broker_threads: CapacityLimiter
 
     @classmethod
     def build(cls, settings: ApiSettings) -> Service:
-        """Make everything; connects to nothing yet, but makes the folder of a local store."""
+        """Create all services without connecting; create the folder of a local store."""
         engine = make_engine(
             settings.sqlalchemy_url, pool_size=settings.database_pool_size, application_name="naosprint-api"
         )
@@ -111,8 +111,8 @@ class Service:
             try:
                 record_notification_failure(self.sessions, item.job_id, error)
             except (SQLAlchemyError, JobError) as failure:
-                _log.warning("could not record that %s was not announced: %s", item.id, failure)
-            return  # workers poll: the others need not wait for the broker one after the other
+                _log.warning("could not record that the wake-up message of %s failed: %s", item.id, failure)
+            return  # workers poll, so the other messages need not be tried
 
     def show_jobs(self, jobs: Sequence[Job]) -> list[JobPublic]:
         """Return jobs with the reasons why no worker can take them, and their evaluations."""
@@ -136,7 +136,7 @@ class Service:
         return self.show_evaluations([evaluation])[0]
 
     async def discard_artifacts(self, job_id: str) -> None:
-        """Delete the files of a deleted job; a store that fails keeps them until a worker sweeps."""
+        """Delete the files of a deleted job; if the store fails, a worker's sweep deletes them later."""
         await to_thread.run_sync(partial(self._discard_artifacts, job_id), limiter=self.store_threads)
 
     def _discard_artifacts(self, job_id: str) -> None:

@@ -10,18 +10,18 @@ class ApiSettings(ServiceSettings):
     """Settings of the API, read from the environment with the prefix `NAOSPRINT_`."""
 
     api_host: str = Field("127.0.0.1", description="Address to listen on.")
-    api_port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes any free one.")
+    api_port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0: any free port.")
     api_trusted_proxies: str = Field(
         "127.0.0.1",
-        description="Addresses whose X-Forwarded-* headers are believed, separated by commas.",
+        description="Addresses whose X-Forwarded-* headers are trusted, separated by commas.",
     )
     api_max_body_bytes: int = Field(1 << 20, ge=1024, le=1 << 30, description="The largest request body, in bytes.")
-    api_rate_per_s: float = Field(100.0, gt=0, description="Requests per second that one token may make for long.")
+    api_rate_per_s: float = Field(100.0, gt=0, description="Requests per second that one token may make on average.")
     api_rate_burst: int = Field(400, ge=1, description="Requests that one token may make at once.")
     api_max_open_jobs: int = Field(2000, ge=1, description="Jobs of one owner that may wait or run at a time.")
     api_max_followers: int = Field(500, ge=1, description="Streams that may be open at a time.")
     api_metrics_public: bool = Field(
         False,
-        description="Whether /metrics may be read without a token; else it takes one with the scope admin.",
+        description="Whether /metrics may be read without a token; else it needs one with the scope admin.",
     )
     api_docs_public: bool = Field(True, description="Whether /openapi.json is served.")

@@ -19,14 +19,14 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-#: Name, help and labels of what is counted in the database.
+#: Name, help and labels of the metrics from the database.
 _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
     ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
-    ("naosprint_queue_oldest_seconds", "How long the oldest queued job has waited.", ()),
+    ("naosprint_queue_oldest_seconds", "Waiting time of the oldest queued job.", ()),
     ("naosprint_jobs_failed_recently", "Jobs that have failed in the last 15 minutes.", ()),
-    ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was away.", ()),
-    ("naosprint_stalled", "Trainings and evaluations that run and make no step.", ()),
+    ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was unavailable.", ()),
+    ("naosprint_stalled", "Trainings and evaluations that are running without making steps.", ()),
     ("naosprint_worker_disk_free_bytes", "Free space on the disk of a worker that is alive.", ("worker",)),
     ("naosprint_backup_age_seconds", "Time since the last backup; missing if there has been none.", ()),
     ("naosprint_service_up", "Whether database, schema_revision, store and broker answer the API.", ("service",)),
@@ -112,7 +112,7 @@ class Telemetry:
         self.followers = Gauge("naosprint_followers", "Open streams.", registry=self._registry)
         self.refused = Counter("naosprint_refused", "Requests refused.", ["reason"], registry=self._registry)
         self.notification_failures = Counter(
-            "naosprint_notification_failures", "Wake-up messages that the broker did not take.", registry=self._registry
+            "naosprint_notification_failures", "Wake-up messages not accepted by the broker.", registry=self._registry
         )
 
     def observe(self, method: str, route: str, status: int, seconds: float) -> None:
@@ -122,9 +122,9 @@ class Telemetry:
 
     @classmethod
     def catalogue(cls) -> list[tuple[str, str, tuple[str, ...], str]]:
-        """Return name, kind, labels and help of every figure of the service's own."""
+        """Return name, kind, labels and help of every metric of the service."""
         figures = [(name, "gauge", labels, text) for name, text, labels in _ROWS]
-        unread = cls(cast("Sessions", None))  # it asks the database only when it renders
+        unread = cls(cast("Sessions", None))  # it queries the database only when it renders
         for figure in (unread._seconds, unread.followers, unread.refused, unread.notification_failures):
             (family,) = figure.describe()
             name = f"{family.name}_total" if family.type == "counter" else family.name

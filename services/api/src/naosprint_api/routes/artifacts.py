@@ -27,7 +27,7 @@ _FILE: dict[int | str, dict[str, Any]] = {
     **responses(416),
     200: {"description": "All of the file", "content": {"application/octet-stream": _BYTES}},
     206: {"description": "The requested range", "content": {"application/octet-stream": _BYTES}},
-    304: {"description": "The copy with this ETag is still good"},
+    304: {"description": "The copy with this ETag is still valid"},
     307: {"description": "The store serves it at this address"},
 }
 _ARCHIVE: dict[int | str, dict[str, Any]] = {
@@ -62,7 +62,7 @@ def get_checkpoint_file(
     service: ServiceDep,
     presigned: Presigned = False,
 ) -> Response:
-    """Download a file of a checkpoint; a Range header gets a part of it."""
+    """Download a file of a checkpoint; a Range header selects a part of it."""
     row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
     manifest = Manifest.model_validate(row.manifest)
     return send_file(request, service.store, service.store_threads, row.key, manifest, name, presigned=presigned)
@@ -115,7 +115,7 @@ def get_evaluation(evaluation_id: EvaluationId, principal: Reader, service: Serv
 
 @router.post("/evaluations/{evaluation_id}/cancel", responses={**_READ, **responses(409)})
 def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service: ServiceDep) -> EvaluationPublic:
-    """Cancel an evaluation. One that runs stops soon; it is cancelled when its state says so."""
+    """Cancel an evaluation. A running one stops soon; it is cancelled when its state is `cancelled`."""
     queries.visible_evaluation(service.reads, principal, evaluation_id)
     return service.show_evaluation(lifecycle.request_cancel(service.sessions, Evaluation, evaluation_id))
 
@@ -135,7 +135,7 @@ def get_evaluation_file(
     service: ServiceDep,
     presigned: Presigned = False,
 ) -> Response:
-    """Download a file of an evaluation; a Range header gets a part of it."""
+    """Download a file of an evaluation; a Range header selects a part of it."""
     key, manifest = _finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
     return send_file(request, service.store, service.store_threads, key, manifest, name, presigned=presigned)
 

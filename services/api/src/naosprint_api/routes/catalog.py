@@ -1,4 +1,4 @@
-"""What a job may consist of: the installed plug-ins with their settings, presets, recipes."""
+"""Catalog for jobs: the installed plug-ins with their settings, presets, recipes."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class PresetPublic(BaseModel):
 
 
 class RecipePublic(BaseModel):
-    """Job that is known to work."""
+    """Tested job."""
 
     name: str
     summary: str
@@ -134,10 +134,10 @@ class RecipePublic(BaseModel):
 
 @router.get("/spec/schema")
 def spec_schema() -> dict[str, Any]:
-    """Get the JSON schema of what `POST /jobs` takes, for forms and editors.
+    """Get the JSON schema of the body of `POST /jobs`, for forms and editors.
 
-    A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, told apart by the constant
-    `name`; `x-robots` lists the robots to which a simulator's schema applies.
+    A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, distinguished by the
+    constant `name`; `x-robots` lists the robots to which a simulator's schema applies.
     """
     return JobCreate.model_json_schema()
 
@@ -206,7 +206,7 @@ def list_presets() -> list[PresetPublic]:
 
 @router.get("/recipes")
 def list_recipes() -> list[RecipePublic]:
-    """List the recipes: jobs that are known to work."""
+    """List the recipes: tested jobs."""
     return [RecipePublic(name=name, summary=recipes.summary(name), job=recipes.job(name)) for name in recipes.names()]
 
 

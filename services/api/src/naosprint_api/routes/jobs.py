@@ -58,15 +58,15 @@ def job_filter(
     group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
-        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
+        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or the beginning of the id.")
     ] = None,
 ) -> queries.JobFilter:
     """Return the filter of a query, restricted to the jobs that the token may see."""
     if not principal.is_admin:
         if owner is not None and owner != principal.owner:
-            raise NotFoundError(f"no jobs of {owner} that this token may see; leave `owner` out")
+            raise NotFoundError(f"no jobs of {owner} that this token may see; omit `owner`")
         owner = principal.owner
-    # A tag that no job can have finds nothing; it is not worth an error.
+    # A tag that no job can have matches nothing, without an error.
     tags = [item for item in tag if "\x00" not in item]
     return queries.JobFilter(states=state, tags=tags, owner=owner, group=group, parent=parent, text=q)
 
@@ -76,7 +76,7 @@ def controllable(service: Service, principal: Principal, job_id: str) -> Job:
     return queries.visible_job(service.reads, principal, job_id)
 
 
-@router.post("/jobs", status_code=201, responses={**SUBMIT, 200: {"model": JobPublic, "description": "Known already"}})
+@router.post("/jobs", status_code=201, responses={**SUBMIT, 200: {"model": JobPublic, "description": "Exists already"}})
 def submit_job(
     body: JobCreate,
     principal: Submitter,
@@ -103,7 +103,7 @@ def submit_job(
 
 
 @router.post(
-    "/groups", status_code=201, responses={**SUBMIT, 200: {"model": GroupPublic, "description": "Known already"}}
+    "/groups", status_code=201, responses={**SUBMIT, 200: {"model": GroupPublic, "description": "Exists already"}}
 )
 def submit_group(
     body: GroupCreate,
@@ -141,7 +141,7 @@ def list_jobs(
     group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
-        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or how the id begins.")
+        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or the beginning of the id.")
     ] = None,
     limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
     cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
@@ -164,14 +164,14 @@ def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
 
 @router.post("/jobs/{job_id}/cancel", responses=CONTROL)
 def cancel_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
-    """Cancel a job. One that runs writes a last checkpoint first; it is cancelled when its state says so."""
+    """Cancel a job. A running one writes a last checkpoint first; it is cancelled when its state is `cancelled`."""
     controllable(service, principal, job_id)
     return service.show_job(lifecycle.request_cancel(service.sessions, Job, job_id))
 
 
 @router.post("/jobs/{job_id}/pause", responses=CONTROL)
 def pause_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
-    """Pause a job. One that runs writes a checkpoint first; it is paused when its state says so."""
+    """Pause a job. A running one writes a checkpoint first; it is paused when its state is `paused`."""
     controllable(service, principal, job_id)
     return service.show_job(lifecycle.request_pause(service.sessions, job_id))
 

@@ -28,10 +28,10 @@ class PolicyCard(BaseModel):
     summary: str
     robot: str
     task: str
-    steps: int = Field(description="Environment steps that it was trained for, over all jobs of its lineage.")
-    training_s: float = Field(description="Seconds that they took.")
+    steps: int = Field(description="Environment steps of its training, over all jobs of its lineage.")
+    training_s: float = Field(description="Seconds of training.")
     episodes: int = Field(description="Episodes of its evaluation.")
-    results: list[dict[str, Any]] = Field(description="Results of the evaluation, which describe themselves.")
+    results: list[dict[str, Any]] = Field(description="Results of the evaluation, with titles and units.")
     headline: list[str] = Field(description="Names of the most important results.")
     tables: list[dict[str, Any]] = Field(description="Results that vary with a quantity.")
     evaluation: dict[str, Any] = Field(description="Specification of the evaluation.")

@@ -56,14 +56,13 @@ def _message(event: str, content: object, identifier: str | None = None) -> byte
 class EventStream(StreamingResponse):
     """Response in chunks of whole events.
 
-    The framework's own way takes each event through two queues, which with many followers is most of what the service
-    does.
+    The framework passes each event through two queues, which with many followers takes most of the service's time.
     """
 
     media_type = "text/event-stream"
 
     def __init__(self, chunks: AsyncIterator[bytes], status_code: int = 200) -> None:
-        # The second is for proxies, which would otherwise collect them.
+        # The second is for proxies, which would otherwise buffer events.
         super().__init__(chunks, status_code, {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
 
 
@@ -86,7 +85,7 @@ async def start_position(
     events_after: Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Id of an event.")] = 0,
     last_event_id: LastEventId = None,
 ) -> Position:
-    """Return where a follower continues: after the last id that it has received, else where the query says."""
+    """Return where a follower continues: after the last id that it has received, else as in the query."""
     if not last_event_id:
         return Position(metrics_after, logs_after, events_after)
     position = Position.parse(last_event_id)
@@ -150,7 +149,7 @@ async def stream_jobs(
 
 @dataclass(frozen=True, slots=True)
 class _Page:
-    """Changes behind a place, and the changed jobs that the follower has not been sent yet."""
+    """Changes after a position, and the changed jobs that have not been sent to the follower yet."""
 
     changes: list[queries.Change]
     jobs: list[Job]
@@ -187,7 +186,7 @@ async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datet
                 if news:
                     yield b"".join(news)
                 full = len(page.changes) == queries.PAGE
-            # What lies outside the overlap is not read again, so it need not be remembered.
+            # Changes outside the overlap are not read again, so they need not be stored.
             sent = {job_id: at for job_id, at in sent.items() if job_id in seen}
             if not await service.broadcaster.wait(subscription):
                 yield KEEPALIVE_COMMENT
@@ -211,8 +210,9 @@ async def stream_job(
 ) -> EventStream:
     """Follow one job: `metrics`, `log`, `event` and `state` messages, then `end` when it has ended.
 
-    Everything from the start is sent unless `Last-Event-ID` or the query say where to continue. When a job resumes from
-    a checkpoint its steps go back: a `metrics` row whose step is not beyond the last one replaces all from there on.
+    Everything from the start is sent unless `Last-Event-ID` or the query sets where to continue. When a job resumes
+    from a checkpoint its steps go back: a `metrics` row whose step is not beyond the last one replaces all rows from
+    its step on.
     """
     kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})
     return EventStream(_news_of_one(service, job.id, seen, kinds))

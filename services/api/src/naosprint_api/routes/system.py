@@ -64,7 +64,7 @@ async def readiness(service: ServiceDep, response: Response) -> Readiness:
 
 
 def may_read_figures(request: Request, service: ServiceDep) -> None:
-    """Allow access to the metrics: to everybody if the settings say so, else to admins."""
+    """Allow access to the metrics: to everybody if the settings allow it, else to admins."""
     if service.settings.api_metrics_public:
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
@@ -96,7 +96,7 @@ def whoami(principal: Reader) -> Identity:
 
 @router.get("/workers", responses=responses(401, 403, 429, 503))
 def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
-    """List the workers with their capabilities, and the jobs that each holds (one's own, unless the token is admin)."""
+    """List the workers with their capabilities, and their leased jobs (one's own, unless the token is admin)."""
     found = registry.workers(service.reads, stale_s=service.settings.lease_s)
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
     return [worker_view(worker, mine) for worker in found]

@@ -23,7 +23,7 @@ TokenId = Annotated[str, Path(pattern=PATTERN, description="Id of the token, nev
 
 @router.post("/tokens", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
 def make_token(body: TokenCreate, principal: Admin, service: ServiceDep) -> TokenMade:
-    """Make a token. Its secret is in this answer and nowhere else: the service keeps only its SHA-256."""
+    """Make a token. Its secret is only in this answer: the service stores only its SHA-256."""
     days = body.expires_in_days
     token_id, secret = create_token(
         service.sessions,
@@ -45,6 +45,6 @@ def show_tokens(principal: Admin, service: ServiceDep) -> list[TokenPublic]:
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
 def revoke_token(token_id: TokenId, principal: Admin, service: ServiceDep) -> None:
-    """Make a token useless from now on; it stays in the list."""
+    """Revoke a token; it stays in the list."""
     revoke(service.sessions, token_id)
     _log.info("%s (%s) revoked token %s", principal.owner, principal.token_id, token_id)
