@@ -1,7 +1,7 @@
 """Succeed if the monitor port listens.
 
-The port is looked up, not connected to, since a waiting server accepts no connections. Standard library only: it runs in
-the server's image.
+The port is looked up, not connected to, since a waiting server accepts no connections. Standard library only: it runs
+in the server's image.
 """
 
 from __future__ import annotations
