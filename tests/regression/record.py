@@ -18,7 +18,7 @@ from comparison import write_record
 
 
 def main() -> None:
-    """Run what is asked for and write its records."""
+    """Run the requested kinds and write their records."""
     asked = sys.argv[1:] or ["policies", "trainings", "api"]
     with ThreadPoolExecutor(2) as pool:
         if "trainings" in asked:

@@ -34,7 +34,7 @@ def test_an_evaluation_gives_the_recorded_results(found: dict[str, Any], name: s
 
 
 def close(recorded: dict[str, Any], evaluated: dict[str, Any], name: str) -> list[str]:
-    """Compare what other rounding hardly changes: the means over the episodes, and the number of falls."""
+    """Compare results that hardly depend on rounding: the means over the episodes, and the number of falls."""
     lines = differences({"episodes": recorded["episodes"]}, {"episodes": evaluated["episodes"]}, name)
     for metric in ("distance_m", "speed_mps"):
         lines += outside(recorded[metric]["mean"], evaluated[metric]["mean"], f"{name}.{metric}.mean", relative=0.03)

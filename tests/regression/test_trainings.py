@@ -40,7 +40,7 @@ def test_a_training_ends_with_the_recorded_arrays(found: dict[str, dict[str, Any
 
 
 def unmatched(recorded: list[str], trained: list[str], name: str) -> list[str]:
-    """Compare the arrays of a file by their hashes, whatever their names are."""
+    """Compare the arrays of a file by their hashes, regardless of their names."""
     missing, extra = Counter(recorded) - Counter(trained), Counter(trained) - Counter(recorded)
     return [
         *(f"{name}: no array has the recorded hash {digest}" for digest in missing.elements()),
@@ -49,7 +49,7 @@ def unmatched(recorded: list[str], trained: list[str], name: str) -> list[str]:
 
 
 def close(recorded: dict[str, Any], trained: dict[str, Any], name: str) -> list[str]:
-    """Compare what other rounding hardly changes: the steps, the number of episodes, and what the files contain."""
+    """Compare results that hardly depend on rounding: the steps, the number of episodes, and what the files contain."""
     old, new = recorded["metrics"], trained["metrics"]
     lines = outside(old["step"], new["step"], f"{name}.metrics.step")
     lines += outside(old["episodes"], new["episodes"], f"{name}.metrics.episodes", relative=0.2)

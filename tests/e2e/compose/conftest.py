@@ -1,4 +1,4 @@
-"""The deployment as it is started from the repository, on a container engine that is at hand."""
+"""The deployment as started from the repository, on an available container engine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STANDINS = Path(__file__).parent / "standins.yml"
 
 @functools.cache
 def missing_engine() -> str | None:
-    """Say what is missing to run containers, or nothing."""
+    """Return what is missing to run containers, or nothing."""
     if shutil.which("docker") is None:
         return "needs a container engine: there is no `docker`"
     for command, what in ((["docker", "info"], "no engine answers"), (["docker", "compose", "version"], "no compose")):
@@ -48,14 +48,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @dataclass(frozen=True)
 class Project:
-    """A compose project of its own name, which no other project's containers, volumes or networks belong to."""
+    """A compose project with its own name, containers, volumes and networks."""
 
     name: str
     files: tuple[Path, ...]
     settings: Path
-    #: Whether the official images can be had.
+    #: Whether the official images can be pulled.
     has_registry: bool
-    #: The environment of `docker compose`: nothing of the caller's may stand in for a setting.
+    #: The environment of `docker compose`: none of the caller's variables may replace a setting.
     environment: dict[str, str] = field(repr=False)
 
     @property
@@ -80,12 +80,12 @@ class Project:
         return run(command, env=environment, check=check, timeout_s=600)
 
     def containers(self) -> list[dict[str, Any]]:
-        """Return what `docker inspect` tells of the project's containers, stopped ones included."""
+        """Return the output of `docker inspect` for the project's containers, stopped ones included."""
         ids = self.owned("container")
         return json.loads(run(["docker", "inspect", *ids]).stdout) if ids else []
 
     def container(self, service: str) -> dict[str, Any]:
-        """Return what `docker inspect` tells of the one container of a service."""
+        """Return the output of `docker inspect` for the one container of a service."""
         found = [one for one in self.containers() if one["Config"]["Labels"]["com.docker.compose.service"] == service]
         assert len(found) == 1, f"{len(found)} containers of {service}"
         return found[0]
@@ -102,7 +102,7 @@ class Project:
         return f"http://{self.compose('port', 'api', '8000').stdout.strip()}"
 
     def token(self, *scopes: str) -> str:
-        """Make a token the way the documentation says."""
+        """Make a token as documented."""
         flags = [part for scope in scopes for part in ("--scope", scope)]
         answer = self.compose(
             "exec", "-T", "api", "python", "-m", "naojobs", "token", "create", "--owner", "tests", *flags
@@ -135,7 +135,7 @@ def engine() -> str:
 
 
 def write_settings(path: Path) -> Path:
-    """Write settings with fresh secrets, made as the documentation says; the API takes any free port."""
+    """Write settings with fresh secrets, made as documented; the API uses any free port."""
     run([str(ROOT / "deploy" / "new-env"), str(path)])
     with path.open("a", encoding="utf-8") as file:
         file.write("API_PORT=0\nWORKER_CPUS=1\n")
@@ -144,7 +144,7 @@ def write_settings(path: Path) -> Path:
 
 @contextlib.contextmanager
 def open_project(settings_file: Path, empty: Path) -> Iterator[Project]:
-    """Build the deployment from this working copy, give it when it is healthy, leave nothing of it in the end.
+    """Build the deployment from this working copy, yield it when it is healthy, and remove it at the end.
 
     Args:
         settings_file: what :func:`write_settings` wrote.
@@ -182,7 +182,7 @@ def settings_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def project(settings_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Project]:
-    """The deployment, built from this working copy and healthy; nothing of it is left in the end."""
+    """The deployment, built from this working copy and healthy; it is removed at the end."""
     with open_project(settings_file, tmp_path_factory.mktemp("wheels")) as project:
         yield project
 
@@ -194,7 +194,7 @@ def naoctl(project: Project, tmp_path_factory: pytest.TempPathFactory) -> Callab
     config = str(tmp_path_factory.mktemp("naoctl") / "config.toml")
 
     def call(*arguments: str, timeout_s: float = 120) -> Any:
-        # The port changes when the container starts anew.
+        # The port changes when the container is restarted.
         environment = {**os.environ, "NAOCTL_URL": project.url, "NAOCTL_TOKEN": token, "NAOCTL_CONFIG": config}
         answer = run([sys.executable, "-m", "naoctl", *arguments], env=environment, timeout_s=timeout_s).stdout
         return json.loads(answer) if "--json" in arguments else answer

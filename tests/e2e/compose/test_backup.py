@@ -33,7 +33,7 @@ def test_a_job_survives_the_loss_of_database_and_store(
     assert naoctl("status", job, "--json") == before
     naoctl("download", job, "--output", str(tmp_path / "after"))
     assert files(tmp_path / "after") == files(tmp_path / "before")
-    # And the service goes on from there.
+    # The service continues from there.
     more = naoctl("submit", *SMALL, "--from", job, "--json")["id"]
     naoctl("watch", more, timeout_s=300)
 

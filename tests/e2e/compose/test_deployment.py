@@ -1,4 +1,4 @@
-"""What `docker compose up` of this repository gives: a service that trains, keeps what it made and lets nobody in."""
+"""The service of `docker compose up` trains, keeps results and refuses unauthorized access."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EVAL = (
 )
 LONG = ("--no-evaluate", "--checkpoint-interval-steps", "10240")
 
-#: What a container prints of an artifact, given its key.
+#: Script that prints the SHA-256 of an artifact, given its key.
 DIGEST = (
     "import hashlib, sys; from naojobs.settings import ServiceSettings; from naojobs.store import ArtifactStore; "
     "print(hashlib.sha256(ArtifactStore.from_settings(ServiceSettings()).get_bytes(sys.argv[1])).hexdigest())"
@@ -68,7 +68,7 @@ def test_a_job_trains_and_its_files_lie_in_the_store(project: Any, naoctl: Naoct
     assert manifest["spec"]["total_steps"] == 2048
     assert any((tmp_path / "evaluation").iterdir())
 
-    # What was downloaded is what lies in the store, which no end of a container can touch.
+    # Downloads match the store, which does not change when containers end.
     keys = project.artifacts(f"jobs/{job['id']}/checkpoints")
     prefix = next(key for key in keys if "/000000002048-" in key).rsplit("/", 1)[0]
     assert {f"{prefix}/{path.name}" for path in folder.iterdir()} <= set(keys)
@@ -86,7 +86,7 @@ def test_a_job_outlives_the_kill_of_worker_and_broker(project: Any, naoctl: Naoc
     naoctl("watch", job["id"], timeout_s=600)
     done = naoctl("status", job["id"], "--json")
     assert (done["state"], done["attempt"]) == ("succeeded", 2)
-    # It went on from a checkpoint and did not begin again: the killed attempt's are still the only ones of their steps.
+    # It resumed from a checkpoint and did not start over: the killed attempt's are still the only ones of their steps.
     points = naoctl("checkpoints", job["id"], "--json")
     steps = [point["step"] for point in points]
     assert len(steps) == len(set(steps)) and max(steps) == done["total_steps"]
@@ -113,7 +113,7 @@ def test_our_containers_can_change_nothing_of_themselves(project: Any) -> None:
         host = project.container(service)["HostConfig"]
         assert host["ReadonlyRootfs"] and host["CapDrop"] == ["ALL"] and host["Memory"] > 0 and host["NanoCpus"] > 0
         assert project.compose("exec", "-T", service, "id", "-u").stdout.strip() == "10001"
-        for target in ("/venv/x", "/var/tmp/x"):  # everybody may write to the second, but for the file system
+        for target in ("/venv/x", "/var/tmp/x"):  # the file system is read-only
             refused = project.compose("exec", "-T", service, "touch", target, check=False)
             assert refused.returncode != 0 and "Read-only file system" in refused.stderr
 

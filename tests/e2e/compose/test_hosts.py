@@ -20,7 +20,7 @@ SMALL = (
 
 @pytest.fixture(scope="module")
 def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Open the service's three ports to other hosts and start a worker that knows nothing but these."""
+    """Open the service's three ports to other hosts and start a worker with only these settings."""
     inspected = subprocess.run(["docker", "network", "inspect", "bridge"], capture_output=True, check=True, timeout=60)
     address = json.loads(inspected.stdout)[0]["IPAM"]["Config"][0]["Gateway"]
     secrets = dict(line.split("=", 1) for line in project.settings.read_text().splitlines() if line[:1].isupper())
@@ -66,7 +66,7 @@ def test_a_job_moves_to_the_worker_of_another_host(
     here, there = (one.container("worker")["Config"]["Hostname"] for one in (project, remote))
 
     def only_these_two() -> bool:
-        # A worker that was replaced while the database was away is forgotten when its heartbeats are missed.
+        # A worker that was replaced during an outage of the database is removed when its heartbeats are missed.
         return {worker["host"] for worker in naoctl("workers", "--json") if worker["alive"]} == {here, there}
 
     wait_for(only_these_two, 60, "the two workers were not the only ones")
@@ -81,7 +81,7 @@ def test_a_job_moves_to_the_worker_of_another_host(
     holding = wait_for(holders, 60, "the two workers did not take a job each")
     assert sorted(holding.values()) == sorted((here, there))
 
-    # The one here ends; what it was training goes on there.
+    # The local worker ends; its training resumes on the other one.
     project.compose("stop", "worker")
     for job in jobs:
         naoctl("watch", job, timeout_s=600)

@@ -1,4 +1,4 @@
-"""`docker compose --profile observability`: Prometheus reads the service, and every figure of the board exists."""
+"""`docker compose --profile observability`: Prometheus reads the service, and every metric of the board exists."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def test_every_figure_of_the_board_exists(prometheus: Callable[..., Any], wait_f
     board = json.loads((ROOT / "deploy" / "grafana" / "boards" / "naosprint.json").read_text(encoding="utf-8"))
     asked = [(panel["title"], target["expr"]) for panel in board["panels"] for target in panel["targets"]]
     assert len(asked) > 10
-    reported = prometheus("metadata")  # figures that nothing was counted for yet are among them
+    reported = prometheus("metadata")  # including metrics without any count yet
     for title, expression in asked:
         prometheus(f"query?query={quote(expression)}")  # it is well formed
         unknown = {name for name in METRIC.findall(expression) if HISTOGRAM_PART.sub("", name) not in reported}
-        assert not unknown, f"{title}: nobody reports {unknown}"
+        assert not unknown, f"{title}: not reported: {unknown}"
 
 
 def test_grafana_shows_the_board(project: Any, prometheus: Callable[..., Any]) -> None:

@@ -1,4 +1,4 @@
-"""`docker compose --profile sidecars`: a job on servers gets containers of its own; nothing of them is left."""
+"""`docker compose --profile sidecars`: a job on servers gets its own containers, which are removed at the end."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def docker(*arguments: str) -> str:
 
 
 def owned(kind: str, **labels: str) -> list[dict[str, Any]]:
-    """Return what the engine knows of the servers' containers or networks that carry these labels."""
+    """Return the servers' containers or networks with these labels."""
     every = ["--all"] if kind == "container" else []
     filters = [part for key, value in labels.items() for part in ("--filter", f"label={key}={value}")]
     ids = docker(kind, "ls", *every, "--quiet", "--no-trunc", "--filter", "label=naosim.server=1", *filters).split()
@@ -111,9 +111,9 @@ def test_nothing_is_left_of_a_killed_worker_and_its_job_goes_on(
     wait_for(lambda: not owned("container", job=job), 60, "servers were left behind")
     wait_for(lambda: not owned("network", job=job), 60 - (time.monotonic() - killed), "a network was left behind")
 
-    # The worker that was killed comes back, although the network that it was on is gone.
+    # The worker that was killed restarts, although its network was removed.
     sidecars.compose("up", "--detach", "--no-build", "--wait", "--wait-timeout", "120", "sidecar-worker")
-    wait_for(lambda: len(owned("container", job=job, attempt="2")) == SERVERS, 120, "the job did not go on")
+    wait_for(lambda: len(owned("container", job=job, attempt="2")) == SERVERS, 120, "the job did not resume")
     naoctl("cancel", job, "--wait")
     wait_for(lambda: not owned("container", job=job), 60, "servers of a cancelled job were left behind")
 
@@ -138,6 +138,6 @@ def test_the_worker_has_no_way_to_the_engine(sidecars: Any) -> None:
     assert ask("DELETE", f"/servers/{sidecars.container('postgres')['Id']}").startswith("404")
     order = {"server": "rcssserver3d", "job": f"job_{'0' * 26}", "attempt": 1, "count": 1}
     assert ask("POST", "/servers", json.dumps({**order, "HostConfig": {"Privileged": True}})).startswith("422")
-    # else it would refuse all of the above for a reason of its own
+    # otherwise it could refuse all of the above for another reason
     assert ask("POST", "/servers", json.dumps(order)).startswith("200")
     assert sidecars.container("postgres")["State"]["Running"]

@@ -1,4 +1,4 @@
-"""A real service with a worker, and a real browser that looks at it."""
+"""A real service with a worker, and a real browser."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Let fixtures know whether their test has failed."""
+    """Record for fixtures whether their test has failed."""
     report = yield
     item.stash[FAILED] = item.stash.get(FAILED, False) or report.failed
     return report
@@ -68,7 +68,7 @@ def pytest_runtest_makereport(
 
 @dataclass(frozen=True)
 class Stack:
-    """A running service: where it is, and how to get tokens for it."""
+    """A running service: its address and its tokens."""
 
     url: str
     make_token: Callable[..., str]
@@ -77,7 +77,7 @@ class Stack:
     stop_api: Callable[[], None]
 
     def client(self, token: str) -> httpx.Client:
-        """Return an HTTP client that carries `token`."""
+        """Return an HTTP client with `token`."""
         return httpx.Client(base_url=self.url, headers={"Authorization": f"Bearer {token}"}, timeout=20)
 
 
@@ -88,7 +88,7 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     folder = Path(tempfile.mkdtemp(prefix="naopg-"))  # short: a socket lies in it
     with contextlib.ExitStack() as cleanup:
         cleanup.callback(shutil.rmtree, folder, ignore_errors=True)
-        # A task that a package of someone else's adds; the shared environment stays clean.
+        # A task of another package; the shared environment does not change.
         shutil.copytree(BACKWARDS, base / "source")
         pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
         subprocess.run([*pip, "--target", base / "site", base / "source"], check=True)
@@ -188,7 +188,7 @@ def pictures() -> Path:
 
 
 class Browser:
-    """A headless Chromium on one service, with the few gestures that the tests need."""
+    """A headless Chromium on one service, with the actions that the tests need."""
 
     def __init__(self, driver: Chrome, base: str, downloads: Path) -> None:
         self.driver = driver
@@ -198,7 +198,7 @@ class Browser:
         self.allowed: list[str] = []
 
     def open(self, place: str = "/") -> None:
-        """Load the dashboard afresh at a place of it."""
+        """Load the dashboard at an address."""
         self.driver.get("about:blank")
         self.driver.get(f"{self.base}/#{place}")
 
@@ -247,7 +247,7 @@ class Browser:
         )
 
     def set(self, selector: str, value: str) -> None:
-        """Type a value into a field in place of what stands there."""
+        """Replace a field's value."""
         field = self.find(selector)
         self.js(
             "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input', {bubbles: true}));",
@@ -270,7 +270,7 @@ class Browser:
         return outcome.get("value")
 
     def size(self, width: int, height: int) -> None:
-        """Make the view so many CSS pixels large, as a phone's where it is narrow."""
+        """Set the size of the view in CSS pixels; a narrow one is a phone's."""
         self.driver.execute_cdp_cmd(
             "Emulation.setDeviceMetricsOverride",
             {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
@@ -316,7 +316,7 @@ class Browser:
 
 
 def start_chromium(profile: Path, downloads: Path) -> Chrome:
-    """Start one headless Chromium that draws WebGL without a graphics card and tells nobody about it."""
+    """Start one headless Chromium that draws WebGL in software and makes no requests of its own."""
     options = ChromeOptions()
     options.binary_location = str(CHROMIUM)
     for flag in (
@@ -358,7 +358,8 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Chrome,
 def browser(
     chromium: tuple[Chrome, Path], stack: Stack, pictures: Path, request: pytest.FixtureRequest
 ) -> Iterator[Browser]:
-    """The browser, signed out, in a desktop's size; it must not have complained or gone elsewhere by the end.
+    """The browser, signed out, in a desktop's size; it must have logged no errors and made no foreign requests by the
+    end.
 
     What it shows when a test fails is kept among the pictures.
     """

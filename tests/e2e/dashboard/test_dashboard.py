@@ -1,4 +1,4 @@
-"""What people do with the dashboard, in a real browser against the real service with a real job."""
+"""Use of the dashboard in a real browser, with the real service and a real job."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import httpx
     from conftest import Browser, Stack
 
-#: A training of a moment: two robots, the smallest network.
+#: A very short training: two robots, the smallest network.
 TINY: dict[str, Any] = {
     "task.name": "sprint2",
     "algorithm.n_envs": 2,
@@ -97,7 +97,7 @@ def painted(browser: Browser, selector: str) -> int:
 
 
 def moment(browser: Browser, frame: int) -> Image.Image:
-    """Bring a replay to one of its frames and return what its canvas shows then."""
+    """Move a replay to one of its frames and return the content of its canvas."""
     browser.set(".replay-bar input[type=range]", str(frame))
     return shot(browser)
 
@@ -118,7 +118,7 @@ def choose(browser: Browser, selector: str, value: str) -> None:
 
 
 def choose_text(browser: Browser, selector: str, text: str) -> None:
-    """Choose an entry of a select by what it says."""
+    """Choose an entry of a select by its text."""
     browser.js(
         "const [s, text] = arguments; s.value = [...s.options].find((o) => o.text === text).value;"
         "s.dispatchEvent(new Event('change'))",
@@ -215,7 +215,7 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
     assert {path: value for path, value in flattened(job["spec"]).items() if path in TINY} == TINY
     assert job["spec"]["total_steps"] == 500
     assert job["evaluation"]["episodes"] == 4
-    # Nothing is loaded anew from here on: what follows came over the stream.
+    # Nothing is reloaded from here on: everything else comes over the stream.
     browser.shows("Succeeded", ".page-head", timeout_s=240)
     browser.shows("512of 512", ".stats")
     browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no curve was drawn")
@@ -231,7 +231,7 @@ def test_submit_from_the_form_and_watch_it_learn(browser: Browser, token: str, c
 
 
 def test_a_task_of_another_package_is_everywhere(browser: Browser, token: str, client: httpx.Client) -> None:
-    """Its parameter in the form, its metrics in the list, charts, evaluation and replay: no page knows its name."""
+    """Its parameter in the form, its metrics in the list, charts, evaluation and replay: no page contains its name."""
     browser.sign_in(token)
     browser.open("/submit")
     browser.find("[name='spec.task.name']")
@@ -425,7 +425,7 @@ def test_the_newest_checkpoint_of_a_running_job_can_be_watched(
 
 
 def test_reading_goes_on_while_figures_come_in(browser: Browser, token: str, client: httpx.Client) -> None:
-    """Neither the focus nor what is open or scrolled to is lost when a job tells news."""
+    """Focus, open details and scroll position are kept when a job changes."""
     job_id = submit(client, "reader", steps=ENDLESS, checkpoint_interval_steps=2048, tags=("kept",))
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}/checkpoints")

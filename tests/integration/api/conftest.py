@@ -31,7 +31,7 @@ class Message:
 
 @pytest.fixture(scope="session")
 def follow() -> Callable[..., Any]:
-    """Open a stream; yields an iterator of its messages."""
+    """Open a stream; yield an iterator of its messages."""
 
     @contextmanager
     def follow(
@@ -60,7 +60,7 @@ def follow() -> Callable[..., Any]:
 
 @pytest.fixture
 def run_job(sessions: sessionmaker[Session]) -> Callable[..., Lease]:
-    """Submit a job of `owner` and let a worker take it; returns the worker's lease."""
+    """Submit a job of `owner` and claim it for a worker; return the worker's lease."""
 
     def run(owner: str = "alice", **fields: Any) -> Lease:
         job, _ = submission.submit(sessions, JobRequest(**fields), owner=owner)
@@ -75,7 +75,7 @@ def run_job(sessions: sessionmaker[Session]) -> Callable[..., Lease]:
 
 @pytest.fixture
 def save_checkpoint(sessions: sessionmaker[Session], store: ArtifactStore, tmp_path: Path) -> Callable[..., str]:
-    """Store a checkpoint of a leased job with the given files; returns its id."""
+    """Store a checkpoint of a leased job with the given files; return its id."""
 
     def save(lease: Lease, step: int, files: dict[str, bytes]) -> str:
         folder = tmp_path / f"{lease.job_id}-{step}"

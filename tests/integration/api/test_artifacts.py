@@ -1,4 +1,4 @@
-"""Checkpoints and evaluations over HTTP: whole, in parts, as an archive, and never anything else."""
+"""Checkpoints and evaluations over HTTP: complete, in parts, as an archive, and no other files."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_an_archive_holds_all_files(client: httpx.Client, lease: Lease, checkpoi
 def test_no_name_leads_anywhere_else(
     client: httpx.Client, checkpoint: str, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    # httpx would tidy the path up; a stranger's client need not.
+    # httpx would normalize the path; other clients may not.
     connection = HTTPConnection(client.base_url.host, client.base_url.port, timeout=20)
     with closing(connection):
         for root in (f"/checkpoints/{checkpoint}/files/", "/ui/"):
@@ -252,7 +252,7 @@ def test_a_jobs_result_is_its_newest_evaluation_with_the_most_episodes(
     records.append_metrics(sessions, lease, [{"step": 400, "c": 0.5}])
     result = client.get(path).json()["result"]
     assert (result["evaluation_id"], result["step"], result["episodes"]) == (chosen, 300, 1000)
-    assert [item["name"] for item in result["results"]] == ["a", "c"], "the headline, then what training reports too"
+    assert [item["name"] for item in result["results"]] == ["a", "c"], "the headline, then training results"
     assert result["results"][0] == {
         "name": "a", "title": "A", "unit": "m", "digits": 2, "value": 3.0, "interval": [0.0, 9.0], "sd": None
     }  # fmt: skip
@@ -281,7 +281,7 @@ def test_deleting_a_job_deletes_its_files(
     assert store.list(f"jobs/{lease.job_id}")
     lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
-    # Files go behind the answer; the connection is only free for another request when they are gone.
+    # Files are deleted after the answer; the connection is free for another request only after that.
     assert client.get(f"/checkpoints/{checkpoint}").status_code == 404
     assert store.list(f"jobs/{lease.job_id}") == []
 

@@ -1,4 +1,4 @@
-"""Jobs over HTTP: submit, look up, steer, and what is refused and why."""
+"""Jobs over HTTP: submit, look up, control, and errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def submit(client: httpx.Client, **body: Any) -> dict[str, Any]:
 
 
 def problem(answer: httpx.Response, status: int) -> dict[str, Any]:
-    """Return the problem document of an answer; check that it is a whole one."""
+    """Return the problem document of an answer; check that it is complete."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     document: dict[str, Any] = answer.json()
@@ -118,7 +118,7 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
         ({"name": "last"}, "name", "refers to the newest job"),
         ({"priority": 10}, "priority", "less than or equal to 9"),
         ({"parent_checkpoint_id": "ckpt_01m7y0bdkc59pc1szgpqz7ge55"}, "parent_job_id", "give the job"),
-        ({"parent_job_id": UNKNOWN}, "parent_job_id", "a job of yours"),
+        ({"parent_job_id": UNKNOWN}, "parent_job_id", "one of your jobs"),
         ({"parent_job_id": "../../etc/passwd"}, "parent_job_id", "expected an id"),
         ([], "body", "JSON object"),
         ("text", "body", "JSON object"),
@@ -169,7 +169,7 @@ def test_paging_gives_every_job_once_newest_first(make_client: Callable[..., htt
         page = client.get("/jobs", params={"limit": 3, **({"cursor": cursor} if cursor else {})}).json()
         found += [job["id"] for job in page["items"]]
         cursor = page["next_cursor"]
-        submit(client, name="comes later and is on no page")
+        submit(client, name="is submitted later and is on no page")
         if cursor is None:
             break
     assert found == list(reversed(ids))
@@ -277,7 +277,7 @@ def test_jobs_of_others_do_not_exist(
     ):
         theirs = problem(mallory.request(method, f"/jobs/{job}{path}"), 404)
         nobodys = problem(mallory.request(method, f"/jobs/{UNKNOWN}{path}"), 404)
-        assert theirs["detail"].replace(job, UNKNOWN) == nobodys["detail"], "the answers must not tell them apart"
+        assert theirs["detail"].replace(job, UNKNOWN) == nobodys["detail"], "the answers must not distinguish them"
         assert "refused mallory" in caplog.text and f"{job} belongs to alice" in caplog.text
         caplog.clear()
     assert mallory.get("/jobs").json()["items"] == []

@@ -1,4 +1,4 @@
-"""The API against its own OpenAPI document, with requests that nobody would think of."""
+"""The API against its own OpenAPI document, with generated requests."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def caller(start_api: Callable[..., Any], make_token: Callable[..., str]) -> Ite
 def known(
     run_job: Callable[..., Lease], save_checkpoint: Callable[..., str], sessions: sessionmaker[Session]
 ) -> dict[str, str]:
-    """Path parameters that lead somewhere."""
+    """Path parameters of existing objects."""
     lease = run_job()
     checkpoint = save_checkpoint(lease, 1, {"a.json": b"{}"})
     evaluation = submission.request_evaluation(sessions, lease.job_id)
@@ -59,7 +59,7 @@ def test_no_request_breaks_the_service_or_its_document(caller: httpx.Client, kno
         operation = result.ok()
         assert operation is not None
         if operation.path.endswith("/stream"):
-            continue  # a stream has no end to wait for
+            continue  # a stream does not end
         for mode in (GenerationMode.POSITIVE, GenerationMode.NEGATIVE):
             for ids in (known, {}):
                 fixed = {name: value for name, value in ids.items() if f"{{{name}}}" in operation.path}
@@ -71,7 +71,7 @@ def test_no_request_breaks_the_service_or_its_document(caller: httpx.Client, kno
 
 
 def attempt_all(caller: httpx.Client, strategy: SearchStrategy[Case]) -> int:
-    """Send requests of a strategy and check what comes back; return how many."""
+    """Send requests of a strategy and check the responses; return their number."""
     tried = 0
 
     @settings(
@@ -89,6 +89,6 @@ def attempt_all(caller: httpx.Client, strategy: SearchStrategy[Case]) -> int:
         response = case.call(base_url=str(caller.base_url), headers={"Authorization": caller.headers["authorization"]})
         case.validate_response(response, checks=CHECKS)
 
-    with suppress(Unsatisfiable):  # there is nothing to get wrong about an operation without parameters
+    with suppress(Unsatisfiable):  # an operation without parameters cannot be called wrongly
         attempt()
     return tried

@@ -46,7 +46,7 @@ def test_a_job_is_announced_to_workers_that_have_its_simulator(
         queue.flushall()
         urgent = client.post("/jobs", json={"priority": 9}).json()["id"]
         plain = client.post("/jobs", json={"spec": {"simulator": "server"}}).json()["id"]
-        client.get("/jobs")  # the announcement of the request before is done when the connection is free again
+        client.get("/jobs")  # the previous request's wake-up message has been sent when the connection is free again
         for key, job_id in (("embedded", urgent), ("server", plain)):
             (raw,) = queue.lrange(key, 0, -1)
             message = json.loads(raw)
@@ -103,7 +103,7 @@ def test_a_store_that_never_answers_holds_up_nothing_else(
     sessions: sessionmaker[Session],
     silent_server: int,
 ) -> None:
-    """Forty ask whether the service is ready, forty download; a job is submitted within a second."""
+    """During forty readiness checks and forty downloads a job is submitted within a second."""
     lease = run_job("silence")
     manifest = {"files": [{"name": "policy.npz", "size": 1, "sha256": "0" * 64}]}
     checkpoint = records.record_checkpoint(sessions, lease, step=1, key="jobs/silent/1", manifest=manifest)
@@ -122,7 +122,7 @@ def test_a_store_that_never_answers_holds_up_nothing_else(
         client.get("/healthz")
         readers = [pool.submit(client.get, "/readyz") for _ in range(40)]
         downloads = [pool.submit(client.get, f"/checkpoints/{checkpoint}/files/policy.npz") for _ in range(40)]
-        wait([*readers, *downloads], timeout=1)  # until all have arrived and none has an answer
+        wait([*readers, *downloads], timeout=1)  # until all have arrived and none has been answered
         began = time.monotonic()
         assert client.post("/jobs", json={}).status_code == 201
         assert time.monotonic() - began < 1
@@ -184,7 +184,7 @@ def test_large_bodies_are_refused_before_they_are_read(
         assert answer.headers["content-type"] == "application/problem+json"
         assert answer.json()["errors"][0]["field"] == "body"
         assert "1048576 bytes" in answer.json()["detail"]
-    # An announced length alone is enough: nothing of the 100 MB is ever sent.
+    # An announced length alone is enough: the 100 MB are never sent.
     with socket.create_connection(("127.0.0.1", int(api.url.rsplit(":", 1)[1]))) as connection:
         connection.sendall(b"POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 100000000\r\n\r\n")
         assert connection.recv(4096).startswith(b"HTTP/1.1 413")

@@ -1,4 +1,4 @@
-"""Live news: nothing is lost, nothing comes twice, and streams end when they should."""
+"""Live streams: nothing is lost or repeated, and streams end when they should."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_follower_sees_a_job_live_until_it_ends(
 def test_a_follower_without_news_is_told_that_the_stream_lives(
     path: str, client: httpx.Client, run_job: Callable[..., Lease], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Proxies cut what is silent, and a write is how a follower that has gone is noticed."""
+    """Proxies close silent connections, and only a write detects that a follower has disconnected."""
     for name in ("_IDLE_S", "_BLIND_S"):
         monkeypatch.setattr(broadcast, name, 0.05)
     with client.stream("GET", path.format(run_job().job_id)) as response:

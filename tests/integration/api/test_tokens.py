@@ -1,4 +1,4 @@
-"""Tokens over HTTP: an admin makes, lists and revokes them; nobody else does."""
+"""Tokens over HTTP: only admins may make, list and revoke them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last part of the demonstration: a bundled policy beside the one just trained."""
+"""The last part of the demonstration: a bundled policy beside the one that was trained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line against the real thing: `naoctl up` with Postgres, broker, API, worker and trainings.
+"""The command line against the real service: `naoctl up` with Postgres, broker, API, worker and trainings.
 
 The tests run in order and share one data folder, as a user's days do.
 """
@@ -32,7 +32,7 @@ ENDLESS = ["--steps", "1000000000", "--n-envs", "4", "--n-steps", "64", "--batch
 
 
 class Shell:
-    """Run naoctl as a user does, with a home of its own."""
+    """Run naoctl with a home folder of its own."""
 
     def __init__(self, home: Path) -> None:
         self.layout = Layout.at(home / "data")
@@ -61,7 +61,7 @@ class Shell:
         return json.loads(self(*words, "--json", code=code, **environment).stdout)
 
     def api(self, path: str) -> Any:
-        """Ask the service itself, where the command line is not what is tested."""
+        """Query the service directly, without the command line."""
         headers = {"Authorization": f"Bearer {self.layout.admin_token.read_text().strip()}"}
         response = httpx.get(f"{self.state().url}{path}", headers=headers, trust_env=False, timeout=30)
         response.raise_for_status()
@@ -72,7 +72,7 @@ class Shell:
         return dict(found)
 
     def processes(self) -> list[psutil.Process]:
-        """Everything that runs for the stack, the supervisor excepted."""
+        """All processes of the stack except the supervisor."""
         state = self.state()
         assert state.supervisor is not None
         family = psutil.Process(state.supervisor.pid).children(recursive=True)
@@ -85,7 +85,7 @@ class Shell:
         return state
 
     def until(self, job: str, reached: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Follow a job's stream until it is so."""
+        """Follow a job's stream until a condition holds."""
         with subprocess.Popen(
             [sys.executable, "-m", "naoctl", "watch", job, "--json"],
             stdout=subprocess.PIPE,
@@ -128,7 +128,7 @@ def stack(naoctl: Shell) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def job(naoctl: Shell, stack: dict[str, Any]) -> dict[str, Any]:
-    """A tiny training, seen through."""
+    """A tiny training from submission to results."""
     words = ["submit", *TINY, *EVAL, "--name", "tiny", "--tag", "try", "--tag", "x:1", "--watch"]
     ran = naoctl(*words)
     assert "256 of 256 steps 100%" in ran.stdout
@@ -308,7 +308,7 @@ def test_the_next_start_finds_everything_again(naoctl: Shell, stack: dict[str, A
 def test_down_is_sure_and_can_be_repeated(naoctl: Shell, stack: dict[str, Any]) -> None:
     naoctl("up", "--detach")
     state, processes = naoctl.state(), naoctl.processes()
-    # Typed as `naoctl up` printed it, in a shell that does not know the data folder.
+    # Typed as `naoctl up` printed it, in a shell without the data folder's variable.
     command = shlex.split(naoctl.layout.stop_command)
     del naoctl.environment["NAOCTL_DATA_DIR"]
     assert command[0] == "naoctl"

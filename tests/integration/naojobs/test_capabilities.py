@@ -26,7 +26,7 @@ QUEUES = ("embedded", "server")
 
 @pytest.fixture(autouse=True)
 def empty(sessions: Sessions) -> Iterator[None]:
-    """Nothing waits before and after a test."""
+    """No work waits before and after a test."""
     yield
     with sessions.begin() as session:
         session.execute(delete(Job))

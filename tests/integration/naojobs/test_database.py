@@ -14,7 +14,7 @@ from sqlalchemy import text
 
 @pytest.fixture
 def many_descriptors() -> Iterator[None]:
-    """Take every descriptor below 1,100, as a service with many followers does."""
+    """Use every descriptor below 1,100, like a service with many followers."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft < 2048:
         resource.setrlimit(resource.RLIMIT_NOFILE, (2048, hard))

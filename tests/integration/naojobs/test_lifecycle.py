@@ -1,4 +1,4 @@
-"""The life of a job against a real Postgres: who may do what, when, and who wins a race."""
+"""The life cycle of a job in a real Postgres: allowed requests and races."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(
 
 
 def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions, submit: Callable[..., Job]) -> None:
-    """Failures count while nothing is gained: a checkpoint of a step that was reached before is no progress."""
+    """Failures count while there is no progress, such as a checkpoint of a step that was reached before."""
     job = submit(max_attempts=2)
     for round_, (step, failures) in enumerate(((0, 1), (0, 2))):
         claim = lifecycle.claim(sessions, Job, job.id, "w")
@@ -178,7 +178,7 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
 
 
 class Intruder:
-    """Another user's action, started in the middle of a deletion, once its rows are locked and before they go."""
+    """Another user's action, started during a deletion, between the lock and the deletion of its rows."""
 
     def __init__(self, sessions: Sessions, action: Callable[[], object]) -> None:
         self._sessions = sessions
@@ -418,7 +418,7 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     assert newest.initial_policy is not None
     assert newest.initial_policy.id == second
     with sessions() as session:
-        assert session.get_one(Job, other.id).parent_checkpoint_id == second, "the lineage names what was taken"
+        assert session.get_one(Job, other.id).parent_checkpoint_id == second, "the lineage names the used checkpoint"
     records.record_checkpoint(sessions, running.lease, step=30, key=f"{parent}/30", manifest={"files": []})
     lifecycle.transition(sessions, newest.lease, WorkState.QUEUED)
     once_more = lifecycle.claim(sessions, Job, other.id, "w")
@@ -465,7 +465,7 @@ def test_a_parent_may_have_trained_a_robot_of_another_type(sessions: Sessions, s
 
 def test_anothers_job_is_no_parent(sessions: Sessions, submit: Callable[..., Job]) -> None:
     parent = submit(owner="bob")
-    with pytest.raises(InvalidError, match="job of yours"):
+    with pytest.raises(InvalidError, match="one of your jobs"):
         submission.submit(sessions, JobRequest(parent_job_id=parent.id), owner="alice")
 
 
@@ -529,7 +529,7 @@ def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClai
 
 
 def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, submit: Callable[..., Job]) -> None:
-    """The checkpoint of step 0 has random weights: it is no policy to start from."""
+    """The checkpoint of step 0 has random weights: no job starts from it."""
     parent = submit()
     child = submit(parent_job_id=parent.id)
     claim = lifecycle.claim(sessions, Job, parent.id, "w")
@@ -549,7 +549,7 @@ def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, su
 
 
 def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, submit: Callable[..., Job]) -> None:
-    """It leaves the queue with the reason, and the next job is claimed in its place."""
+    """It fails with the reason, and the next job is claimed instead."""
     parent = submit()
     child = submit(parent_job_id=parent.id, priority=9)
     lifecycle.request_cancel(sessions, Job, parent.id)

@@ -1,4 +1,4 @@
-"""The migrations: up gives what the models say, down leaves nothing."""
+"""The migrations: upgrades give the models' schema, downgrades leave nothing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_up_gives_what_the_models_say_and_down_leaves_nothing(empty: Engine) -> 
 
 
 def test_rows_of_the_first_revision_are_kept(empty: Engine) -> None:
-    """Jobs and evaluations get what they need of a worker; down again, no new state remains."""
+    """The upgrade adds the requirements of jobs and evaluations; after a downgrade, no new state remains."""
     upgrade(url_of(empty), MIGRATIONS, "0001")
     spec = '{"task": "sprint2", "robot_type": 3, "simulator": "rcssserver3d"}'
     with empty.begin() as connection:

@@ -1,4 +1,4 @@
-"""What workers record: in order, once, and only while they hold the lease."""
+"""Records of workers: in order, once, and only with a lease."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_batch_written_twice_is_there_once(sessions: Sessions, lease: Lease) -
 
 
 def test_ids_ascend_in_the_order_of_commits(sessions: Sessions, lease: Lease) -> None:
-    """A follower reads behind the last id it saw; an id that shows up late below it would be lost to it."""
+    """A follower reads after the last id it saw, so it would miss a lower id that is committed later."""
 
     def write(number: int) -> None:
         records.record_event(sessions, lease, "test", str(number))

@@ -1,4 +1,4 @@
-"""Checkpoints that are not worth it go, and so do files that no row refers to; nothing else does."""
+"""Only unneeded checkpoints and files that no row refers to are deleted."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_what_something_refers_to_and_the_best_are_kept(
     parent = JobRequest(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec=TrainingSpec())
     submission.submit(sessions, parent, owner="alice")
     prune_checkpoints(sessions, lease, Retention(2))
-    # No checkpoint was saved at step 700, however good it was.
+    # No checkpoint was saved at step 700, although its reward was the highest.
     assert steps(sessions, lease.job_id) == [500, 800, 1300, 1800, 2000]
 
 
@@ -119,7 +119,7 @@ def test_who_lost_the_lease_removes_nothing(sessions: Sessions, lease: Lease, sa
 
 
 def grow_old(store: ArtifactStore, prefix: str, age: timedelta = timedelta(hours=25)) -> None:
-    """Let files look as if they had been written long ago."""
+    """Set old modification times on files."""
     assert store.local_root is not None
     at = time.time() - age.total_seconds()
     for key in store.list(prefix):
@@ -139,7 +139,7 @@ def test_files_that_no_row_refers_to_are_swept(
     for prefix in (f"jobs/{lease.job_id}", lost, "probes"):
         grow_old(store, prefix)
 
-    # A worker holds the job: what its clock says about its files does not matter.
+    # A worker has leased the job, so the age of its files does not matter.
     assert find_orphans(sessions, store) == [lost, "probes/left"]
     lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     assert sorted(sweep(sessions, store)) == sorted([lost, cut, "probes/left"])
@@ -176,7 +176,7 @@ def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The store was away when the job was deleted."""
+    """The store was unavailable when the job was deleted."""
     save(300)
     lifecycle.transition(sessions, lease, WorkState.CANCELLED)
     lifecycle.delete(sessions, lease.job_id)

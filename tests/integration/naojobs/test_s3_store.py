@@ -32,7 +32,7 @@ def test_a_folder_comes_back_as_it_was(store: ArtifactStore, tmp_path: Path) -> 
     manifest = store.put_directory("jobs/j/checkpoints/1-1", folder)
     assert store.get_directory("jobs/j/checkpoints/1-1", tmp_path / "out") == manifest
     assert (tmp_path / "out" / "policy.npz").read_bytes() == (folder / "policy.npz").read_bytes()
-    # This server sends the range, with a status that says that it does not.
+    # This server sends the range, but with the status of a full response.
     whole = bytes(range(256)) * 30_000
     for start, stop in ((0, 1), (300, 310), (1 << 20, 5 << 20), (7_000_000, None), (7_679_999, 7_680_000)):
         assert b"".join(store.stream("jobs/j/checkpoints/1-1/policy.npz", start, stop)) == whole[start:stop]

@@ -30,7 +30,7 @@ def embedded() -> ProcessLauncher:
 
 @pytest.mark.parametrize("robot_type", [0, 4])
 def test_the_wire_changes_nothing(robot_type: int) -> None:
-    """The engine in process and the engine behind `naosim serve` perceive the same, to the last digit."""
+    """The engine in process and the engine behind `naosim serve` return the same perceptors, to the last digit."""
     rng = np.random.default_rng(robot_type)
     engine = BatchSimulator(1, robot_type)
     still = np.zeros((1, len(engine.model.joints)))
@@ -163,8 +163,8 @@ def test_nothing_outlives_an_owner_that_is_killed(program: str | None) -> None:
             waiter = threading.Thread(target=lambda fd=fd: wait_pidfd(fd))
             waiter.start()
             waiter.join(20)
-            assert not waiter.is_alive(), "it has outlived its owner"
-        assert not any(os.path.isdir(home) for home in homes), "its folder has outlived it"
+            assert not waiter.is_alive(), "it still runs after its owner's death"
+        assert not any(os.path.isdir(home) for home in homes), "its folder still exists"
     finally:
         for fd in groups:
             os.close(fd)

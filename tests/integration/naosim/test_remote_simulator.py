@@ -45,7 +45,7 @@ def test_servers_conform(check: Check) -> None:
 
 
 def test_a_server_starts_robots_as_the_engine_does() -> None:
-    """Let down and settled, a robot stands as in the engine's snapshot, in the pose of its start."""
+    """Dropped and settled, a robot stands as in the engine's snapshot, in the pose of its start."""
     engine, server = EmbeddedSimulator(NAO, 2), remote(2)
     try:
         for simulator in (engine, server):
@@ -90,7 +90,7 @@ def test_a_standby_server_prepares_the_next_start_while_the_robot_runs() -> None
         assert bend(1) == pytest.approx(loaded.poses_rad[2, BENT], abs=0.01)
         assert simulator.truth.torso_position[1, 0] == pytest.approx(-14.0, abs=0.02)
         assert time[simulator._servers[0]] == before, "the other robot was stepped"
-        # another start than the prepared one, on a standby server that died meanwhile: both cost time, no more
+        # another start than the prepared one, on a standby server that died meanwhile: both only take time
         kill(simulator, simulator._standbys[1].server)
         for _ in range(5):
             simulator.step(targets)
@@ -103,7 +103,7 @@ def test_a_standby_server_prepares_the_next_start_while_the_robot_runs() -> None
 
 
 def test_a_group_starts_while_the_servers_of_the_other_compute() -> None:
-    """Robots that are stepped in turns perceive what they would side by side, a start in between included."""
+    """Robots that are stepped in turns perceive the same as in parallel, a start in between included."""
     together, turns = remote(3), remote(3)
     try:
         assert turns.groups == (slice(0, 2), slice(2, 3))

@@ -26,7 +26,7 @@ def torso(monitor: Wire, scene: _core.SceneReader, number: int = 1) -> tuple[np.
 def step_until_at(
     place: tuple[float, float], player: Player, monitor: Wire, scene: _core.SceneReader, number: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Step until a robot is where a trainer has put it, whose words may come some cycles after a player's."""
+    """Step until a robot is where a trainer has put it; a trainer's command may arrive some cycles later."""
     for _ in range(100):
         player.step()
         position, rotation = torso(monitor, scene, number)
@@ -66,7 +66,7 @@ def test_a_league_agent_is_answered_as_it_expects(server: Server, robot_type: in
 
 @pytest.mark.parametrize("at_once", [2, 3])
 def test_messages_that_arrive_together_are_all_answered_and_so_is_the_next(server: Server, at_once: int) -> None:
-    """A client that asks again before it was answered does not make the server deaf."""
+    """A client that sends again before it was answered does not block the server."""
     player = Player(server.agent_port)
     player.socket.sendall(b"".join(protocol.frame(b"(syn)") for _ in range(at_once)))
     times = [senses(player.receive())["time"][0] for _ in range(at_once)]
@@ -136,7 +136,7 @@ def test_a_trainer_turns_selects_and_sends_off_players(server: Server) -> None:
     assert np.allclose(position, [-2, 0, 1], atol=0.02)
     monitor.send("(select)(select)(repos)(select (unum 1)(team Left))")
     position, _ = step_until_at((-3, -10.5), mate, monitor, scene, 2)
-    assert np.allclose(position, [-3, -10.5, 1], atol=0.02), "outside the field, on the side where the ball is not"
+    assert np.allclose(position, [-3, -10.5, 1], atol=0.02), "outside the field, on the side away from the ball"
     monitor.send("(kill)")
     assert player.closed()
     assert "(time" in mate.step()
@@ -218,7 +218,7 @@ def test_players_hear_each_other(server: Server) -> None:
     assert "(unum 1) (team right)" in "".join(rival.greeting)
     first.step("(say hello)")
     assert re.search(r"\(hear A 0\.00 self hello\)", first.step())
-    # what is heard in a cycle is told in the message after it
+    # a message that is heard in a cycle is in the next reply
     for other in (mate, rival):
         assert re.search(r"\(hear A 0\.00 -?\d+\.\d\d hello\)", other.step() + other.step())
         assert "hear" not in other.step()

@@ -1,4 +1,4 @@
-"""A server in a thread and the plainest of clients."""
+"""A server in a thread and minimal clients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Wire:
     """Talk to one port."""
 
     wires: ClassVar[list[Wire]] = []
-    """All that were made; the fixtures close them."""
+    """All open connections; the fixtures close them."""
 
     def __init__(self, port: int, host: str = "127.0.0.1") -> None:
         self.socket = socket.create_connection((host, port), timeout=TIMEOUT_S)
@@ -63,7 +63,7 @@ class Wire:
 
 
 class Player(Wire):
-    """Take the field the way a league agent does."""
+    """Enter the field like an agent of the league."""
 
     def __init__(self, port: int, team: str = "A", number: int = 0, robot_type: int = 0) -> None:
         super().__init__(port)

@@ -48,7 +48,7 @@ def serving(program: ServerProgram) -> Iterator[Address]:
 
 
 def exported(robot: str, folder: Path, spread: float) -> tuple[Policy, Path]:
-    """Export an untrained policy: the wider the spread of its weights, the sooner it falls."""
+    """Export an untrained policy, which falls sooner with a wider spread of its weights."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": "sprint1"})
     environment = open_environment(spec, 1, threads=1)
     names, actions = environment.observer.names, environment.actuation.names
@@ -103,7 +103,8 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[np.ndarray,
 def test_the_agent_plays_as_the_policy_does_in_the_simulator(
     robot: str, simulator: str, tmp_path: Path, recorded: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The agent's actions, repeated in our simulator, give its observations; the policy gives its actions for these.
+    """The agent's actions, repeated in naosprint's simulator, give its observations; the policy gives its actions for
+    these.
 
     The latency is the same as well: one step later, most numbers would differ.
     """

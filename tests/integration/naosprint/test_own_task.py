@@ -1,4 +1,4 @@
-"""A task that someone else's package adds: installed beside ours, it is everywhere, with no edit of ours."""
+"""A task of another package appears everywhere once it is installed, without changes of naosprint."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ ENTRY = ((-14.2, 9.2, 0.4), -90.0)  # where the server puts a player who enters 
 
 
 class Engine(EmbeddedSimulator):
-    """Engine whose robot does what a server's does from the first cycle on, in single precision as on the wire."""
+    """Engine whose robot repeats a server's from the first cycle on, in single precision as on the wire."""
 
     sent: FloatArray
 
@@ -191,7 +191,7 @@ def kill(handle: ServerHandle) -> None:
 
 @pytest.fixture
 def handles(monkeypatch: pytest.MonkeyPatch) -> list[ServerHandle]:
-    """Return the servers that are started from now on."""
+    """Return the list of servers started from now on."""
     started: list[ServerHandle] = []
     start = ProcessLauncher.start
 
@@ -264,7 +264,7 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
 
 
 def test_too_many_failures_end_training_with_the_reason(tmp_path: Path, handles: list[ServerHandle]) -> None:
-    """What was learned until then is saved."""
+    """The training until then is saved."""
     reporter = Killer(handles, deaths=1)
     with pytest.raises(ServerLostError, match=r"1 servers were lost, 0 are allowed; .*exit code -9"):
         train(small_spec(max_server_failures=0, n_envs=1), workdir=tmp_path, reporter=reporter)

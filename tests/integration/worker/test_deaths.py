@@ -1,4 +1,4 @@
-"""Trainers and workers die; jobs do not."""
+"""Jobs survive the death of training processes and workers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INTERVAL = ROLLOUT * 10
 
 
 def start_job(service: Service, **fields: object) -> str:
-    """Submit a job and wait until it has something to lose: a checkpoint, and steps beyond it."""
+    """Submit a job and wait until it has a checkpoint and steps beyond it."""
     job_id = service.submit(
         **{"evaluate": False, "total_steps": 10**9, "checkpoint_interval_steps": INTERVAL, **fields}
     )
@@ -26,7 +26,7 @@ def start_job(service: Service, **fields: object) -> str:
 
 
 def assert_resumed_and_whole(service: Service, job_id: str, steps: int) -> None:
-    """The job went on from a checkpoint beyond its start, and its metrics have neither gaps nor doubles."""
+    """Check that the job resumed from a checkpoint beyond its start, without gaps or duplicates in its metrics."""
     resumed = [event for event in service.events(job_id) if event.kind == "resumed"]
     assert resumed
     assert all(event.data["step"] >= INTERVAL for event in resumed)
@@ -72,7 +72,7 @@ def test_killed_worker(service: Service, worker: WorkerProcess) -> None:
     wait_gone(training)
     left = list((service.folder / "work").iterdir())
     job = service.job(job_id)
-    # The orphan has saved what it had and given the job back before it ended.
+    # The orphan has saved a checkpoint and requeued the job before it ended.
     assert (job.state, job.failures) == (WorkState.QUEUED, 1)
     saved = service.checkpoints(job_id)[-1].step
     assert saved == service.metrics(job_id)[-1].step
@@ -102,7 +102,7 @@ def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProc
 
 
 def test_worker_killed_between_the_evaluation_and_the_end(service: Service, worker: WorkerProcess) -> None:
-    """It is frozen, so that the trainer gets through but nobody settles the job; then it is killed."""
+    """It is frozen, so that training completes but the job is not settled; then it is killed."""
     steps = ROLLOUT * 20
     job_id = service.submit(total_steps=steps)
     training = service.until_training(worker)
@@ -147,7 +147,7 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
 
 
 def test_frozen_trainer_is_replaced(service: Service) -> None:
-    """Its worker lives and renews the lease: only the missing steps give it away."""
+    """Its worker lives and renews the lease: only the missing steps show that it hangs."""
     worker = service.start_worker(NAOSPRINT_WORKER_STALL_S="30", NAOSPRINT_WORKER_STALL_WARN_S="5")
     job_id = start_job(service)
     steps = service.shorten(job_id)
@@ -163,7 +163,7 @@ def test_frozen_trainer_is_replaced(service: Service) -> None:
 
 
 def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Service, worker: WorkerProcess) -> None:
-    """It is stopped for longer than its lease, as by a suspended machine or a clock that jumps."""
+    """It is suspended for longer than its lease, as by a suspended machine or a clock that jumps."""
     job_id = start_job(service)
     training = service.until_training(worker)
     other = service.start_worker()

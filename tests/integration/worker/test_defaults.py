@@ -1,4 +1,4 @@
-"""With the intervals that a worker has unless told otherwise: detection within a minute, outages of half a minute."""
+"""With a worker's default intervals: detection within a minute, outages of half a minute."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def database_time(service: Service) -> datetime:
 
 @pytest.mark.parametrize("with_trainer", [True, False])
 def test_job_of_a_dead_worker_is_somebody_elses_within_a_minute(service: Service, with_trainer: bool) -> None:
-    """Whether its trainer died with it (its lease must run out) or noticed and gave the job back."""
+    """Whether its training process died with it (its lease must expire) or requeued the job."""
     worker = service.start_worker(**DEFAULTS)
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
@@ -49,7 +49,7 @@ def test_job_of_a_dead_worker_is_somebody_elses_within_a_minute(service: Service
     service.until(lambda: service.job(job_id).attempt == 2, what="for another worker to take the job")
     claimed = [event.at for event in service.events(job_id) if event.kind == "claimed"][1]
     assert claimed - died < timedelta(seconds=60)
-    service.until(lambda: "resumed" in service.kinds(job_id), what="for it to go on")
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for it to resume")
     lifecycle.request_cancel(service.sessions, Job, job_id)
     service.until_state(job_id, WorkState.CANCELLED)
 

@@ -1,4 +1,4 @@
-"""A worker sees jobs through: train, evaluate, cancel, pause, resume, start from another's policy."""
+"""A worker runs jobs: train, evaluate, cancel, pause, resume, start from another's policy."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
 
 
 def assert_report(service: Service, evaluation: Evaluation, *, updates: int, film: bool) -> None:
-    """A page with everything in it, pictures and their figures, and a film if asked for, lie beside the evaluation."""
+    """A self-contained page, plots with their data, and a film if requested, are stored with the evaluation."""
     names = {entry.name for entry in Manifest.model_validate(evaluation.manifest).files}
     assert {"report.html", "report.json", "learning-curve.csv"} <= names
     page = service.store.get_bytes(f"{evaluation.key}/report.html").decode()
@@ -89,7 +89,7 @@ def test_message_delivered_many_times_to_many_workers_has_one_owner(service: Ser
 
 @pytest.mark.parametrize("announced", [True, False])
 def test_urgent_job_goes_before_one_that_came_earlier(service: Service, worker: WorkerProcess, announced: bool) -> None:
-    """Whether the broker has their messages or has lost them."""
+    """With and without their messages in the broker."""
     busy = service.submit(evaluate=False, total_steps=10**9)
     service.until(lambda: service.job(busy).attempt, what="for the worker to be busy")
     low, high, middle = (
@@ -162,7 +162,7 @@ def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
 
 
 def test_a_whole_checkpoint_that_cannot_be_resumed_from_is_passed_over(shared: Service) -> None:
-    """Its files are as its row says, but it is of another training; the one before it is taken."""
+    """Its files match its row, but it is of another training; the one before it is used."""
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     shared.until_checkpoints(job_id, 2)
     lifecycle.request_pause(shared.sessions, job_id)
@@ -248,7 +248,7 @@ def test_training_that_needs_too_much_memory_fails_and_says_so(service: Service)
 
 
 def test_evaluations_on_request(shared: Service, finished: str) -> None:
-    """One of a whole checkpoint, and one of a checkpoint that has lost a file."""
+    """One of a complete checkpoint, and one of a checkpoint that lacks a file."""
     first, _, newest = shared.checkpoints(finished)
     next((shared.artifacts / first.key).glob("*.npz")).unlink()
     spec = EvaluationSpec(episodes=3, n_envs=2, bootstrap_resamples=100)
@@ -306,7 +306,7 @@ def test_messages_for_jobs_that_do_not_wait_do_nothing(shared: Service) -> None:
 
 
 def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> None:
-    """It registers what it can run, and passes over an urgent job of a newer version of its task."""
+    """It registers what it can run, and skips an urgent job of a newer version of its task."""
     job_id = service.submit(evaluate=False, total_steps=ROLLOUT)
     newer = service.submit(evaluate=False, total_steps=ROLLOUT, priority=9)
     with service.sessions.begin() as session:

@@ -18,7 +18,7 @@ from .conftest import ROLLOUT, Broker, Postgres, Service, opened
 
 
 def administer(monkeypatch: pytest.MonkeyPatch, service: Service, *words: str) -> None:
-    """Do what ``python -m naojobs`` does in the environment of a service."""
+    """Run ``python -m naojobs`` in the environment of a service."""
     with monkeypatch.context() as patch:
         for name, value in service.environment.items():
             patch.setenv(name, value)
@@ -33,7 +33,7 @@ def test_paused_job_goes_on_elsewhere(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """From files to S3, with a dump of the database and an archive of the artifacts, and none of what was before."""
+    """From files to S3, with a dump of the database and an archive of the artifacts, without the old services."""
     worker = service.start_worker()
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     service.until_checkpoints(job_id, 2)
@@ -50,7 +50,7 @@ def test_paused_job_goes_on_elsewhere(
 
     folder = tmp_path / "elsewhere"
     folder.mkdir()
-    # `opened` copies a database: an empty one, for the dump brings its schema along.
+    # `opened` copies a database: an empty one, since the dump contains the schema.
     with opened(postgres, broker, "template0", folder, **s3_server.environment) as moved:
         target = moved.settings.libpq_url
         restore = [programs / "pg_restore", "--exit-on-error", "--single-transaction", "--no-owner", "--dbname", target]

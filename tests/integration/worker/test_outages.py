@@ -31,7 +31,7 @@ def assert_whole(service: Service, job_id: str, steps: int) -> None:
 
 
 def test_broker_that_loses_everything(service: Service, broker: Broker, worker: WorkerProcess) -> None:
-    """It dies with one job running and another waiting, and comes back empty."""
+    """It is killed with one job running and another waiting, and restarts empty."""
     steps = ROLLOUT * 150
     running = service.submit(evaluate=False, total_steps=steps)
     service.until_state(running, WorkState.RUNNING)
@@ -58,8 +58,8 @@ def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess
     assert_whole(service, job_id, steps)
 
 
-def test_a_transaction_in_which_the_process_slept_is_trouble_that_passes(service: Service) -> None:
-    """A machine that was suspended in the middle of a write tries again; its job does not fail for it."""
+def test_a_transaction_of_a_suspended_process_is_a_temporary_error(service: Service) -> None:
+    """A machine that was suspended during a write retries; its job does not fail."""
     settings = service.settings.model_copy(update={"lease_s": 0.3})
     engine = open_engine(settings, pool_size=1, application_name="sleeper")
     try:
@@ -72,7 +72,7 @@ def test_a_transaction_in_which_the_process_slept_is_trouble_that_passes(service
 
 
 def test_database_clock_that_is_set_forward(service: Service, worker: WorkerProcess) -> None:
-    """Every lease has run out at once, while its owner lives: whoever has the job then, it is whole."""
+    """All leases expire at once while their owners live: the job completes with any owner."""
     steps = ROLLOUT * 200
     job_id = service.submit(total_steps=steps, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20, max_attempts=9)
     service.start_worker()
@@ -87,7 +87,7 @@ def test_database_clock_that_is_set_forward(service: Service, worker: WorkerProc
 
 
 def test_database_clock_that_is_set_back(service: Service, worker: WorkerProcess) -> None:
-    """A dead worker's lease would have to be waited for as long as the clock was set back."""
+    """Otherwise a dead worker's lease would last until the clock has caught up."""
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
     training = service.until_training(worker)
@@ -108,7 +108,7 @@ def test_store_that_refuses_writes_for_a_while(service: Service, worker: WorkerP
     folder, aside = service.artifacts / "jobs", tmp_path / "aside"
     folder.rename(aside)
     folder.write_text("in the way: nothing can be written below this name")
-    service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a complaint in the log")
+    service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a failure in the log")
     service.until_step(job_id, ROLLOUT * 120)
     known = len(service.checkpoints(job_id))
     folder.unlink()
@@ -123,14 +123,14 @@ def test_store_that_refuses_writes_for_a_while(service: Service, worker: WorkerP
 
 
 def lose_the_store(service: Service, server: S3Server, job_id: str, seconds: float) -> None:
-    """Kill the S3 server under a running job and start it again once the job has complained and time has passed."""
+    """Kill the S3 server during a running job and restart it after a logged failure and some time."""
     service.until_checkpoints(job_id, 2)
     server.stop()
     started = time.monotonic()
     try:
-        service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a complaint in the log")
+        service.until(lambda: "failed, next try in" in log_text(service, job_id), what="for a failure in the log")
         at = service.job(job_id).progress_step
-        service.until_step(job_id, at + ROLLOUT * 40)  # it trains on meanwhile
+        service.until_step(job_id, at + ROLLOUT * 40)  # training continues meanwhile
         known = len(service.checkpoints(job_id))
         service.until(lambda: time.monotonic() - started > seconds, what="for time to pass")
         assert len(service.checkpoints(job_id)) == known
@@ -157,7 +157,7 @@ def test_s3_server_that_dies_and_comes_back(s3_service: Service, s3_server: S3Se
 
 
 def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:
-    """The training continues until its share of the disk is used, then waits; a killed attempt loses nothing of it."""
+    """The training continues until its share of the disk is used, then waits; a killed attempt loses no checkpoint."""
     worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5", NAOSPRINT_WORKER_SPOOL_MB="1")
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
@@ -193,7 +193,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
     small_store.fill()
-    service.until(lambda: "No space left on device" in log_text(service, job_id), what="for a complaint in the log")
+    service.until(lambda: "No space left on device" in log_text(service, job_id), what="for a failure in the log")
     known = service.checkpoints(job_id)
     small_store.free()
     service.until_checkpoints(job_id, len(known) + 2)
@@ -205,7 +205,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
         service.store.get_directory(
             checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
         )
-    # Those that had to wait are there like all others; the last one is that of the pause.
+    # Those that had to wait are stored like all others; the last one is that of the pause.
     assert [checkpoint.step for checkpoint in stored[:-1]] == [
         number * ROLLOUT * 20 for number in range(len(stored) - 1)
     ]
@@ -213,7 +213,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
 
 
 def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: SmallDisk, service: Service) -> None:
-    """The state tells the reason, and the worker takes nothing more until there is space again."""
+    """The state contains the reason, and the worker claims nothing until there is space again."""
     worker = service.start_worker(NAOSPRINT_WORKER_MIN_FREE_MB="4", NAOSPRINT_WORKER_STOP_GRACE_S="5")
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
@@ -238,7 +238,7 @@ def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: S
 
 @pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 503 Service Unavailable\r\ncontent-length: 0\r\n\r\n"])
 def test_docker_engine_that_is_away_uses_up_no_attempt(service: Service, answer: bytes, tmp_path: Path) -> None:
-    """The job waits: for an engine that is stopped, and for one behind a proxy that says so."""
+    """The job waits: for an engine that is stopped, and for one behind a proxy that reports it."""
     address = tmp_path / "engine"
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(address))
@@ -267,7 +267,7 @@ def answer_all(listener: socket.socket, answer: bytes) -> None:
 
 
 def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service) -> None:
-    """The training ends with its work on the disk, and its worker waits for as long as it takes to give it back."""
+    """The training ends with its work on the disk, and its worker waits until it can requeue it."""
     worker = service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="1", NAOSPRINT_WORKER_STOP_GRACE_S="5")
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20, max_attempts=1)
     service.until_checkpoints(job_id, 2)
@@ -279,7 +279,7 @@ def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service)
         spooled = sorted(path.name for path in (service.folder / "work" / "spool" / job_id / "1").iterdir())
     finally:
         service.postgres.start()
-    service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the job to be given back")
+    service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the job to be requeued")
     job = service.job(job_id)
     assert (job.failures, job.postponed) == (0, 1)
     steps = max(int(spooled[-1]), job.progress_step) + ROLLOUT * 40

@@ -1,4 +1,4 @@
-"""The broker is down all along: everything that a user can do works, only some seconds later."""
+"""Without a broker all requests of users work, only some seconds later."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def service(postgres: Postgres, template: str, tmp_path: Path) -> Iterator[Servi
 
 @pytest.fixture
 def worker(service: Service) -> WorkerProcess:
-    """A worker that looks for work as often as it does by default."""
+    """A worker that polls at its default interval."""
     return service.start_worker(NAOSPRINT_WORKER_CLAIM_S=str(WorkerSettings.model_fields["worker_claim_s"].default))
 
 

@@ -1,4 +1,4 @@
-"""The Grafana board and the alerts ask for figures that the API reports, with labels that those have."""
+"""The Grafana board and the alerts query metrics that the API reports, with their labels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from prometheus_client.process_collector import ProcessCollector
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
-#: A metric of ours or of the process in an expression, with its selector.
+#: A metric of the API or of the process in an expression, with its selector.
 ASKED = re.compile(r"\b((?:naosprint|process)_[a-z_]+)\b(?:\{([^}]*)\})?")
 #: What Prometheus itself and the exporters report.
 EXPORTED = re.compile(r"\bup{|\b(?:pg|redis)_[a-z_]+")
@@ -25,7 +25,7 @@ GROUPED = re.compile(r"\bby\s*\(([^)]*)\)")
 
 
 def series() -> dict[str, set[str]]:
-    """Return the names under which Prometheus finds each figure, with their labels."""
+    """Return the names under which Prometheus finds each metric, with their labels."""
     found: dict[str, set[str]] = {}
     for name, kind, labels, _ in Telemetry.catalogue():
         parts = ("_bucket", "_count", "_sum") if kind == "histogram" else ("",)
@@ -55,9 +55,9 @@ def expressions() -> Iterator[tuple[str, str]]:
 def test_a_question_is_about_figures_that_exist(where: str, expression: str) -> None:
     known = series()
     asked = ASKED.findall(expression)
-    assert asked or EXPORTED.search(expression), "asks for none of our figures"
+    assert asked or EXPORTED.search(expression), "queries none of the project's metrics"
     for name, selector in asked:
-        assert name in known, f"nobody reports {name}"
+        assert name in known, f"{name} is not reported"
         assert set(LABEL.findall(selector)) <= known[name] | {"job", "instance"}, name
     allowed = {label for name, _ in asked for label in known[name]} | {"job", "instance"}
     for group in GROUPED.findall(expression):

@@ -38,7 +38,7 @@ def blocks(path: Path, language: str) -> list[str]:
 
 
 def commands() -> list[Command]:
-    """Return every command of every shell block, `&&` taken apart; output redirections are left out."""
+    """Return every command of every shell block, split at `&&`, without output redirections."""
     found = []
     for path in DOCUMENTS:
         for block in blocks(path, "sh"):
@@ -63,7 +63,7 @@ def _simple(line: str) -> list[list[str]]:
         if set(word) <= set("&|;"):
             parts.append([])
         elif set(word) <= set("<>"):
-            skip = True  # what follows is a file
+            skip = True  # a file follows
         elif skip:
             skip = False
         else:

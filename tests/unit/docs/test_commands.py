@@ -1,4 +1,4 @@
-"""What the documents tell people to type exists and is right."""
+"""Commands, options, files and services in the documents exist."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def load_documents() -> Any:
 documents = load_documents()
 COMMANDS = documents.commands()
 
-#: Programs of the system, whose own arguments are not looked at.
+#: Programs of the system, whose arguments are not checked.
 SYSTEM = {
     "pg_dump",
     "pg_restore",
@@ -135,7 +135,7 @@ def test_every_command_in_the_documents_is_right(command: Any, capsys: pytest.Ca
     assert program.name in CHECKS, f"{program.name}: add a check for it, or name it a program of the system"
     try:
         CHECKS[program.name](words)
-    except SystemExit:  # argparse has said why
+    except SystemExit:  # argparse has printed the reason
         pytest.fail(capsys.readouterr().err)
 
 

@@ -1,4 +1,4 @@
-"""The pages for those who add a simulator or a robot: their code runs, and is what the tests use."""
+"""The pages for those who add a simulator or a robot: their code runs, and the tests use the same code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Jobs, step counts and folders in the documents are those that the commands in them give."""
+"""Jobs, step counts and folders in the documents match their commands."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def dry_run(words: tuple[str, ...], folder: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def write_job_files(document: Path, folder: Path) -> None:
-    """Write the files that a document shows: blocks whose first line is a comment with the name."""
+    """Write the files in a document: blocks whose first line is a comment with the name."""
     for language in ("yaml", "toml"):
         for text in documents.blocks(document, language):
             if name := re.match(r"# ([\w-]+\.(?:yaml|toml))\n", text):
@@ -64,7 +64,7 @@ def test_step_counts_are_those_of_the_documents_own_jobs(
 ) -> None:
     """A training of 3 million steps ends at a whole rollout, and its checkpoint has that name."""
     write_job_files(ROOT / name, tmp_path)
-    usual = ("naoctl", "submit", "--steps", "3000000")  # what `make demo` trains
+    usual = ("naoctl", "submit", "--steps", "3000000")  # the training of `make demo`
     planned = {
         dry_run(words, tmp_path, monkeypatch)["spec"]["total_steps"]
         for words in [usual, *(command.words for command in SUBMITS if command.document == name)]

@@ -1,4 +1,4 @@
-"""The reference pages are complete, and the tables that they are made from are those of the code."""
+"""The reference pages are complete, and their tables match the code."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_every_setting_is_there(pages: dict[str, str]) -> None:
         for name, field in model.model_fields.items():
             assert field.description, name
             assert f"NAOSPRINT_{name.upper()}" in settings
-    # What `naoctl` reads of the environment itself, wherever that is.
+    # Environment variables that `naoctl` reads anywhere.
     sources = (ROOT / "packages" / "naoctl" / "src").rglob("*.py")
     read = {name for path in sources for name in re.findall(r"NAOCTL_[A-Z_]+", path.read_text(encoding="utf-8"))}
     assert read <= settings

@@ -1,4 +1,4 @@
-"""The documentation builds without a warning, and the site needs nothing from elsewhere."""
+"""The documentation builds without a warning, and the site loads nothing from other origins."""
 
 from __future__ import annotations
 

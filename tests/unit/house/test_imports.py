@@ -31,7 +31,7 @@ ALLOWED = {
     "naosprint_api": {"naospec", "naopolicies", "naojobs", "naosim", "naosprint"},
     "naosprint_worker": {"naospec", "naosim", "naosprint", "naojobs"},
 }
-"""What each package may import of ours."""
+"""Project packages that each package may import."""
 
 LAYERS = {
     "naosim": ("robots", "simulator", "launchers", ("simspark", "mujoco"), "kinds"),
@@ -40,7 +40,7 @@ LAYERS = {
 """Parts of a package from bottom to top; a part may import those below it and itself."""
 
 ON_DEMAND = {("naosim.robots.booster", "naosim.mujoco.shapes")}
-"""Imports that run when they are needed: the shapes with which a robot is drawn come from its simulator's model."""
+"""Imports at the time of use: the shapes of a robot come from its simulator's model."""
 
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "gymnasium", "mujoco", "rcsssmj"}
 
@@ -113,7 +113,7 @@ def test_parts_of_a_package_import_only_those_below_them(package: str) -> None:
 
 
 def test_describing_tasks_and_robots_loads_nothing_heavy() -> None:
-    """The API imports these to describe what can be trained; it has neither PyTorch nor MuJoCo."""
+    """The API imports these to describe trainings; it has neither PyTorch nor MuJoCo."""
     light = [
         *((module, tree) for module, tree in modules("naospec")),
         *((module, tree) for module, tree in modules("naosprint") if module.split(".")[1:2] == ["tasks"]),
@@ -127,7 +127,7 @@ def test_describing_tasks_and_robots_loads_nothing_heavy() -> None:
 
 @pytest.mark.parametrize("package", sorted(SOURCES))
 def test_no_module_imports_a_module_that_imports_it(package: str) -> None:
-    """No circles among the imports that run when a module is loaded."""
+    """There are no circular imports when a module is loaded."""
     trees = dict(modules(package))
     # a module may take its siblings from the package that they share
     graph = {

@@ -1,4 +1,4 @@
-"""Nothing but the tasks themselves names a metric of the sprint."""
+"""Only the tasks name metrics of the sprint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All artifacts as one archive: what comes back is what went in, or nothing."""
+"""All artifacts as one archive: an import restores what was exported, or nothing."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_no_name_leads_out_of_the_store(store: ArtifactStore, other: ArtifactSto
 def test_what_goes_away_meanwhile_is_left_out(
     store: ArtifactStore, other: ArtifactStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its manifest, too: an artifact with a file missing would look whole otherwise."""
+    """Its manifest, too: an artifact with a file missing would seem complete otherwise."""
     read = store.get_bytes
 
     def remove_first(key: str) -> bytes:

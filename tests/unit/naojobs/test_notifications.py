@@ -1,4 +1,4 @@
-"""Wake-up messages never hold up their sender."""
+"""Wake-up messages never block their sender."""
 
 from __future__ import annotations
 

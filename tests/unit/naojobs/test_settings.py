@@ -1,4 +1,4 @@
-"""The settings: what is refused, and by which name."""
+"""The settings: bad values are refused, and the message names the field."""
 
 from __future__ import annotations
 

@@ -174,14 +174,14 @@ def test_checkpoints_sort_by_step() -> None:
 
 
 def test_keys_of_the_same_attempt_number_differ(store: ArtifactStore) -> None:
-    """A database that lost its last seconds gives the number again: nothing of the first attempt may be replaced."""
+    """A database that lost its last seconds reuses the number: the first attempt's files must not be replaced."""
     keys = {checkpoint_key("job_x", 10, 1, new_nonce()) for _ in range(2)}
     assert len(keys) == 2
     assert all(checkpoint_key("job_x", 9, 9, "f") < key < checkpoint_key("job_x", 11, 1, "0") for key in keys)
 
 
 def test_what_a_killed_process_was_writing_is_removed(store: ArtifactStore, root: Path) -> None:
-    """The store lists only whole files; others are found by their names."""
+    """The store lists only complete files; others are found by their names."""
     store.put_bytes("jobs/x/policy.npz", b"whole")
     cut = root / "jobs" / "x" / "policy.npz#1"
     cut.write_bytes(b"par")
@@ -193,7 +193,7 @@ def test_what_a_killed_process_was_writing_is_removed(store: ArtifactStore, root
 
 
 def test_a_file_is_uploaded_in_one_request(tmp_path: Path) -> None:
-    """An upload in parts that is interrupted leaves some in the bucket that no list shows and that cost money."""
+    """An upload in parts that is interrupted leaves parts in the bucket that no listing shows and that cost money."""
     requests: list[tuple[str, str, int]] = []
 
     class Bucket(BaseHTTPRequestHandler):

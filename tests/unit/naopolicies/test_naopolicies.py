@@ -15,7 +15,7 @@ from naosprint.rl.policy import load_policy
 
 @pytest.mark.parametrize("name", naopolicies.names())
 def test_policy_is_complete_and_its_card_is_about_it(name: str) -> None:
-    """Checksums fit, the policy acts, and card, checkpoint and replay are of the same robot and task."""
+    """Checksums match, the policy acts, and card, checkpoint and replay are of the same robot and task."""
     folder, card = naopolicies.folder(name), naopolicies.card(name)
     policy, manifest = load_policy(folder)
     actions = policy.act(np.zeros((3, len(manifest.observations))))
@@ -29,7 +29,7 @@ def test_policy_is_complete_and_its_card_is_about_it(name: str) -> None:
 
 @pytest.mark.parametrize("name", naopolicies.names())
 def test_card_has_results_and_lineage(name: str) -> None:
-    """Results of a thousand episodes in the task's order, and every job with what it set."""
+    """Results of a thousand episodes in the task's order, and every job with its settings."""
     card = naopolicies.card(name)
     _, manifest = load_policy(naopolicies.folder(name))
     assert card["episodes"] == card["evaluation"]["episodes"] >= 1000
@@ -54,7 +54,7 @@ def _plain(overrides: dict[str, object]) -> dict[str, object]:
 
 
 def test_unknown_name_lists_those_that_exist(tmp_path: Path) -> None:
-    """A wrong name is answered with the right ones."""
+    """The error for an unknown name lists the valid ones."""
     with pytest.raises(ValueError, match="unknown policy 'sprnt': choose one of"):
         naopolicies.folder("sprnt")
     with pytest.raises(ValueError, match="neither a checkpoint directory nor a bundled policy; these are: sprint, "):

@@ -183,7 +183,7 @@ def test_centre_of_mass_by_kinematics_matches_the_simulated_one() -> None:
         for k in range(30):
             sim.step(np.random.default_rng(k // 10).uniform(-0.5, 0.5, (3, joints)))
         truth = np.einsum("nij,ni->nj", sim.truth.torso_rotation, sim.truth.centre_of_mass - sim.truth.torso_position)
-        sim.step(np.zeros((3, joints)))  # the angles of the state above arrive now
+        sim.step(np.zeros((3, joints)))  # the angles of the state above are perceived now
         np.testing.assert_allclose(centre_of_mass(robot_type, sim.perceptors.joint_angles), truth, atol=1e-4)
 
 
@@ -216,7 +216,7 @@ def test_speed_that_is_no_number_names_environment_and_joint(value: float) -> No
     with pytest.raises(ValueError, match=r"speeds\[1, 4\]: environment 1, joint laj3"):
         sim.step(speeds)
     np.testing.assert_array_equal(sim.snapshot(), before)
-    sim.step(speeds, np.array([True, False, True]))  # not asked to step it: none of our business
+    sim.step(speeds, np.array([True, False, True]))  # a robot that is not stepped is not checked
 
 
 @pytest.mark.parametrize(

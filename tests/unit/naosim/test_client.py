@@ -66,7 +66,7 @@ def test_a_message_is_read_whatever_else_it_holds(server: Server) -> None:
     assert (v["time"][0], v["game_time"][0]) == (1.2, 3.5)
     assert server.exchange.game(0) == (1, 4, "PlayOn")
     assert server.answer(GOOD) == ""
-    assert np.isnan(v["foot_left"]).all(), "a foot that is not mentioned touches nothing"
+    assert np.isnan(v["foot_left"]).all(), "a foot that is not in the message has no contact"
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ def test_a_robot_with_other_joints_is_told(server: Server) -> None:
 
 
 def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) -> None:
-    """What is sent unasked, as in the cycles of a greeting, must not shift the answers."""
+    """Unrequested messages, as in the cycles of a greeting, must not shift the answers."""
     server.agent.sendall(protocol.frame(GOOD))
     server.monitor.sendall(protocol.frame(b"((time 0))"))
     server.exchange.drain(0, 0.05, 5.0)
@@ -119,7 +119,7 @@ def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) 
 
 
 def test_acknowledgements_are_not_delayed() -> None:
-    """Else, after a trainer's command, rcssserver3d holds each frame back for 40 ms."""
+    """Otherwise rcssserver3d delays each frame by 40 ms after a trainer's command."""
     server = Server()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         client = socket.create_connection(listener.getsockname())

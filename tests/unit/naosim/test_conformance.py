@@ -1,4 +1,4 @@
-"""The simulators of this process conform, and the checks notice those that do not."""
+"""The simulators of this process conform, and the checks detect those that do not."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Slow(CrawlerSimulator):
 
 
 class Chatty(CrawlerSimulator):
-    """Senses what its robot does not have."""
+    """Has perceptors that its robot does not have."""
 
     def __init__(self, *arguments: object) -> None:
         super().__init__(*arguments)
@@ -74,7 +74,7 @@ class Immortal(CrawlerSimulator):
 
 
 class Chaotic(CrawlerSimulator):
-    """Moves by chance."""
+    """Moves at random."""
 
     rng = np.random.default_rng(0)
 
@@ -84,7 +84,7 @@ class Chaotic(CrawlerSimulator):
 
 
 class Negligent(CrawlerSimulator):
-    """Takes any index for a start."""
+    """Accepts any index of a start."""
 
     def require_starts(self, starts: np.ndarray, loaded: int) -> None:
         starts %= max(loaded, 1)

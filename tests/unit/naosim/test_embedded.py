@@ -1,4 +1,4 @@
-"""NAOs in the embedded engine: starts, control and what a viewer needs."""
+"""NAOs in the embedded engine: starts, control and data for viewers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The descriptions of the NAOs, and what policies see and set of a robot's joints."""
+"""The descriptions of the NAOs, and the mapping between joints and policies."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def test_only_containers_need_an_engine(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_program_gets_its_ports_its_files_and_its_own_signal(tmp_path: Path) -> None:
-    """What rcssserver3d and other servers differ in is data."""
+    """Differences between rcssserver3d and other servers are data."""
     report = tmp_path / "report"
     os.mkfifo(report)
     code = """

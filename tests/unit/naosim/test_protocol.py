@@ -81,7 +81,7 @@ def test_broken_commands_are_refused_as_a_whole(text: str) -> None:
     commands, speeds = reader()
     with pytest.raises(ValueError, match=r"^byte \d+: "):
         commands.read(b"(lle3 1.0)" + text.encode(), speeds)
-    assert not speeds.any(), "nothing may be carried out of a message that is broken"
+    assert not speeds.any(), "no command of a malformed message may be executed"
 
 
 @settings(max_examples=300)
@@ -98,7 +98,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 def see(
     position: tuple[float, float, float], yaw_deg: float, *, noise: bool = False, seed: int = 1
 ) -> list[tuple[str, list[list[float]]]]:
-    """Return what a level head at a place sees: names, each with its (distance, theta, phi)."""
+    """Return what a level head at a position sees: names, each with its (distance, theta, phi)."""
     vision = _core.Vision(list(protocol.LANDMARKS), protocol.LINES, 3, seed, noise)
     c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
@@ -108,7 +108,7 @@ def see(
 
 
 def place_of(polar: list[float], position: np.ndarray, yaw_deg: float) -> np.ndarray:
-    """Return where a sight lies on the field."""
+    """Return the position of a sighting on the field."""
     distance, theta, phi = polar[0], math.radians(polar[1]), math.radians(polar[2])
     ahead = np.array([-math.sin(theta) * math.cos(phi), math.cos(theta) * math.cos(phi), math.sin(phi)]) * distance
     c, s = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
@@ -202,7 +202,7 @@ def test_the_scene_graph_gives_back_every_torso_through_full_and_incremental_fra
         if k % 2:
             now = poses(2, rng)
         else:
-            now[:, :3] += 0.001  # too little to be told
+            now[:, :3] += 0.001  # too small to be sent
     unchanged = writer.write(b"((time 9))", False, now)
     assert len(writer.write(b"((time 9))", False, now)) <= len(unchanged)
     assert b"SLT" not in writer.write(b"((time 9))", False, now)

@@ -1,4 +1,4 @@
-"""The robot tables agree with the published figures of the robot."""
+"""The robot tables agree with the published data of the robot."""
 
 from __future__ import annotations
 

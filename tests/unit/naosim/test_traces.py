@@ -1,4 +1,4 @@
-"""The engine repeats recordings of the real server."""
+"""The engine reproduces recordings of the real server."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RECORDINGS = sorted(HERE.glob("*.npz"))
 def test_one_step_errors_are_rounding_only(path: Path) -> None:
     result = traces.check(path)
     error = result["position_error_m"]
-    # the promise is 5e-8, 1e-5 and 1e-4; these bounds notice a change long before it is broken
+    # the guarantee is 5e-8, 1e-5 and 1e-4; these bounds detect a change long before it is violated
     assert error["median"] <= 1e-9
     assert error["p99"] <= 5e-9
     assert error["max"] <= 1e-8
@@ -31,7 +31,7 @@ def test_free_run_of_noise_stays_on_the_recorded_path() -> None:
 
 
 def test_perceptors_differ_only_in_the_first_reply() -> None:
-    """The first replies speak of the time before the recording, which nobody can know."""
+    """The first replies describe the time before the recording, which is unknown."""
     _, perceptors, _ = traces.one_step(traces.load(HERE / "flail-1.npz"))
     for name, units in perceptors.items():
         late = units[2:]
@@ -48,7 +48,7 @@ def test_recordings_cover_sleep_stops_saturation_and_freezing() -> None:
 
 
 def test_legs_in_each_other_are_frozen_as_on_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the rule the recording of two tangled legs cannot be repeated for about a second."""
+    """Without the rule the recording of two tangled legs cannot be reproduced for about a second."""
     trace = traces.load(HERE / "cross-1.npz")
     assert traces.free_run(trace).max() <= 1e-6
     monkeypatch.setattr(

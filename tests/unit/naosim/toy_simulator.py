@@ -1,4 +1,4 @@
-"""A crawler of two joints in some 60 lines: a simulator of one's own, from robot to entry point."""
+"""A crawler of two joints in some 60 lines: a custom simulator, from robot to entry point."""
 
 from __future__ import annotations
 

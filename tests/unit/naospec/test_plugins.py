@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 
 class Wrong:
-    """Task whose settings are of no section."""
+    """Task whose settings are not a section."""
 
     version = 1
 
@@ -75,7 +75,7 @@ def test_a_name_that_is_offered_twice_is_refused(offered: list[EntryPoint]) -> N
 
 
 def test_the_same_entry_twice_is_one(offered: list[EntryPoint]) -> None:
-    """As an editable installation beside an old one leaves it."""
+    """As after an editable installation beside an old one."""
     offered.append(entry("sprint1", "naosprint.tasks.sprint:Sprint1"))
     assert plugins.names(plugins.TASKS).count("sprint1") == 1
 

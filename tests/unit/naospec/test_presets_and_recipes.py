@@ -1,4 +1,4 @@
-"""The data files: every preset and every recipe is a possible specification."""
+"""The data files: every preset and every recipe is a valid specification."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from naospec import EvaluationSpec, TrainingSpec, plugins, presets, recipes
 
 @pytest.mark.parametrize("preset", presets.names())
 def test_presets_set_settings_that_exist(preset: str) -> None:
-    """No preset forgets a setting that another one sets, and every name is one of some plug-in."""
+    """All presets set the same settings, and every name is a setting of some plug-in."""
     content = presets.read(preset)
     assert presets.summary(preset)
     assert set(content) <= {"summary", "robots", *presets.SECTIONS}
@@ -55,7 +55,7 @@ def test_recipes_are_possible_jobs(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in recipes.names() if name in naopolicies.names()])
 def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
-    """Stage by stage: task, robot, preset, seed and overrides, apart from what was cut short."""
+    """Stage by stage: task, robot, preset, seed and overrides, except for shortened stages."""
     job = recipes.job(name)
     spec = TrainingSpec.model_validate(job["spec"])
     lineage = naopolicies.card(name)["lineage"][-len(spec.stage_specs) :]

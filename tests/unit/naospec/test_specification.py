@@ -1,4 +1,4 @@
-"""Specifications accept what is possible and say what is not."""
+"""Specifications accept valid values and name invalid ones."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def spec_of(**values: Any) -> TrainingSpec:
 
 
 def words_of(content: dict[str, Any]) -> str:
-    """Return what is said about an impossible specification."""
+    """Return the error of an invalid specification."""
     with pytest.raises(ValidationError) as caught:
         TrainingSpec.model_validate(content)
     return validation_words(caught.value.errors())
 
 
 def test_defaults_are_those_of_preset_fast() -> None:
-    """What is left out has the preset's value, whatever the sections' own defaults."""
+    """Omitted settings have the preset's values, regardless of the sections' defaults."""
     spec = TrainingSpec()
     assert (spec.task.name, spec.robot.name, spec.simulator.name) == ("sprint1", "nao-0", "embedded")
     assert (spec.algorithm.name, spec.algorithm.preset) == ("ppo", "fast")
@@ -61,7 +61,7 @@ def test_overrides_name_what_differs_from_the_preset() -> None:
 
 @pytest.mark.parametrize("robot", robots.names())
 def test_without_preset_leaves_out_what_others_decide(robot: str) -> None:
-    """What is left is what was chosen, so that another preset or robot can decide the rest."""
+    """Only chosen settings are left, so that another preset or robot can decide the rest."""
     spec = spec_of(robot=robot, preset="fast", learning_rate=1e-4, total_steps=1000)
     content = spec.without_preset()
     assert content["algorithm"] == {"name": "ppo", "preset": "fast", "learning_rate": 1e-4}
@@ -81,7 +81,7 @@ def test_sections_have_a_short_form() -> None:
 
 
 def test_json_round_trip_keeps_the_specification_and_its_digest() -> None:
-    """What is stored comes back equal, stages included."""
+    """A stored specification is read back unchanged, stages included."""
     stages = [
         {"steps": 1000, "seed": 3, "algorithm": {"clip_range": 0.1}},
         {"steps": 1000, "task": {"reward_scale": 1}},
@@ -138,7 +138,7 @@ def test_digest_tells_specifications_apart_but_not_runtimes() -> None:
     ],
 )
 def test_impossible_specifications_are_refused_by_field(content: dict[str, Any], words: list[str]) -> None:
-    """The message names the field and a way out."""
+    """The message names the field and a remedy."""
     message = words_of(content)
     for word in words:
         assert word in message
@@ -146,7 +146,7 @@ def test_impossible_specifications_are_refused_by_field(content: dict[str, Any],
 
 @pytest.mark.parametrize("name", sorted(MOVED))
 def test_the_flat_form_is_refused_with_the_new_place(name: str) -> None:
-    """Each field of earlier versions says where it is now, and that place exists."""
+    """Each field of earlier versions is mapped to an existing new path."""
     place = MOVED[name]
     assert f"{name}: moved to {place}" in words_of({name: 1})
     if name != "robot_type":
@@ -204,7 +204,7 @@ def test_stages_override_algorithm_and_task() -> None:
 
 
 def test_a_stage_with_another_robot_has_that_robots_own_settings() -> None:
-    """What was chosen is kept; what the training's robot decided is not."""
+    """Chosen settings are kept; those that depend on the training's robot are not."""
     stages = [{"steps": 10, "robot": "k1"}, {"steps": 10}]
     spec = TrainingSpec.model_validate(
         {"robot": "t1", "task": {"name": "sprint1", "drift_penalty": 0.25}, "stages": stages}

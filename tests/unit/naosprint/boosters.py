@@ -1,7 +1,7 @@
 """Booster robots whose left and right sides are mirror images, for tests of symmetry.
 
-Real ones are not quite: the inertia of their sides differs, and MuJoCo's iterative search for contacts between two
-limbs gives mirrored limbs contacts that differ by 1e-5. Contacts with the ground are exact.
+Real ones are not exactly symmetric: the inertia of their sides differs, and MuJoCo's iterative search for contacts
+between two limbs gives mirrored limbs contacts that differ by 1e-5. Contacts with the ground are exact.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _mirrored(name: str) -> str:
 
 
 def joint_mirror(robot: Robot) -> Mirror:
-    """Return what a mirror does to angles of all joints, simulator signs."""
+    """Return the mirror of angles of all joints, simulator signs."""
     partner = [robot.joint_names.index(joint.mirror) for joint in robot.joints]
     signs = [
         joint.mirror_sign * joint.sign * robot.joints[k].sign for joint, k in zip(robot.joints, partner, strict=True)
@@ -88,5 +88,5 @@ def mirrored_pair(robot: Robot, pose_rad: np.ndarray, orientation: np.ndarray | 
 
 
 def action_mirror(environment: Environment) -> Mirror:
-    """Return what a mirror does to actions."""
+    """Return the mirror of actions."""
     return Mirror.of_names(environment.actuation.names, *environment.actuation.mirror)

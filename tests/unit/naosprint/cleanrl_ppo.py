@@ -23,7 +23,7 @@ LEARNING_RATE, VALUE_COEFFICIENT, ENTROPY_COEFFICIENT, MAX_GRAD_NORM = 3e-4, 0.5
 
 @dataclass
 class Record:
-    """What a training reported."""
+    """Metrics of a training."""
 
     steps: int = 0
     returns: list[float] = field(default_factory=list)

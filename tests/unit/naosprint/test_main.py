@@ -1,4 +1,4 @@
-"""The command line as people use it."""
+"""The command line without the service."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_help_lists_every_setting(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From nothing to a page and a policy to take away."""
+    """Train, evaluate, report and export."""
     work = tmp_path / "run"
     assert main(["train", str(work), "--total-steps", "512", "--sensor-digits", "none", *SMALL]) == 0
     status, steps, path = capsys.readouterr().out.split()
@@ -67,7 +67,7 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
 
 
 def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The film may be shorter than the run; the replay is whole."""
+    """The film may be shorter than the run; the replay is complete."""
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     assert main(["replay", "sprint", str(tmp_path), "--film-seconds", "0.1"]) == 0
     names = [Path(line).name for line in capsys.readouterr().out.splitlines()]

@@ -17,7 +17,7 @@ from .boosters import action_mirror, mirrored_pair, symmetric_environment
 
 @pytest.mark.parametrize("robot_type", range(5))
 def test_mirrored_actions_give_the_mirrored_run(robot_type: int) -> None:
-    """The simulator itself says which observations turn round: two robots, one the mirror image of the other."""
+    """The simulation of a robot and its mirror image shows which observations change sign."""
     settings = {
         "robot": f"nao-{robot_type}",
         "n_envs": 2,
@@ -38,7 +38,7 @@ def test_mirrored_actions_give_the_mirrored_run(robot_type: int) -> None:
         action = rest + 0.4 * rng.standard_normal(len(low))
         seen = environment.step(np.stack([action, actions.apply(action)]))
         np.testing.assert_allclose(observations.apply(seen[0]), seen[1], atol=1e-6)
-    # it moved to one side, so the comparison is not one of zeros
+    # it moved to one side, so that not all compared values are zero
     y = environment.simulator.truth.torso_position[:, 1]
     assert abs(y[0]) > 1e-3
     assert y[0] == pytest.approx(-y[1], abs=1e-8)
@@ -60,7 +60,7 @@ def test_mirrored_actions_give_the_mirrored_run_of_a_booster(robot: Robot) -> No
         action = 0.5 * rng.standard_normal(environment.actuation.n_actions)
         environment.step(np.stack([action, actions.apply(action)]))
         assert environment.rewards[1] == pytest.approx(environment.rewards[0], abs=1e-6)
-    # it moved to one side, so the comparison is not one of zeros
+    # it moved to one side, so that not all compared values are zero
     y = environment.simulator.truth.torso_position[:, 1]
     assert abs(y[0]) > 1e-3
     assert y[0] == pytest.approx(-y[1], abs=1e-9)
@@ -85,6 +85,6 @@ def test_missing_partner_is_named() -> None:
 
 
 def test_odd_layer_is_refused() -> None:
-    """Units come in pairs."""
+    """Units form pairs."""
     with pytest.raises(ValueError, match=r"hidden_sizes.*even width, got 7"):
         Mirror.of_pairs(7)

@@ -20,12 +20,12 @@ def run(code: str, **environment: str) -> str:
 
 
 def test_importing_the_package_does_not_load_torch() -> None:
-    """So there is time to set OpenMP's manners."""
+    """So that OpenMP can be configured before PyTorch is loaded."""
     assert run("import sys, naosprint; print('torch' in sys.modules)") == "False"
 
 
 def test_openmp_is_told_to_sleep_before_torch_loads() -> None:
-    """The settings are in the environment, and the call says that it came in time."""
+    """The settings are in the environment, and the call returns true."""
     code = (
         "import os; from naosprint.threads import quiet_openmp; print(quiet_openmp(), "
         "os.environ['OMP_WAIT_POLICY'], os.environ['GOMP_SPINCOUNT'], os.environ['KMP_BLOCKTIME'])"
@@ -34,24 +34,24 @@ def test_openmp_is_told_to_sleep_before_torch_loads() -> None:
 
 
 def test_settings_of_the_environment_are_kept() -> None:
-    """Whoever set them knows better."""
+    """Settings that exist are kept."""
     code = "import os; from naosprint.threads import quiet_openmp; quiet_openmp(); print(os.environ['OMP_WAIT_POLICY'])"
     assert run(code, OMP_WAIT_POLICY="ACTIVE") == "ACTIVE"
 
 
 def test_a_late_call_says_so() -> None:
-    """With torch already there it returns False."""
+    """It returns False if torch is already loaded."""
     assert run("import torch; from naosprint.threads import quiet_openmp; print(quiet_openmp())") == "False"
 
 
 def test_learner_threads_are_set() -> None:
-    """PyTorch uses as many threads as asked."""
+    """PyTorch uses the requested number of threads."""
     code = "from naosprint.threads import set_learner_threads as s; s(1); import torch; print(torch.get_num_threads())"
     assert run(code) == "1"
 
 
 def test_numpy_multiplies_on_one_thread_while_asked_to() -> None:
-    """OpenBLAS is told, and afterwards has what it had."""
+    """OpenBLAS uses one thread, and afterwards the previous number."""
 
     def threads() -> list[int]:
         return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]

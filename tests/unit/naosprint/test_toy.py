@@ -1,4 +1,4 @@
-"""A robot, a simulator and a task from elsewhere: everything works with them, and nothing here knows them."""
+"""A robot, a simulator and a task of another package work everywhere without special code."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def crawl_spec(total_steps: int = 32_768) -> TrainingSpec:
 
 
 def test_crawlers_learn_to_crawl(tmp_path: Path, recorder: Any) -> None:
-    """From nothing to the goal, evaluated and reported with the task's own metrics."""
+    """Training until the goal, evaluation and report with the task's own metrics."""
     spec = crawl_spec()
     assert (spec.task.version, spec.task.goal) == (2, 0.5)
     result = train(spec, workdir=tmp_path / "run", reporter=recorder)
@@ -131,7 +131,7 @@ def test_crawlers_learn_to_crawl(tmp_path: Path, recorder: Any) -> None:
 
 
 def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
-    """A simulator with snapshots needs no more than that."""
+    """A simulator with snapshots needs nothing else."""
     from .checkpoints import assert_same
 
     spec = crawl_spec(total_steps=4096)

@@ -1,4 +1,4 @@
-"""The limit on bodies, byte by byte."""
+"""The limit of request bodies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The OpenAPI document: pinned, so that no change of the API goes unseen.
+"""The OpenAPI document is pinned, so that no change of the API is overlooked.
 
 To accept a change: `python tests/unit/naosprint_api/test_openapi.py`, and look at the difference.
 """

@@ -1,4 +1,4 @@
-"""Patterns of text in requests have words, so that no error shows a regular expression."""
+"""Patterns of text in requests have descriptions, so that no error shows a regular expression."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a follower stands."""
+"""Positions of followers."""
 
 from __future__ import annotations
 

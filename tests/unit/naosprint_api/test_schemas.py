@@ -1,4 +1,4 @@
-"""What users send."""
+"""Request schemas."""
 
 from __future__ import annotations
 

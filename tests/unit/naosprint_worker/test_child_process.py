@@ -1,4 +1,4 @@
-"""Errors are judged by what they mean for the job; a request to stop interrupts only where it may."""
+"""Errors are classified by their meaning for the job; a request to stop interrupts only where allowed."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def dead_owner() -> Owner:
 
 @pytest.fixture
 def sleeper(request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that carries the owner given as parameter by fixture name, or another text."""
+    """A process whose environment contains the owner given as parameter by fixture name, or another text."""
     mark = request.param if isinstance(request.param, str) else str(request.param())
     if mark == "dead_owner":
         mark = str(request.getfixturevalue("dead_owner"))
@@ -39,7 +39,7 @@ def sleeper(request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[bytes]]
 
 
 def elsewhere() -> Owner:
-    """Return an owner in another process-id namespace, of which nothing can be known here."""
+    """Return an owner in another process-id namespace, which cannot be checked here."""
     return Owner("pid:[1]", 2**22, 1.0)
 
 

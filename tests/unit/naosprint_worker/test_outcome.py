@@ -1,4 +1,4 @@
-"""What a child left behind is read back, or its absence noticed."""
+"""A child's report is read back, or its absence detected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records arrive once, in order, whatever the services do meanwhile, and reporting never waits for them."""
+"""Records arrive once, in order, also after failures of services, and reporting never blocks on them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from naosprint_worker.spool import Spool
 
 
 class Memory:
-    """A sink that keeps what it gets and can be told to fail or to block."""
+    """A sink in memory that can be made to fail or to block."""
 
     transient: tuple[type[Exception], ...] = (ConnectionError,)
 
@@ -257,7 +257,7 @@ def test_a_request_to_stop_ends_the_waiting_for_the_store(
 def test_the_next_attempt_takes_over_what_is_not_recorded(
     make: Callable[..., Recorder], sink: Memory, tmp_path: Path
 ) -> None:
-    """The database was away, too: the metrics before each checkpoint lie beside it, each row once."""
+    """The database was unavailable, too: the metrics before each checkpoint are stored beside it, each row once."""
     recorder = make(patience_s=0.05, spool="job/1")
     sink.fail_uploads = sink.fail_writes = ConnectionError("everything is down")
     for step in (10, 20):

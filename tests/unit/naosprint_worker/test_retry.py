@@ -1,4 +1,4 @@
-"""Failures of a while are waited out, longer ones end with a clear reason."""
+"""Short failures are retried, longer ones end with a clear reason."""
 
 from __future__ import annotations
 

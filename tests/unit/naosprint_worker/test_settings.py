@@ -1,4 +1,4 @@
-"""Settings come from the environment and refuse what cannot work."""
+"""Settings are read from the environment, and invalid ones are refused."""
 
 from __future__ import annotations
 

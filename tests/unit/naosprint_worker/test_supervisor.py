@@ -1,4 +1,4 @@
-"""A supervisor keeps the lease, obeys requests and never waits for ever; its children here are real processes."""
+"""A supervisor renews the lease, follows requests and never waits for ever; its children are real processes."""
 
 from __future__ import annotations
 

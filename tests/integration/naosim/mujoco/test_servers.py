@@ -99,7 +99,7 @@ def test_a_server_and_an_embedded_world_print_the_same_numbers(robot: Robot) -> 
 
 
 def test_the_ball_is_not_where_the_robots_are() -> None:
-    """A K1 that touches the ball kills its server; it can start where the ball lies at first."""
+    """A K1 that touches the ball kills its server; it can start at the ball's first position."""
     with opened(K1, 1) as server:
         server.load_starts(Starts(K1.nominal[None], (0.0, 0.0)))
         server.start(np.array([0]), np.array([0]))
@@ -109,7 +109,7 @@ def test_the_ball_is_not_where_the_robots_are() -> None:
 
 
 def test_servers_keep_robots_to_which_nothing_is_sent() -> None:
-    """A silence of 5 s would end a robot; neither a busy caller nor a mask of active robots loses one."""
+    """Servers drop a robot after 5 s of silence; neither a busy caller nor a mask of active robots loses one."""
     with opened(T1, 2) as server:
         server.load_starts(Starts(T1.nominal[None]))
         server.start(np.arange(2), np.zeros(2, dtype=np.int64))

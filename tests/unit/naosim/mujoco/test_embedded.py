@@ -48,7 +48,7 @@ def test_the_robot_stands_ten_seconds_without_a_policy(robot: Robot) -> None:
 
 
 def test_the_loop_computes_what_mujoco_in_python_computes() -> None:
-    """The delay, the four decimals of a command and the truncation are all that the loop adds."""
+    """The loop adds only the delay, the four decimals of commands and the truncation."""
     mujoco = library()
     simulator = opened(1)
     data = mujoco.MjData(simulator.world.model)
@@ -260,13 +260,13 @@ def test_the_recordings_start_is_reached_by_the_simulators_own_start() -> None:
     simulator = MujocoSimulator(robot, 1, EmbeddedParameters(settle_steps=75))
     simulator.load_starts(Starts(held[None], (-10.0, 0.0)))
     simulator.start(np.array([0]), np.array([0]))
-    assert np.abs(simulator.perceptors["joint_angles"] - trace.perceptors["joint_angles"][0]).max() < 3.0  # it rocks
+    assert np.abs(simulator.perceptors["joint_angles"] - trace.perceptors["joint_angles"][0]).max() < 3.0  # it sways
     assert np.abs(simulator.truth.torso_position[0] - trace.states["qpos"][0, 7:10]).max() < 0.03
 
 
 @BOTH
 def test_sole_heights_tell_flight_as_contacts_do(robot: Robot) -> None:
-    """A server reports no contacts; by the perceived pose a robot flies in nearly the same steps."""
+    """A server reports no contacts; by the perceived pose a robot is airborne in nearly the same steps."""
     simulator = opened(4, robot)
     jump = np.array(
         [

@@ -1,4 +1,4 @@
-"""The embedded world repeats recordings of the real server bit for bit."""
+"""The embedded world reproduces recordings of the real server bit for bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results that policies are evaluated by."""
+"""Results of evaluations."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_short_episodes_count_only_without_the_papers_rule() -> None:
 
 
 def test_deviation_is_the_angle_from_the_running_direction() -> None:
-    """In degrees, whichever side."""
+    """In degrees, on either side."""
     assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, 10.0])) == pytest.approx(45.0)
     assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, -10.0])) == pytest.approx(45.0)
     assert _deviation_deg(np.array([-14.0, 14.0]), np.array([0.3, 0.3])) == 0.0
@@ -154,7 +154,7 @@ def test_results_that_nothing_supports_are_none() -> None:
 
 
 def test_document_describes_itself(checkpoint: Path) -> None:
-    """Every result has what is needed to show it, and the headline names results."""
+    """Every result has all fields for display, and the headline names results."""
     summary = evaluate(checkpoint, EvaluationSpec(episodes=3, task="sprint2")).summary
     described = {"name", "title", "unit", "description", "digits", "better", "kind", "value", "interval", "episodes"}
     rows = summary["results"] + [r for t in summary["tables"] for column in t["columns"] for r in column["results"]]
@@ -168,7 +168,7 @@ def test_document_describes_itself(checkpoint: Path) -> None:
 
 
 def test_evaluation_is_repeatable_and_complete(checkpoint: Path, tmp_path: Path) -> None:
-    """Same seed, same numbers, whatever the threads; another seed, other starts."""
+    """The same seed gives the same numbers with any number of threads; another seed gives other starts."""
     spec = EvaluationSpec(episodes=12, n_envs=5, trajectories=4, task="sprint2")
     calls: list[tuple[int, int]] = []
     first = evaluate(checkpoint, spec, progress=lambda done, total: calls.append((done, total)))
@@ -233,13 +233,13 @@ def test_noisy_policy_differs_from_the_deterministic(checkpoint: Path) -> None:
 
 
 def test_evaluation_can_be_stopped(checkpoint: Path) -> None:
-    """It says how far it got."""
+    """The message contains the number of finished episodes."""
     with pytest.raises(InterruptedError, match="0 of 5"):
         evaluate(checkpoint, EvaluationSpec(episodes=5), stop=lambda: True)
 
 
 def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
-    """Before anything is simulated."""
+    """The error is raised before anything is simulated."""
     with pytest.raises(CheckpointError, match="not a checkpoint"):
         evaluate(tmp_path, EvaluationSpec())
 

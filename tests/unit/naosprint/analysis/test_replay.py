@@ -1,4 +1,4 @@
-"""Replays keep what was seen."""
+"""Replays contain the recorded poses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def some_replay(frames: int = 4) -> Replay:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    """Both files hold the episode, to a tenth of a millimetre."""
+    """Both files contain the episode, to a tenth of a millimetre."""
     replay = some_replay()
     text, arrays = replay.save(tmp_path)
     again = load_replay(text)
@@ -75,7 +75,7 @@ def test_damaged_replay_is_explained(tmp_path: Path, spoil: Callable[[dict[str, 
 
 
 def test_missing_replay_is_explained(tmp_path: Path) -> None:
-    """As is one that is no JSON."""
+    """So is a file that is not JSON."""
     with pytest.raises(ReplayError, match="unreadable"):
         load_replay(tmp_path / "replay.json")
     (tmp_path / "replay.json").write_text("[")

@@ -1,4 +1,4 @@
-"""A report has everything it should and needs nothing else."""
+"""A report is complete and self-contained."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_robot_stands_on_the_ground_seen_from_the_side(evaluation: Path) -> None
 
 
 def test_stride_reaches_from_touchdown_to_touchdown() -> None:
-    """Of the foot asked for, after the time asked for."""
+    """The stride is of the requested foot, after the requested time."""
     force = np.where(np.arange(200) % 20 < 8, 40.0, 0.0)
     assert figures.stride(force, 50, 4) == [60, 65, 70, 75]
     assert figures.stride(np.zeros(200), 50, 5) == [50, 55, 60, 65, 70]
@@ -170,7 +170,7 @@ def test_learning_curves_are_those_of_the_tasks_charts() -> None:
 
 
 def test_film_and_caption_agree(evaluation: Path) -> None:
-    """The numbers below the film are those in its last picture; a longer episode than the film says so."""
+    """The numbers below the film are those of its last picture; the caption states if the episode is longer."""
     replay = load_replay(evaluation / "replay.json")
     short = replace(replay, positions=replay.positions[:80], rotations=replay.rotations[:80], end="Fall", failed=True)
     film = Film(short)
@@ -225,7 +225,7 @@ def test_damaged_metrics_are_explained(tmp_path: Path, text: str) -> None:
 
 
 def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> None:
-    """Whichever file is not there."""
+    """For each missing file."""
     with pytest.raises(ReportError, match="no complete evaluation"):
         write_report(tmp_path / "out", evaluation=tmp_path)
     for name in ("evaluation.json", "trajectories.npz"):

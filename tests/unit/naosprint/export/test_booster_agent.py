@@ -83,7 +83,7 @@ def test_the_agent_observes_and_does_what_the_environment_does(robot: str, side:
     # beyond the finish line on the right side
     environment.simulator.load_starts(Starts(pose, (-14.0 * side, 3.0 * side), heading))
     environment.restart(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))
-    # a robot that does the same where policies are trained
+    # a robot that does the same in the training's simulator
     trained = open_environment(spec, 1, threads=1)
     trained.load_starts(Starts(pose, trained.task.start_position()))
     trained.restart(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))
@@ -132,7 +132,7 @@ def test_a_command_is_for_every_joint(robot: str, tmp_path: Path) -> None:
 
 
 def test_the_agent_is_short_and_needs_numpy_alone() -> None:
-    """No module of ours, and nothing but NumPy besides the standard library."""
+    """No module of the project, and only NumPy besides the standard library."""
     assert len(AGENT.read_text().splitlines()) < 100
     program = (
         "import sys, runpy\n"

@@ -59,7 +59,7 @@ def raw_observations(checkpoint: Path, count: int = 200) -> np.ndarray:
 
 
 def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> None:
-    """The runtime, our NumPy policy and torch agree."""
+    """The ONNX runtime, the NumPy policy and torch agree."""
     observations = raw_observations(checkpoint)
     session = onnxruntime.InferenceSession(exported / "policy.onnx", providers=["CPUExecutionProvider"])
     (found,) = session.run(None, {"observations": observations.astype(np.float32)})
@@ -74,7 +74,7 @@ def test_onnx_gives_the_actions_of_torch(checkpoint: Path, exported: Path) -> No
 
 
 def test_onnx_file_is_small_and_well_formed(exported: Path) -> None:
-    """Names, shapes and an operator set that old runtimes know."""
+    """Names, shapes and an operator set that old runtimes support."""
     model = onnx.load(exported / "policy.onnx")
     onnx.checker.check_model(model, full_check=True)
     assert [entry.name for entry in model.graph.input] == ["observations"]
@@ -123,7 +123,7 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
 
 
 def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
-    """Nothing is written then."""
+    """Nothing is written in case of an error."""
     with pytest.raises(CheckpointError, match="not a checkpoint"):
         export_policy(tmp_path / "nothing", tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -210,7 +210,7 @@ def test_example_agent_reads_the_torso_from_a_scene_graph(agent: ModuleType) -> 
 
 
 def test_example_agent_needs_numpy_alone() -> None:
-    """No module of ours, and nothing but NumPy besides the standard library."""
+    """No module of the project, and only NumPy besides the standard library."""
     program = (
         "import sys, runpy\n"
         f"runpy.run_path({str(AGENT)!r}, run_name='agent')\n"

@@ -45,7 +45,7 @@ def edit(directory: Path, **fields: Any) -> None:
 
 
 def replace_file(directory: Path, name: str, data: bytes) -> None:
-    """Replace a file and make the manifest agree, as somebody hostile would."""
+    """Replace a file and adapt the manifest, as an attacker would."""
     (directory / name).write_bytes(data)
     files = json.loads((directory / MANIFEST).read_text())["files"]
     files[name] = {"sha256": hashlib.sha256(data).hexdigest(), "size": len(data)}
@@ -94,7 +94,7 @@ def test_arrays_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
-    """Neither a directory nor a partial one."""
+    """An error leaves neither a directory nor a partial one."""
     hostile = {"objects": np.array([object()])}
     with pytest.raises(ValueError, match=r"pickle|Object"):
         save_checkpoint(tmp_path / "c", TrainingSpec(), TrainingState(0, 0, 0, 0, 0.0, (), (), hostile, {}, None))
@@ -102,7 +102,7 @@ def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_saving_again_replaces(tmp_path: Path) -> None:
-    """The later checkpoint of the same name wins."""
+    """A later checkpoint of the same name replaces the earlier one."""
     for value in (1.0, 2.0):
         state = TrainingState(0, 0, 0, 0, 0.0, (), (), {"x": np.array([value])}, {}, None)
         save_checkpoint(tmp_path / "c", TrainingSpec(), state)
@@ -135,21 +135,21 @@ def test_bad_manifest_is_refused(copy: Path, fields: dict[str, Any], words: str)
 
 @pytest.mark.parametrize("text", ["", "[]", "null", "{", "\x00"])
 def test_manifest_that_is_no_manifest_is_refused(copy: Path, text: str) -> None:
-    """Whatever it is, it is named."""
+    """The message names the damaged file."""
     (copy / MANIFEST).write_text(text)
     with pytest.raises(CheckpointError, match=MANIFEST):
         read_manifest(copy)
 
 
 def test_huge_manifest_is_not_read(copy: Path) -> None:
-    """A manifest is small."""
+    """A manifest that is too large is refused."""
     (copy / MANIFEST).write_text(" " * 2_000_000)
     with pytest.raises(CheckpointError, match="too many"):
         read_manifest(copy)
 
 
 def test_changed_and_cut_files_are_noticed(copy: Path) -> None:
-    """One bit is enough."""
+    """A single changed bit is detected."""
     path = copy / POLICY
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -168,7 +168,7 @@ class Bomb:
     """Run something when unpickled."""
 
     def __reduce__(self) -> tuple[Any, tuple[str]]:
-        """Raise the alarm."""
+        """Fail when unpickled."""
         return (_detonate, ("boom",))
 
 
@@ -177,7 +177,7 @@ def _detonate(word: str) -> None:
 
 
 def test_pickles_are_never_loaded(copy: Path, tmp_path: Path) -> None:
-    """Neither as a file nor as an array of objects inside one."""
+    """Pickles are refused as files and as arrays of objects."""
     replace_file(copy, POLICY, pickle.dumps(Bomb()))
     with pytest.raises(CheckpointError, match="not a file of arrays"):
         load_policy(copy)
@@ -190,7 +190,7 @@ def test_pickles_are_never_loaded(copy: Path, tmp_path: Path) -> None:
 
 
 def test_array_that_announces_more_than_it_has_is_refused(tmp_path: Path) -> None:
-    """No memory is reserved for what is not there."""
+    """No memory is reserved for announced but missing data."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
     with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
@@ -200,14 +200,14 @@ def test_array_that_announces_more_than_it_has_is_refused(tmp_path: Path) -> Non
 
 
 def test_compressed_arrays_are_refused(tmp_path: Path) -> None:
-    """A small file cannot blow up into a large one."""
+    """Compressed arrays are refused."""
     np.savez_compressed(tmp_path / "x.npz", x=np.zeros(10**6))
     with pytest.raises(CheckpointError, match="uncompressed"):
         read_arrays(tmp_path / "x.npz")
 
 
 def test_arrays_that_do_not_fit_are_named() -> None:
-    """Missing, extra, of another shape or kind, not finite."""
+    """Arrays that are missing, unknown, of another shape or kind, or not finite are refused."""
     expected = {"x": np.zeros(3), "y": np.zeros(2, dtype=np.int64)}
     for found, words in (
         ({"x": np.zeros(3)}, "'y' is missing"),
@@ -236,7 +236,7 @@ def test_policy_of_the_wrong_shape_is_refused(copy: Path) -> None:
 def test_resuming_from_damage_is_refused(
     copy: Path, tmp_path: Path, make_spec: Callable[..., TrainingSpec], recorder: Any
 ) -> None:
-    """Every file is checked before training goes on."""
+    """Every file is checked before training resumes."""
     arrays = read_arrays(copy / ENVIRONMENT)
     arrays["environment.simulator"] = arrays["environment.simulator"][:, :-8]
     replace_file(copy, ENVIRONMENT, npz(**arrays))

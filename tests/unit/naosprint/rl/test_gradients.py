@@ -44,7 +44,7 @@ def new_policy(layers: tuple[int, ...]) -> ActorCriticPolicy:
 
 
 def drawn(policy: ActorCriticPolicy) -> Samples:
-    """Return samples of a policy that was a little different when it acted, so that some ratios are clipped."""
+    """Return samples of a slightly different policy, so that some ratios are clipped."""
     generator = torch.Generator().manual_seed(5)
     observations = torch.randn((N, OBSERVATIONS), generator=generator)
     with torch.no_grad():

@@ -25,7 +25,7 @@ def outputs_and_gradients(outputs: torch.Tensor, net: nn.Sequential) -> list[tor
     return [outputs.detach(), *gradients]
 
 
-ONEDNN = pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="this torch carries no oneDNN")
+ONEDNN = pytest.mark.skipif(not torch.backends.mkldnn.is_available(), reason="this torch has no oneDNN")
 
 
 @ONEDNN
@@ -74,7 +74,7 @@ def wrong(inputs: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None,
 def test_an_operator_that_is_missing_or_wrong_is_not_used(operator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(networks, "_fused", operator)
     assert not networks._fused_works()
-    # what runs instead does not need it
+    # plain torch does not need it
     net = network(6, 4, 2)
     inputs = torch.randn(9, 6)
     monkeypatch.setattr(networks, "FUSED", False)

@@ -45,7 +45,7 @@ def test_observations_are_standardized_and_clipped() -> None:
 
 
 def test_switched_off_it_passes_everything() -> None:
-    """Without normalization the numbers stay what they are."""
+    """Without normalization the numbers do not change."""
     normalizer = Normalizer(2, 2, observations=False, observation_clip=1.0, rewards=False, gamma=0.99)
     raw = np.array([[50.0, -3.0], [1.0, 2.0]])
     normalizer.update_observations(raw)
@@ -54,7 +54,7 @@ def test_switched_off_it_passes_everything() -> None:
 
 
 def test_rewards_are_scaled_by_the_spread_of_the_return() -> None:
-    """Steady noise of any size comes out with a discounted return of unit variance."""
+    """After normalization of noise of any size the discounted return has unit variance."""
     rng = np.random.default_rng(3)
     normalizer = Normalizer(64, 1, observations=False, observation_clip=1.0, rewards=True, gamma=0.9)
     none_ended = np.zeros(64, dtype=bool)

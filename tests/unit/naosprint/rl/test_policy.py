@@ -1,4 +1,4 @@
-"""Acting with NumPy alone."""
+"""Acting with NumPy only."""
 
 from __future__ import annotations
 

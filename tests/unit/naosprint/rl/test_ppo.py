@@ -1,4 +1,4 @@
-"""PPO is stable-baselines3's, in another order of work."""
+"""PPO gives the results of stable-baselines3's in another order of computation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def open_learner(make_spec: Callable[..., TrainingSpec]) -> Iterator[Open]:
 
 
 def actions_mirror(learner: PPO) -> Mirror:
-    """Return what a mirror does to actions."""
+    """Return the mirror of actions."""
     actuation = learner.environment.environment.actuation
     return Mirror.of_names(actuation.names, *actuation.mirror)
 
@@ -59,7 +59,7 @@ class Spaces(gymnasium.Env[np.ndarray, np.ndarray]):
 
 
 def stock_learner(ours: PPO) -> StockPPO:
-    """Return stable-baselines3's PPO with the settings, weights and rollout of ours."""
+    """Return stable-baselines3's PPO with the settings, weights and rollout of naosprint's."""
     settings, environment = ours.settings, ours.environment
     rollout = ours.rollout
     theirs = StockPPO(
@@ -161,7 +161,7 @@ def test_time_limit_bootstraps_the_value_of_what_would_have_followed(
 def test_update_is_that_of_stable_baselines3(
     open_learner: Open, entropy: float, symmetric: bool, compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the same rollout and minibatches, stable-baselines3's PPO.train and ours arrive at the same weights."""
+    """From the same rollout and minibatches, stable-baselines3's PPO.train and naosprint's give the same weights."""
     ours = open_learner(
         entropy_coefficient=entropy,
         symmetric_policy=symmetric,
@@ -236,7 +236,7 @@ def test_target_kl_moves_linearly_to_its_final_value(
 def test_scheduled_spread_follows_the_steps_and_nothing_else(
     open_learner: Open, total_steps: int, log_std_steps: int | None
 ) -> None:
-    """It changes linearly from the first value to the last, whatever the updates, and actions explore with it."""
+    """It changes linearly from the first value to the last, regardless of updates, and actions explore with it."""
     learner = open_learner(
         initial_log_std=-1.0,
         final_log_std=-2.0,
@@ -272,7 +272,7 @@ def test_the_discount_changes_at_its_step_everywhere(open_learner: Open) -> None
 
 @pytest.mark.parametrize("decay", [0.0, 0.75])
 def test_checkpoints_contain_the_running_mean_of_the_weights(open_learner: Open, decay: float) -> None:
-    """A plain mean at first, then one that forgets; without averaging, the latest weights."""
+    """A plain mean at first, then an exponential one; without averaging, the latest weights."""
     learner = open_learner(ema_decay=decay, learning_rate=0.01)
     name = "action_net.weight"
     seen = []
@@ -291,7 +291,7 @@ def test_checkpoints_contain_the_running_mean_of_the_weights(open_learner: Open,
 
 
 def test_target_kl_ends_an_update_early(open_learner: Open) -> None:
-    """A huge step is noticed and no further ones are taken."""
+    """A huge step is detected and the update ends."""
     learner = open_learner(target_kl=0.001, learning_rate=0.1, n_epochs=50)
     assert learner.collect()
     learner.update()
@@ -335,7 +335,7 @@ def test_unit_norm_initialization(open_learner: Open) -> None:
 
 
 def test_initial_weights_come_from_the_seed_alone(open_learner: Open) -> None:
-    """The process's generators neither matter nor are touched."""
+    """The process's generators have no influence and are not changed."""
     torch.manual_seed(1)
     first = open_learner(seed=9).policy_state()
     torch.manual_seed(2)
@@ -360,7 +360,7 @@ def test_learning_rate_falls_linearly_where_asked(open_learner: Open) -> None:
 
 @pytest.mark.parametrize(("target_kl", "grows"), [(1e-6, False), (10.0, True)])
 def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: float, grows: bool) -> None:
-    """An update that went too far lowers the next one's rate, a timid one raises it."""
+    """An update that is too large lowers the next rate, one that is too small raises it."""
     learner = open_learner(
         learning_rate_schedule="adaptive", learning_rate=1e-3, target_kl=target_kl, target_kl_final=None
     )
@@ -371,7 +371,7 @@ def test_learning_rate_follows_the_kl_divergence(open_learner: Open, target_kl: 
 
 
 def test_adaptive_learning_rate_stays_within_bounds(open_learner: Open) -> None:
-    """However long the updates are too small or too large."""
+    """The rate stays within its limits."""
     for rate, target_kl, bound in ((2e-5, 1e-12, 1e-5), (1e-3, 100.0, 1e-2)):
         learner = open_learner(
             learning_rate_schedule="adaptive", learning_rate=rate, target_kl=target_kl, target_kl_final=None, n_steps=8
@@ -425,7 +425,7 @@ def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> 
 
 
 def test_loss_that_is_not_finite_is_reported(open_learner: Open) -> None:
-    """The message says when and what."""
+    """The message contains the step and the value."""
     learner = open_learner()
     assert learner.collect()
     learner.rollout.returns[3, 2] = np.nan

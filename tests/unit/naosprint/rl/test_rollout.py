@@ -1,4 +1,4 @@
-"""Environments as the learner sees them: restarts, normalization, metrics."""
+"""Environments for learners: restarts, normalization, metrics."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_episode_metrics_are_those_of_the_episode(open_env: Open) -> None:
 
 
 def test_task_metrics_are_those_of_the_runs(open_env: Open) -> None:
-    """The window has what the task measured of whole episodes."""
+    """The window contains the task's metrics of whole episodes."""
     env = open_env(start_episode_fraction=0.0)
     env.reset()
     rng = np.random.default_rng(1)
@@ -107,7 +107,7 @@ def test_returned_arrays_are_the_callers(open_env: Open) -> None:
 
 
 def test_state_carries_over(open_env: Open) -> None:
-    """A second environment continues as the first, through falls and restarts."""
+    """A restored environment continues like the first, through falls and restarts."""
     first, second = open_env(), open_env()
     first.reset()
     second.reset()
@@ -125,7 +125,7 @@ def test_state_carries_over(open_env: Open) -> None:
 
 @pytest.mark.parametrize("bootstrap", [True, False])
 def test_end_that_is_no_failure_is_bootstrapped_if_set(open_env: Open, bootstrap: bool) -> None:
-    """At the finish line the last observation is returned, to value what would have followed; after a fall never."""
+    """At the finish line the last observation is returned to estimate the next value; after a fall it is not."""
     env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
     # a finish line so near that the first stumbles cross it
     env.environment.task.finish_x_m = -13.95
@@ -153,7 +153,7 @@ def test_end_that_is_no_failure_is_bootstrapped_if_set(open_env: Open, bootstrap
 
 
 def test_short_episodes_do_not_count(open_env: Open) -> None:
-    """Metrics are those of whole episodes alone."""
+    """Metrics are those of whole episodes only."""
     env = open_env(start_episode_fraction=0.5)
     env.reset()
     rng = np.random.default_rng(0)

@@ -46,14 +46,14 @@ def test_checkpoints_keep_their_distance_in_seconds(make_spec: Make, tmp_path: P
 
 
 def test_metrics_without_a_value_are_left_out(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """Before the first episode ends there is no distance."""
+    """There is no distance before the first episode has ended."""
     train(make_spec(n_envs=2, n_steps=4, batch_size=8, total_steps=8), workdir=tmp_path, reporter=recorder)
     assert "distance_m" not in recorder.rows[0]
     assert recorder.rows[0]["episodes"] == 0.0
 
 
 def test_same_seed_gives_the_same_weights(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """And another seed gives others."""
+    """Another seed gives other results."""
     runs = {
         name: train(make_spec(seed=seed), workdir=tmp_path / name, reporter=recorder).checkpoint
         for name, seed in (("a", 3), ("b", 3), ("c", 4))
@@ -113,7 +113,7 @@ def test_stopping_in_a_rollout_saves_the_last_update(make_spec: Make, tmp_path: 
 
 
 def test_stopping_at_once_leaves_the_first_checkpoint(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """There is always something to resume from."""
+    """There is always a checkpoint to resume from."""
     result = train(make_spec(), workdir=tmp_path, reporter=recorder, stop=lambda: True)
     assert (result.status, result.steps) == ("stopped", 0)
     assert read_manifest(result.checkpoint).steps == 0
@@ -123,7 +123,7 @@ def test_stopping_at_once_leaves_the_first_checkpoint(make_spec: Make, tmp_path:
 def test_resuming_a_finished_training_is_finished(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
-    """Nothing is left to do, and the result says where the checkpoint is."""
+    """Nothing is left to do, and the result contains the checkpoint."""
     result = train(make_spec(), workdir=tmp_path, reporter=recorder, resume=checkpoint)
     assert (result.status, result.steps) == ("finished", 512)
     assert_same(result.checkpoint, checkpoint)
@@ -158,7 +158,7 @@ def test_initial_policy_gives_weights_and_statistics(
 def test_initial_policy_of_another_shape_is_refused(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
-    """The message says what to set."""
+    """The message names the setting to change."""
     with pytest.raises(CheckpointError, match=r"this training has \[8, 8\]; set algorithm.hidden_sizes to \["):
         train(make_spec(hidden_sizes=(8, 8)), workdir=tmp_path, reporter=recorder, initial_policy=checkpoint)
 
@@ -166,7 +166,7 @@ def test_initial_policy_of_another_shape_is_refused(
 def test_a_robot_with_toes_starts_from_the_policy_of_one_without(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
-    """It does with all other joints what the policy did, whatever its toes do, and holds these straight; and learns."""
+    """Its other joints move as with the old policy, its toes stay straight, and it learns."""
     spec = make_spec(robot="nao-4", total_steps=256)
     began = train(spec, workdir=tmp_path, reporter=recorder, initial_policy=checkpoint, stop=lambda: True).checkpoint
     (theirs, before), (ours, after) = load_policy(checkpoint), load_policy(began)
@@ -186,7 +186,7 @@ def test_a_robot_with_toes_starts_from_the_policy_of_one_without(
 def test_resume_and_initial_policy_exclude_each_other(
     make_spec: Make, checkpoint: Path, tmp_path: Path, recorder: Any
 ) -> None:
-    """One of them has to go."""
+    """The two options exclude each other."""
     with pytest.raises(ValueError, match="exclude each other"):
         train(make_spec(), workdir=tmp_path, reporter=recorder, resume=checkpoint, initial_policy=checkpoint)
 
@@ -200,7 +200,7 @@ def test_every_robot_type_trains(make_spec: Make, tmp_path: Path, recorder: Any,
 
 
 def test_a_short_training_learns(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """In a few thousand steps the reward per step grows: the whole chain learns, not only runs."""
+    """In a few thousand steps the reward per step grows: training improves the policy."""
     spec = make_spec(
         n_envs=32, n_steps=64, batch_size=512, n_epochs=5, total_steps=60_000, learning_rate=1e-3, hidden_sizes=(64, 64)
     )

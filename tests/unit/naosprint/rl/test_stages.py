@@ -48,7 +48,7 @@ def test_stages_are_a_chain_of_trainings(make_spec: Make, tmp_path: Path, record
 
 
 def test_metrics_continue_over_the_border(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """One curve: steps, episodes and time go on, and rows say which stage they are of."""
+    """One curve: steps, episodes and time continue, and rows contain their stage."""
     train(two_stages(make_spec), workdir=tmp_path, reporter=recorder)
     rows = recorder.rows
     assert [row["step"] for row in rows] == [256, 512, 640, 768, 896, 1024]
@@ -111,7 +111,7 @@ def test_other_stages_are_another_training(make_spec: Make, tmp_path: Path, reco
 
 
 def test_stopping_right_after_the_border_saves_nothing_twice(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
-    """The border's checkpoint stays as it is, and is reported once."""
+    """The checkpoint between the stages does not change, and is reported once."""
     spec = two_stages(make_spec)
 
     def stop() -> bool:

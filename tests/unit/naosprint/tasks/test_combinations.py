@@ -1,4 +1,4 @@
-"""Robots, simulators and tasks that do not go together are refused with what is wrong and what to do."""
+"""Incompatible robots, simulators and tasks are refused with a reason and a remedy."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_start_poses_that_do_not_stand_are_refused_with_gains_that_do() -> None:
 
 
 def test_lying_starts_are_for_the_embedded_simulator() -> None:
-    """Known before a server has done anything with them."""
+    """The error is raised before a server is used."""
     environment = opened(robot="t1", simulator="server", task="getup")
     try:
         with pytest.raises(ValueError, match="beams robots upright only; use the embedded simulator"):

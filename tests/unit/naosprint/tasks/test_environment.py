@@ -18,7 +18,7 @@ FALL[8:] = np.tile([0.0, 0.0, 1.0, -1.0, -1.0, 0.0], 2)
 
 
 def environment_of(n: int, task: type[Task] = Sprint1, **settings: float) -> Environment:
-    """Return n standard robots at their starts, rewarded for forward displacement alone."""
+    """Return n standard robots at their starts, rewarded for forward displacement only."""
     robot = robots.get("nao-0")
     chosen = SprintSettings(name=task.name, drift_penalty=0.0).model_copy(update=settings)
     environment = Environment(EmbeddedSimulator(robot, n), task, task.resolve(chosen, robot))
@@ -56,7 +56,8 @@ def test_reward_is_forward_displacement_times_scale() -> None:
 
 
 def test_penalties_take_from_the_reward_what_drift_and_fall_cost() -> None:
-    """A step costs the metres it leads away from the line, and pays them back on the way home; a fall costs once."""
+    """A step away from the line is penalized by its metres, a step back is rewarded by them; a fall is penalized
+    once."""
     environment = environment_of(4, drift_penalty=0.5, fall_penalty_m=3.0)
     rng = np.random.default_rng(0)
     homeward = 0
@@ -140,7 +141,7 @@ def test_finish_line_ends_the_episode() -> None:
 
 
 def test_horizon_of_task_two_terminates_and_that_of_task_one_truncates() -> None:
-    """Only a time limit that is no part of the task truncates."""
+    """Only a time limit that is not part of the task truncates."""
     for task, terminal in ((Sprint1, False), (Sprint2, True)):
         environment = environment_of(2, variant(task, max_steps=3))
         for _ in range(3):
@@ -162,7 +163,7 @@ def test_inactive_robots_stay_where_they_are() -> None:
 
 
 def test_state_and_load_state_continue_bit_for_bit() -> None:
-    """Another environment continues in the middle of an episode."""
+    """A restored environment continues in the middle of an episode."""
     first, second = environment_of(3), environment_of(3)
     rng = np.random.default_rng(3)
     for _ in range(10):
@@ -181,7 +182,7 @@ def test_height_above_the_start_pose_is_refused(make_spec: Callable[..., Trainin
 
 
 def test_lost_robots_keep_their_state_and_are_truncated() -> None:
-    """What a server reported while it broke down counts for nothing: neither observation, reward nor progress."""
+    """The last report of a failing server is ignored: observation, reward and progress."""
 
     class Losing(EmbeddedSimulator):
         @property

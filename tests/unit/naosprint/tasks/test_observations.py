@@ -43,7 +43,7 @@ def _facing(yaw: float) -> Array:
 
 
 class Puppet(Simulator):
-    """One robot that senses what it is told."""
+    """Simulator of one robot with given readings."""
 
     def __init__(self) -> None:
         super().__init__(NAO, 1)
@@ -126,7 +126,7 @@ def test_there_are_89_in_the_order_of_the_papers_code() -> None:
 
 
 def test_rates_make_up_what_the_paper_counts() -> None:
-    """43 rates, one for each feature but the three counters."""
+    """43 rates, one for each number except the three counters."""
     names = Watch().names
     assert sum(name.endswith("_rate") for name in names) == 43
 
@@ -256,7 +256,7 @@ def test_beginning_one_robot_leaves_the_others_alone() -> None:
 
 
 def test_observations_agree_with_the_simulator_step_by_step() -> None:
-    """On the running engine, every observation is what its definition says of the perceptors."""
+    """On the running engine, every observation matches its definition by the perceptors."""
     environment = environment_of(4)
     simulator, actuation = environment.simulator, environment.actuation
     names = environment.observer.names

@@ -36,7 +36,7 @@ def test_noise_is_bounded_seeded_and_spares_the_neck() -> None:
 
 
 def test_choice_depends_on_nothing_but_seed_environment_and_episode() -> None:
-    """The same question gets the same answer, whoever asks beside it."""
+    """A choice does not depend on the other environments in the call."""
     everyone = choose_starts(7, 256, np.arange(64), np.full(64, 3))
     alone = choose_starts(7, 256, np.array([20]), np.array([3]))
     assert everyone[20] == alone[0]
@@ -94,7 +94,7 @@ def test_robots_stand_at_the_start_facing_the_finish(robot_type: int) -> None:
 
 
 def test_start_before_the_poses_are_known_is_refused() -> None:
-    """The message says what to do."""
+    """The message states what to do."""
     simulator = EmbeddedSimulator(NAO, 1)
     with pytest.raises(RuntimeError, match="load_starts"):
         simulator.start(np.array([0]), np.array([0]))

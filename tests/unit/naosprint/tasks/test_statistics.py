@@ -23,13 +23,13 @@ def test_wilson_gives_published_intervals(successes: int, trials: int, low: floa
 
 
 def test_wilson_reaches_the_ends() -> None:
-    """Never below nothing or above everything."""
+    """Never below 0 or above 1."""
     assert wilson(0, 7, 0.95)[0] == 0.0
     assert wilson(7, 7, 0.95)[1] == 1.0
 
 
 def test_bootstrap_covers_the_mean_as_often_as_it_says() -> None:
-    """Of many samples, about 90 in 100 give an interval that holds the true mean."""
+    """Of many samples, about 90 in 100 give an interval that contains the true mean."""
     rng = np.random.default_rng(0)
     hits = 0
     for _ in range(300):
