@@ -112,6 +112,9 @@ class Disturbances:
         simulator: the robots; their masses and friction are drawn now.
         seed: seed of all draws.
 
+    Attributes:
+        arrays: what the next step depends on; part of checkpoints.
+
     Raises:
         ValueError: if the simulator cannot do it; the message names the setting.
     """
@@ -123,12 +126,16 @@ class Disturbances:
         n, joints = simulator.n, len(simulator.robot.joints)
         self._count: IntArray = np.zeros(n, dtype=np.int64)
         self._waiting: FloatArray = np.zeros((settings.extra_delay, n, joints))
-        self.arrays: dict[str, AnyArray] = {"count": self._count, "waiting": self._waiting}
         self._noise = {
             name: NOISE[name] * settings.sensor_noise
             for name in simulator.perceptors
             if settings.sensor_noise and name in NOISE
         }
+        self.arrays: dict[str, AnyArray] = {}
+        if settings.push_mps or self._noise:
+            self.arrays["count"] = self._count
+        if settings.extra_delay:
+            self.arrays["waiting"] = self._waiting
         if settings.mass_variation or (settings.friction_min, settings.friction_max) != (1.0, 1.0):
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)

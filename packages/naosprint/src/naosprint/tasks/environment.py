@@ -203,7 +203,7 @@ class Environment:
         for name, array in self.task.arrays.items():
             array[:] = state[f"task.{name}"]
         for name, array in self.disturbances.arrays.items():
-            array[:] = state.get(f"disturbances.{name}", 0)  # checkpoints before there were disturbances lack them
+            array[:] = state[f"disturbances.{name}"]
         self.world.steps[:] = state["steps"]
         self.world.actions[:] = state["actions"]
         self.world.previous_actions[:] = state["previous_actions"]
