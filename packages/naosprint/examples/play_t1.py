@@ -59,7 +59,7 @@ class Player(Runner):
         self.give((speed, 0.0, np.clip(1.5 * bearing, -TURN_RAD_S, TURN_RAD_S)))
 
 
-def main():
+def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", help="exported policy of task velocity")
     parser.add_argument("--getup", help="exported policy of task getup")
@@ -67,7 +67,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--ports", type=int, nargs=2, default=(60000, 60001), metavar=("AGENT", "MONITOR"))
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
     receive(monitor)
     player, getup = Player(options.run), Player(options.getup) if options.getup else None
@@ -100,6 +100,7 @@ def main():
             if player.place[2] < LYING * player.standing_height_m:
                 falls += 1
                 if getup is None:
+                    agent.close()
                     raise SystemExit(f"the robot fell on the way to target {number}; --getup can stand it up")
                 getup.begin()
                 for _ in range(250):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
 import subprocess
@@ -23,7 +24,8 @@ from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import Policy
 from naosprint.tasks.environment import open_environment
 
-AGENT = Path(__file__).parents[3] / "packages/naosprint/examples/run_policy_t1.py"
+EXAMPLES = Path(__file__).parents[3] / "packages/naosprint/examples"
+AGENT = EXAMPLES / "run_policy_t1.py"
 PROGRAM = (sys.executable, "-m", "rcsssmj")
 REALTIME = ServerProgram(
     name="rcssservermj",
@@ -47,9 +49,9 @@ def serving(program: ServerProgram) -> Iterator[Address]:
         server.stop()
 
 
-def exported(robot: str, folder: Path, spread: float) -> tuple[Policy, Path]:
+def exported(robot: str, folder: Path, spread: float, task: str = "sprint1") -> tuple[Policy, Path]:
     """Export an untrained policy, which falls sooner with a wider spread of its weights."""
-    spec = TrainingSpec.model_validate({"robot": robot, "task": "sprint1"})
+    spec = TrainingSpec.model_validate({"robot": robot, "task": task})
     environment = open_environment(spec, 1, threads=1)
     names, actions = environment.observer.names, environment.actuation.names
     environment.close()
@@ -156,3 +158,60 @@ def test_two_agents_play_in_real_time_on_one_field(tmp_path: Path) -> None:
         for agent in agents:
             out, err = agent.communicate(timeout=120)
             assert RESULT.fullmatch(out), (out, err)
+
+
+def test_the_player_observes_and_commands_as_task_velocity_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its observations while it steers to a point are those of our simulator under the same commands and actions."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    player: Any = importlib.import_module("play_t1")
+    _, path = exported("t1", tmp_path, 0.05, "velocity")
+    observe, give = player.Player.observe, player.Player.give
+    seen: list[np.ndarray] = []
+    actions: list[np.ndarray] = []
+    given: dict[int, tuple[float, ...]] = {}
+
+    def watched_observe(self: Any) -> np.ndarray:
+        seen.append(observe(self))
+        return seen[-1]
+
+    def watched_act(self: Any, observation: np.ndarray) -> Any:
+        targets = player.Runner.act(self, observation)
+        actions.append(self.action)
+        return targets
+
+    def watched_give(self: Any, command: tuple[float, ...]) -> None:
+        given[len(seen)] = command
+        give(self, command)
+
+    monkeypatch.setattr(player.Player, "observe", watched_observe)
+    monkeypatch.setattr(player.Player, "act", watched_act)
+    monkeypatch.setattr(player.Player, "give", watched_give)
+    monkeypatch.setattr(player, "PATIENCE_S", 1.0)
+    with serving(RCSSSERVERMJ) as address:
+        ports = (str(address.agent_port), str(address.monitor_port))
+        # it hardly moves, so that it misses its target
+        assert player.main([str(path), "--targets", "1", "--host", address.host, "--ports", *ports]) == 1
+    section = {"name": "embedded", "exact": True}
+    environment = open_environment(
+        TrainingSpec.model_validate({"robot": "t1", "simulator": section, "task": "velocity"}), 1, threads=1
+    )
+    environment.load_starts(environment.task.starts(1, 0, 0.0))
+    everyone = np.zeros(1, dtype=np.int64)
+    environment.restart(everyone, everyone)
+    task: Any = environment.task
+    names = list(environment.observer.names)
+    path_names = ("command_forward", "command_sideways", "command_turn", "line_offset", "heading_sin", "heading_cos")
+    path_columns = [names.index(name) for name in path_names]
+    digit = np.where(np.char.startswith(np.array(names), "velocity_"), 0.06, 3e-3)
+    assert len(seen) > 40 and len(given) > 5
+    for step in range(40):
+        expected = environment.observations[0].copy()
+        if step in given:
+            task.set_command(everyone, np.array([given[step]]))
+            expected[path_columns] = (*given[step], 0.0, 0.0, 1.0)
+        difference = np.abs(seen[step] - expected)
+        assert (difference < digit).all(), f"step {step}: {[names[i] for i in np.flatnonzero(difference >= digit)]}"
+        environment.step(actions[step][None])
+    environment.close()

@@ -119,8 +119,14 @@ def test_the_reward_is_for_following_the_command() -> None:
         rotation = truth.torso_rotation
         return truth.torso_position[:, :2].copy(), np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
 
+    def perceived() -> tuple[np.ndarray, np.ndarray]:
+        w, x, y, z = simulator.perceptors["torso_quat"].T
+        angles = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+        return simulator.perceptors["torso_pos"][:, :2].copy(), angles
+
     position, yaw = place()
-    heading, offset, flew = yaw.copy(), np.zeros(4), False
+    seen_position, heading = perceived()
+    offset, flew = np.zeros(4), False
     for action in 3.0 * gentle(environment, 40):
         environment.step(action)
         moved, turned = place()[0] - position, place()[1] - yaw
@@ -128,8 +134,10 @@ def test_the_reward_is_for_following_the_command() -> None:
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         velocity = np.stack([(moved * ahead).sum(axis=1), (moved * left).sum(axis=1), turned], axis=1) / STEP_S
-        offset += (velocity[:, 1] - command[:, 1]) * STEP_S
-        heading += command[:, 2] * STEP_S
+        offset += ((perceived()[0] - seen_position) * left).sum(axis=1) - command[:, 1] * STEP_S
+        heading = heading + command[:, 2] * STEP_S
+        seen_position, seen_yaw = perceived()
+        turn = seen_yaw - heading
         error = velocity - command
         tilt = 1.0 - truth.torso_rotation[:, 2, 2] ** 2
         squared = error[:, 0] ** 2 + error[:, 1] ** 2
@@ -142,7 +150,7 @@ def test_the_reward_is_for_following_the_command() -> None:
             + 0.4 * (flies & fast)
             + 0.5 * np.exp(-(error[:, 2] ** 2) / TRACKING_SCALE)
             - 2.0 * np.minimum(np.abs(offset), OFFSET_LIMIT_M)
-            - 0.7 * (1.0 - np.cos(yaw - heading))
+            - 0.7 * (1.0 - np.cos(turn))
             - 0.3 * tilt
         )
         np.testing.assert_allclose(environment.rewards, scale * expected, atol=1e-9)
@@ -151,8 +159,8 @@ def test_the_reward_is_for_following_the_command() -> None:
         asked = np.stack([seen[f"command_{kind}"] for kind in ("forward", "sideways", "turn")], axis=1)
         np.testing.assert_array_equal(asked, command)
         np.testing.assert_allclose(seen["line_offset"], np.clip(offset, -OFFSET_LIMIT_M, OFFSET_LIMIT_M), atol=1e-9)
-        np.testing.assert_allclose(seen["heading_sin"], np.sin(yaw - heading), atol=1e-9)
-        np.testing.assert_allclose(seen["heading_cos"], np.cos(yaw - heading), atol=1e-9)
+        np.testing.assert_allclose(seen["heading_sin"], np.sin(turn), atol=1e-9)
+        np.testing.assert_allclose(seen["heading_cos"], np.cos(turn), atol=1e-9)
     assert flew
 
 

@@ -232,7 +232,7 @@ def _heading(world: World) -> ObservationBlock:
     """Sine and cosine of the angle from the running direction to the torso's front."""
 
     def measure(rows: slice | IntArray) -> FloatArray:
-        yaw = _perceived_yaw(world, rows)
+        yaw = perceived_yaw(world, rows)
         return np.stack([np.sin(yaw), np.cos(yaw)], axis=1)
 
     return ObservationBlock(("heading_sin", "heading_cos"), measure, signs=(-1.0, 1.0))
@@ -372,7 +372,8 @@ def _velocity(world: World) -> ObservationBlock:
     )
 
 
-def _perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
+def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
+    """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
     if "torso_quat" not in world.perceptors:
         return world.yaw(rows)
     w, x, y, z = world.perceptors["torso_quat"][rows].T

@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 from naosprint.tasks.base import RewardTerm, Task, World
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
+from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
 from naosprint.tasks.penalties import penalties
 from naosprint.tasks.randomness import uniform
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
-    from naosprint.tasks.observations import ObservationBlock
 
 TRACKING_SCALE = 0.25
 """Squared error at which the narrow part of a tracking reward has fallen to 1/e, (m/s)^2 or (rad/s)^2."""
@@ -283,6 +283,7 @@ class Velocity(Task):
         self._draws: IntArray = np.zeros(n, dtype=np.int64)
         self._position: FloatArray = np.zeros((n, 2))
         self._yaw: FloatArray = np.zeros(n)
+        self._perceived_position: FloatArray = np.zeros((n, 2))
         self._heading: FloatArray = np.zeros(n)
         self._offset: FloatArray = np.zeros(n)
         self._errors: FloatArray = np.zeros(n)
@@ -292,6 +293,7 @@ class Velocity(Task):
             "draws": self._draws,
             "position": self._position,
             "yaw": self._yaw,
+            "perceived_position": self._perceived_position,
             "heading": self._heading,
             "offset": self._offset,
             "errors": self._errors,
@@ -304,8 +306,6 @@ class Velocity(Task):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations without its heading in the world, and those of the command."""
-        from naosprint.tasks.observations import ObservationBlock, blocks
-
         usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
@@ -364,6 +364,7 @@ class Velocity(Task):
         """Note where the robots start and draw their first commands."""
         self._position[rows] = self.world.position(rows)[:, :2]
         self._yaw[rows] = self.world.yaw(rows)
+        self._perceived_position[rows] = self.world.perceptors["torso_pos"][rows, :2]
         self._errors[rows] = 0.0
         self._advance_m[rows] = 0.0
         self._fallen[rows] = False
@@ -390,7 +391,7 @@ class Velocity(Task):
     def set_command(self, rows: IntArray, command: FloatArray) -> None:
         """Give robots new commands, (k, 3) in m/s and rad/s; heading and path begin again."""
         self.command[rows] = command
-        self._heading[rows] = self._yaw[rows]
+        self._heading[rows] = perceived_yaw(self.world, rows)
         self._heading_error[rows] = 0.0
         self._offset[rows] = 0.0
 
@@ -398,21 +399,23 @@ class Velocity(Task):
         """Measure the step against the command, and draw new commands for some robots."""
         world = self.world
         position, rotation, yaw = world.position(rows), world.rotation(rows), world.yaw(rows)
-        command = self.command[rows]
-        moved = position[:, :2] - self._position[rows]
-        cosine, sine = np.cos(self._heading[rows]), np.sin(self._heading[rows])
-        forward = (cosine * moved[:, 0] + sine * moved[:, 1]) / STEP_S
-        sideways = (cosine * moved[:, 1] - sine * moved[:, 0]) / STEP_S
-        turned = _wrapped(yaw - self._yaw[rows]) / STEP_S
-        self.velocity[rows] = np.stack([forward, sideways, turned], axis=1)
-        self._offset[rows] += (sideways - command[:, 1]) * STEP_S
-        self._heading[rows] = _wrapped(self._heading[rows] + command[:, 2] * STEP_S)
-        self._heading_error[rows] = _wrapped(yaw - self._heading[rows])
+        perceived_position = world.perceptors["torso_pos"][rows, :2]
+        command, heading = self.command[rows], self._heading[rows]
+        forward, sideways = _along(heading, position[:, :2] - self._position[rows])
+        turned = _wrapped(yaw - self._yaw[rows])
+        self.velocity[rows] = np.stack([forward, sideways, turned], axis=1) / STEP_S
+        # path and heading are observed, so they follow what the robot perceives
+        self._offset[rows] += _along(heading, perceived_position - self._perceived_position[rows])[1]
+        self._offset[rows] -= command[:, 1] * STEP_S
+        self._heading[rows] = _wrapped(heading + command[:, 2] * STEP_S)
+        self._heading_error[rows] = _wrapped(perceived_yaw(world, rows) - self._heading[rows])
         self._position[rows], self._yaw[rows] = position[:, :2], yaw
+        self._perceived_position[rows] = perceived_position
         self._tilt[rows] = 1.0 - np.square(rotation[:, 2, 2])
         self._fallen[rows] = position[:, 2] < self._min_height
-        self._errors[rows] += np.hypot(forward - command[:, 0], sideways - command[:, 1])
-        self._advance_m[rows] += forward * STEP_S
+        error = self.velocity[rows, :2] - command[:, :2]
+        self._errors[rows] += np.hypot(error[:, 0], error[:, 1])
+        self._advance_m[rows] += forward
         everyone = np.arange(self.n)[rows]
         # the same chance in every step, so that a policy cannot foresee a change
         chance = uniform(self.seed + 1, everyone, world.steps[rows] + 100_003 * self._draws[rows], 1)[:, 0]
@@ -471,6 +474,12 @@ class Velocity(Task):
             statistics.rate(FLIGHT_RATE, flight),
         )
         return results, ()
+
+
+def _along(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the parts of (k, 2) displacements along (k,) headings, and to the left of them."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]
 
 
 def _wrapped(angles: FloatArray) -> FloatArray:
