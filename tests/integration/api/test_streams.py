@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
 from itertools import islice
 from typing import Any
 
@@ -14,6 +17,7 @@ from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
+from naojobs.tokens import Scope, create_token, revoke
 from naosprint_api import broadcast
 from sqlalchemy import text
 from sqlalchemy.orm import Session, sessionmaker
@@ -218,3 +222,54 @@ def test_too_many_followers_are_sent_away(
         refused = client.get(path)
         assert refused.status_code == 503
         assert int(refused.headers["retry-after"]) > 0
+
+
+@pytest.mark.parametrize("path", ["/jobs/stream", "/jobs/{}/stream"])
+@pytest.mark.parametrize("end", ["revoked", "expired"])
+def test_a_stream_ends_with_its_token(
+    start_api: Callable[..., Any],
+    sessions: Sessions,
+    run_job: Callable[..., Lease],
+    follow: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    path: str,
+    end: str,
+) -> None:
+    monkeypatch.setattr(broadcast, "_IDLE_S", 0.1)
+    path = path.format(run_job("leaver").job_id)
+    valid_for = timedelta(seconds=3) if end == "expired" else None
+    token, secret = create_token(sessions, name="", owner="leaver", scopes=[Scope.READ], valid_for=valid_for)
+    headers = {"Authorization": f"Bearer {secret}"}
+    with httpx.Client(base_url=start_api(api_recheck_s=0.2).url, headers=headers, timeout=20) as client:
+        with follow(client, path) as messages:
+            next(messages)
+            if end == "revoked":
+                revoke(sessions, token)
+            for _ in messages:
+                pass
+        assert client.get(path).status_code == 401
+
+
+def test_places_are_taken_before_they_are_used_and_a_token_has_some_of_them(
+    start_api: Callable[..., Any], make_token: Callable[..., str], run_job: Callable[..., Lease]
+) -> None:
+    """Many who come at the same moment get no more places than there are."""
+    path = f"/jobs/{run_job('rush').job_id}/stream"
+    url = start_api(api_max_followers=5, api_max_followers_per_token=3).url
+
+    def come(secret: str) -> int:
+        with httpx.stream("GET", url + path, headers={"Authorization": f"Bearer {secret}"}, timeout=30) as response:
+            chunks = response.iter_raw()  # an iterator that is dropped closes the connection
+            if response.status_code == 200:
+                next(chunks)
+            done.wait(30)
+            return response.status_code
+
+    done = threading.Barrier(16)
+    for _ in range(2):  # the second time shows that they are given back
+        secrets = [make_token("rush", "read") for _ in range(2)] * 8
+        with ThreadPoolExecutor(16) as pool:
+            came = list(pool.map(come, secrets))
+        assert (came.count(200), came.count(503)) == (5, 11)
+        of_token = [sum(status == 200 for status in came[first::2]) for first in (0, 1)]
+        assert max(of_token) == 3

@@ -36,10 +36,33 @@ def test_a_token_is_for_submitting_and_lasts_unless_told_otherwise(admin: httpx.
 def test_only_an_admin_may(make_client: Callable[..., httpx.Client], admin: httpx.Client, scope: str) -> None:
     mallory = make_client("mallory", scope)
     token = admin.get("/tokens").json()[0]["id"]
-    for method, path in (("POST", "/tokens"), ("GET", "/tokens"), ("DELETE", f"/tokens/{token}")):
-        answer = mallory.request(method, path, json={"owner": "mallory", "scopes": ["admin"]})
+    for body in ({"owner": "mallory", "scopes": ["admin"]}, {"owner": "alice", "scopes": ["read"]}):
+        answer = mallory.post("/tokens", json=body)
         assert answer.status_code == 403
-        assert "scope admin" in answer.json()["errors"][0]["message"]
+        assert f"scope {'admin' if scope == 'submit' else 'submit'}" in answer.json()["errors"][0]["message"]
+    assert mallory.delete(f"/tokens/{token}").status_code == (404 if scope == "submit" else 403)
+    assert token not in mallory.get("/tokens").text
+
+
+def test_a_user_shares_all_own_jobs_with_a_read_token(make_client: Callable[..., httpx.Client], api: Any) -> None:
+    erin = make_client("erin", "submit")
+    job = erin.post("/jobs", json={"name": "shared"}).json()["id"]
+    made = erin.post("/tokens", json={"owner": "erin", "scopes": ["read"], "expires_in_days": 7}).json()
+    with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {made['token']}"}) as guest:
+        assert [item["id"] for item in guest.get("/jobs").json()["items"]] == [job]
+        assert guest.post(f"/jobs/{job}/cancel").status_code == 403
+        assert guest.post("/tokens", json={"owner": "erin", "scopes": ["read"]}).status_code == 403
+        assert {token["owner"] for token in erin.get("/tokens").json()} == {"erin"}
+        assert erin.delete(f"/tokens/{made['id']}").status_code == 204
+        assert guest.get("/jobs").status_code == 401
+
+
+def test_the_scope_metrics_reads_nothing_else(make_client: Callable[..., httpx.Client]) -> None:
+    prometheus = make_client("prometheus", "metrics")
+    assert "naosprint_" in prometheus.get("/metrics").text
+    for path in ("/jobs", "/whoami", "/workers", "/tokens", "/jobs/stream"):
+        assert prometheus.get(path).status_code == 403
+    assert make_client("someone", "submit").get("/metrics").status_code == 403
 
 
 @pytest.mark.parametrize(

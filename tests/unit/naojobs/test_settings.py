@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from naojobs.__main__ import main
 from naojobs.settings import ServiceSettings
 from pydantic import ValidationError
 
@@ -95,3 +96,36 @@ def test_the_environment_fills_them(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in LOCAL.items():
         monkeypatch.setenv(f"NAOSPRINT_{name.upper()}", value)
     assert ServiceSettings().artifact_url == "file:///data"  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "://user:{}@host/db",
+        "://user:{}/{}@host/db",
+        "://user:{}#{}@host/db",
+        "://user:{}?{}@host/db",
+        "://user:{}@{}@host/db",
+        "://user:p@host:{}/db",
+        "://user:{}@[host/db",
+        "://user:{}\n@host/db",
+        "{}",
+    ],
+)
+@pytest.mark.parametrize("field", ["database_url", "broker_url"])
+def test_no_error_shows_a_part_of_a_secret(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], field: str, url: str
+) -> None:
+    """Neither of a URL that cannot be read, nor because something else is wrong."""
+    scheme = "postgresql" if field == "database_url" else "redis"
+    secret = "verys3cret"
+    value = url.replace("{}", secret)
+    environment = {**PRODUCTION, field: f"{scheme}{value}" if value[0] == ":" else value, "artifact_url": "nonsense"}
+    for name, text in environment.items():
+        monkeypatch.setenv(f"NAOSPRINT_{name.upper()}", text)
+    assert main(["migrate"]) == 2
+    told = capsys.readouterr()
+    assert secret not in told.out + told.err
+    assert "NAOSPRINT_ARTIFACT_URL" in told.err
+    if url not in ("://user:{}@host/db", "{}"):
+        assert f"{field}: cannot be read" in told.err

@@ -10,11 +10,13 @@ from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from naojobs.archive import export_artifacts, import_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
 from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
-from naojobs.settings import ServiceSettings
+from naojobs.settings import ServiceSettings, settings_words
 from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
 
@@ -54,7 +56,11 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; write its answer as JSON; return the exit code."""
     arguments = _parser().parse_args(argv)
-    settings = ServiceSettings()  # type: ignore[call-arg]  # the environment fills it
+    try:
+        settings = ServiceSettings()  # type: ignore[call-arg]  # the environment fills it
+    except ValidationError as error:
+        sys.stderr.write(settings_words(error))
+        return 2
     if arguments.command == "migrate":
         change = downgrade if arguments.down else upgrade
         change(settings.sqlalchemy_url, arguments.directory.resolve(), arguments.revision)

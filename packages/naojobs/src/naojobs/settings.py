@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import Field, SecretStr, field_validator, model_validator
+from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 #: Passwords from examples and images: allowed on one machine, refused in production.
@@ -14,10 +14,19 @@ DEFAULT_SECRETS = frozenset(
 )
 
 
+def settings_words(error: ValidationError) -> str:
+    """Return what is wrong with the environment, one variable a line, without any value."""
+    lines = []
+    for item in error.errors(include_input=False, include_url=False):
+        name = "NAOSPRINT_" + "_".join(str(part) for part in item["loc"]).upper() if item["loc"] else ""
+        lines.append(f"{name} {item['msg'].removeprefix('Value error, ')}\n".lstrip())
+    return "".join(lines)
+
+
 class ServiceSettings(BaseSettings):
     """Settings of the job service, read from the environment with the prefix `NAOSPRINT_`."""
 
-    model_config = SettingsConfigDict(env_prefix="NAOSPRINT_", extra="ignore", frozen=True)
+    model_config = SettingsConfigDict(env_prefix="NAOSPRINT_", extra="ignore", frozen=True, hide_input_in_errors=True)
 
     mode: Literal["local", "production"] = Field(
         "production",
@@ -35,6 +44,23 @@ class ServiceSettings(BaseSettings):
 
     lease_s: float = Field(30.0, gt=0, le=3600, description="Seconds after a heartbeat at which a lease is stale.")
     heartbeat_s: float = Field(10.0, gt=0, le=3600, description="Seconds between two heartbeats of a worker.")
+
+    @field_validator("database_url", "broker_url")
+    @classmethod
+    def _is_url(cls, value: SecretStr, info: ValidationInfo) -> SecretStr:
+        """Refuse what programs behind would read differently: their errors would show a part of the password."""
+        text = value.get_secret_value()
+        try:
+            parts = urlsplit(text)
+            readable = parts.port != 0 and parts.netloc.count("@") <= 1 and not parts.fragment
+        except ValueError:
+            readable = False
+        if not readable or not text.isprintable():
+            raise ValueError(
+                f"{info.field_name}: cannot be read; in a password write %23 for #, %2F for /, %3A for :, %3F for ?, "
+                "%40 for @"
+            )
+        return value
 
     @field_validator("database_url")
     @classmethod
@@ -58,9 +84,9 @@ class ServiceSettings(BaseSettings):
         parts = urlsplit(value)
         if parts.scheme == "file" and parts.netloc == "" and parts.path.startswith("/"):
             return value
-        if parts.scheme == "s3" and parts.netloc:
+        if parts.scheme == "s3" and parts.netloc and "@" not in parts.netloc:
             return value
-        raise ValueError(f"artifact_url: {value!r} is neither file:///absolute/folder nor s3://bucket/prefix")
+        raise ValueError("artifact_url: is neither file:///absolute/folder nor s3://bucket/prefix")
 
     @model_validator(mode="after")
     def _refuse_default_secrets(self) -> Self:

@@ -19,15 +19,19 @@ from naojobs.ids import new_id
 from naojobs.models import Token
 from naojobs.scopes import Scope
 
-__all__ = ["Principal", "Scope", "create_token", "get_token", "list_tokens", "revoke", "verify"]
+__all__ = ["Principal", "Scope", "create_token", "get_token", "is_valid", "list_tokens", "revoke", "verify"]
 
 _PREFIX = "nao_"
 
 _INCLUDES = {
     Scope.READ: frozenset({Scope.READ}),
     Scope.SUBMIT: frozenset({Scope.READ, Scope.SUBMIT}),
+    Scope.METRICS: frozenset({Scope.METRICS}),
     Scope.ADMIN: frozenset(Scope),
 }
+
+
+_VALID = (Token.revoked_at.is_(None), (Token.expires_at.is_(None)) | (Token.expires_at > func.now()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +81,18 @@ def verify(sessions: Sessions, secret: str) -> Principal | None:
     """Return the principal of `secret`, or none if it is unknown, expired or revoked."""
     with sessions.begin() as session:
         token = session.scalar(
-            select(Token).where(
-                Token.sha256 == _sha256(secret),
-                Token.revoked_at.is_(None),
-                (Token.expires_at.is_(None)) | (Token.expires_at > func.now()),
-            ),
+            select(Token).where(Token.sha256 == _sha256(secret), *_VALID),
         )
         if token is None:
             return None
         scopes = frozenset().union(*(_INCLUDES[Scope(scope)] for scope in token.scopes))
         return Principal(token.id, token.owner, scopes)
+
+
+def is_valid(sessions: Sessions, token_id: str) -> bool:
+    """Return whether a token is neither expired nor revoked."""
+    with sessions.begin() as session:
+        return session.scalar(select(Token.id).where(Token.id == token_id, *_VALID)) is not None
 
 
 def revoke(sessions: Sessions, token_id: str) -> None:
@@ -111,10 +117,11 @@ def get_token(sessions: Sessions, token_id: str) -> Token:
     return token
 
 
-def list_tokens(sessions: Sessions) -> list[Token]:
-    """Return all tokens, oldest first; without their secrets."""
+def list_tokens(sessions: Sessions, owner: str | None = None) -> list[Token]:
+    """Return all tokens, or those of an owner, oldest first; without their secrets."""
+    wanted = () if owner is None else (Token.owner == owner,)
     with sessions.begin() as session:
-        return list(session.scalars(select(Token).order_by(Token.created_at, Token.id)))
+        return list(session.scalars(select(Token).where(*wanted).order_by(Token.created_at, Token.id)))
 
 
 def _sha256(secret: str) -> str:

@@ -10,6 +10,7 @@ from socket import socket
 from types import FrameType
 
 import uvicorn
+from naojobs.settings import settings_words
 from pydantic import ValidationError
 
 from naosprint_api.app import create_asgi
@@ -82,9 +83,7 @@ def main() -> int:
     try:
         settings = ApiSettings()  # type: ignore[call-arg]  # the environment fills it
     except ValidationError as error:
-        for item in error.errors():
-            name = "NAOSPRINT_" + "_".join(str(part) for part in item["loc"]).upper() if item["loc"] else ""
-            sys.stderr.write(f"{name} {item['msg'].removeprefix('Value error, ')}\n".lstrip())
+        sys.stderr.write(settings_words(error))
         return 2
     server = make_server(settings)
     answer_evenly()

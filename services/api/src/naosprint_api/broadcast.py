@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
@@ -31,6 +32,8 @@ class Broadcaster:
     def __init__(self, url: str) -> None:
         self._url = url
         self._subscriptions: dict[Subscription, str | None] = {}
+        #: Places taken by each token.
+        self._places: Counter[str] = Counter()
         self._task: asyncio.Task[None] | None = None
         self._listening = False
         self.closing = False
@@ -56,6 +59,17 @@ class Broadcaster:
     def followers(self) -> int:
         """Return the number of followers."""
         return len(self._subscriptions)
+
+    @contextmanager
+    def place(self, token_id: str, *, most: int, most_of_token: int) -> Iterator[bool]:
+        """Take a place for a stream; yield whether there was one."""
+        free = self._places.total() < most and self._places[token_id] < most_of_token and not self.closing
+        self._places[token_id] += free
+        try:
+            yield free
+        finally:
+            self._places[token_id] -= free
+            self._places += Counter()  # forget tokens without a place
 
     @contextmanager
     def subscribe(self, job_id: str | None = None) -> Iterator[Subscription]:

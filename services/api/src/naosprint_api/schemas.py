@@ -303,7 +303,8 @@ class TokenCreate(_Request):
         default_factory=lambda: [Scope.SUBMIT],
         min_length=1,
         max_length=len(Scope),
-        description="read: see one's own jobs; submit: also submit and control them; admin: all jobs, and tokens.",
+        description="read: see one's own jobs; submit: also submit and control them; metrics: the "
+        "service's metrics only; admin: all jobs, and tokens.",
     )
     expires_in_days: float | None = Field(None, gt=0, le=36_500, description="Days until it expires; null for never.")
 

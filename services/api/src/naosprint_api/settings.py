@@ -20,8 +20,15 @@ class ApiSettings(ServiceSettings):
     api_rate_burst: int = Field(400, ge=1, description="Requests that one token may make at once.")
     api_max_open_jobs: int = Field(2000, ge=1, description="Jobs of one owner that may wait or run at a time.")
     api_max_followers: int = Field(500, ge=1, description="Streams that may be open at a time.")
+    api_max_followers_per_token: int = Field(100, ge=1, description="Streams that one token may have open at a time.")
+    api_recheck_s: float = Field(
+        30.0,
+        gt=0,
+        le=50,
+        description="Seconds between two checks that the token of an open stream is still valid.",
+    )
     api_metrics_public: bool = Field(
         False,
-        description="Whether /metrics may be read without a token; else it needs one with the scope admin.",
+        description="Whether /metrics may be read without a token; else it needs one with the scope metrics or admin.",
     )
     api_docs_public: bool = Field(True, description="Whether /openapi.json is served.")

@@ -10,6 +10,7 @@ import logging
 import sys
 from collections.abc import Sequence
 
+from naojobs.settings import settings_words
 from pydantic import ValidationError
 
 
@@ -25,9 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _health() if arguments.command == "health" else _run()
     except ValidationError as error:
-        for problem in error.errors(include_url=False, include_input=False):
-            name = "_".join(str(part) for part in problem["loc"]).upper()
-            sys.stderr.write(f"{'NAOSPRINT_' + name + ': ' if name else ''}{problem['msg']}\n")
+        sys.stderr.write(settings_words(error))
         return 2
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from naojobs.ids import PATTERN
 from naojobs.models import Job
 from naojobs.states import ENDED, WorkState
+from naojobs.tokens import is_valid
 
 from naosprint_api import queries
 from naosprint_api.dependencies import MAX_BIGINT, Follower, JobId, ServiceDep
@@ -72,11 +74,37 @@ def _follower(service: Service) -> Iterator[None]:
         yield
 
 
-async def place(service: ServiceDep) -> None:
-    """Refuse a follower when there are too many."""
-    if service.broadcaster.closing or service.broadcaster.followers >= service.settings.api_max_followers:
-        service.telemetry.refused.labels("followers").inc()
-        raise ProblemError(503, "too many streams are open; try again soon", headers={"Retry-After": "10"})
+class Pass:
+    """Permission to follow; it ends when the token is revoked or expires."""
+
+    def __init__(self, service: Service, token_id: str) -> None:
+        self._service = service
+        self._token_id = token_id
+        self._check_at = time.monotonic() + service.settings.api_recheck_s
+
+    async def valid(self) -> bool:
+        """Return whether the stream may continue."""
+        if self._service.broadcaster.closing:
+            return False
+        if time.monotonic() < self._check_at:
+            return True
+        self._check_at = time.monotonic() + self._service.settings.api_recheck_s
+        return await self._service.feed.in_thread(partial(is_valid, self._service.reads, self._token_id))
+
+
+async def place(principal: Follower, service: ServiceDep) -> AsyncIterator[Pass]:
+    """Take a place for a stream until it has ended; refuse a follower when there are too many."""
+    settings = service.settings
+    with service.broadcaster.place(
+        principal.token_id, most=settings.api_max_followers, most_of_token=settings.api_max_followers_per_token
+    ) as free:
+        if not free:
+            service.telemetry.refused.labels("followers").inc()
+            raise ProblemError(503, "too many streams are open; try again soon", headers={"Retry-After": "10"})
+        yield Pass(service, principal.token_id)
+
+
+Place = Annotated[Pass, Depends(place)]
 
 
 async def start_position(
@@ -133,10 +161,10 @@ async def stream_filter(
     "/jobs/stream",
     response_class=EventStream,
     responses=_STREAM,
-    dependencies=[Depends(place)],
 )
 async def stream_jobs(
     service: ServiceDep,
+    allowed: Place,
     wanted: Annotated[queries.JobFilter, Depends(stream_filter)],
     since: Annotated[datetime, Depends(since_of)],
 ) -> EventStream:
@@ -144,7 +172,7 @@ async def stream_jobs(
 
     The first message, `ready`, means that all later changes are sent. A change may be sent twice.
     """
-    return EventStream(_news_of_all(service, wanted, since))
+    return EventStream(_news_of_all(service, allowed, wanted, since))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +192,13 @@ def _read_page(
     return _Page(changes, jobs, service.show_jobs(jobs))
 
 
-async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datetime) -> AsyncIterator[bytes]:
+async def _news_of_all(
+    service: Service, allowed: Pass, wanted: queries.JobFilter, since: datetime
+) -> AsyncIterator[bytes]:
     sent: dict[str, datetime] = {}
     with _follower(service), service.broadcaster.subscribe() as subscription:
         yield _message("ready", {"since": since.isoformat()}, since.isoformat())
-        while not service.broadcaster.closing:
+        while await allowed.valid():
             place = queries.Change(since - queries.OVERLAP)
             seen: set[str] = set()
             full = True
@@ -200,10 +230,10 @@ async def _news_of_all(service: Service, wanted: queries.JobFilter, since: datet
     "/jobs/{job_id}/stream",
     response_class=EventStream,
     responses=_STREAM,
-    dependencies=[Depends(place)],
 )
 async def stream_job(
     service: ServiceDep,
+    allowed: Place,
     job: Annotated[Job, Depends(followed_job)],
     seen: Annotated[Position, Depends(start_position)],
     only: Annotated[list[Kind], Query(description="Only these kinds; left out, all.")] = [],  # noqa: B006
@@ -215,14 +245,16 @@ async def stream_job(
     its step on.
     """
     kinds = frozenset(only) or frozenset({"metrics", "log", "event", "state"})
-    return EventStream(_news_of_one(service, job.id, seen, kinds))
+    return EventStream(_news_of_one(service, allowed, job.id, seen, kinds))
 
 
-async def _news_of_one(service: Service, job_id: str, seen: Position, kinds: frozenset[str]) -> AsyncIterator[bytes]:
+async def _news_of_one(
+    service: Service, allowed: Pass, job_id: str, seen: Position, kinds: frozenset[str]
+) -> AsyncIterator[bytes]:
     told: datetime | None = None
     behind = True
     with _follower(service), service.broadcaster.subscribe(job_id) as subscription:
-        while not service.broadcaster.closing:
+        while await allowed.valid():
             batch = await service.feed.news(job_id, seen, kinds, hurried=behind)
             if batch.state is None:
                 yield _message("gone", {"id": job_id})

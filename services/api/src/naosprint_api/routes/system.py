@@ -64,12 +64,12 @@ async def readiness(service: ServiceDep, response: Response) -> Readiness:
 
 
 def may_read_figures(request: Request, service: ServiceDep) -> None:
-    """Allow access to the metrics: to everybody if the settings allow it, else to admins."""
+    """Allow access to the metrics: to everybody if the settings allow it, else to tokens with scope metrics."""
     if service.settings.api_metrics_public:
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
     known = HTTPAuthorizationCredentials(scheme=scheme, credentials=secret) if scheme.lower() == "bearer" else None
-    require(Scope.ADMIN, authenticate(request, service, known), service)
+    require(Scope.METRICS, authenticate(request, service, known), service)
 
 
 @router.get(

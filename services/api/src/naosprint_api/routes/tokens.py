@@ -1,4 +1,4 @@
-"""Tokens: make, list, revoke; for admins only."""
+"""Tokens: make, list, revoke; users share their own jobs with tokens of scope read."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from datetime import timedelta
 from typing import Annotated
 
 from fastapi import APIRouter, Path
+from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
-from naojobs.tokens import create_token, get_token, list_tokens, revoke
+from naojobs.tokens import Scope, create_token, get_token, list_tokens, revoke
 
-from naosprint_api.dependencies import Admin, ServiceDep
+from naosprint_api.dependencies import ServiceDep, Submitter, require
 from naosprint_api.problems import responses
 from naosprint_api.schemas import TokenCreate, TokenMade, TokenPublic
 
@@ -22,8 +23,13 @@ TokenId = Annotated[str, Path(pattern=PATTERN, description="Id of the token, nev
 
 
 @router.post("/tokens", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
-def make_token(body: TokenCreate, principal: Admin, service: ServiceDep) -> TokenMade:
-    """Make a token. Its secret is only in this answer: the service stores only its SHA-256."""
+def make_token(body: TokenCreate, principal: Submitter, service: ServiceDep) -> TokenMade:
+    """Make a token. Its secret is only in this answer: the service stores only its SHA-256.
+
+    With scope submit one can make tokens with scope read, which show all one's own jobs; all others need scope admin.
+    """
+    if not principal.is_admin and (body.owner != principal.owner or set(body.scopes) != {Scope.READ}):
+        require(Scope.ADMIN, principal, service)
     days = body.expires_in_days
     token_id, secret = create_token(
         service.sessions,
@@ -38,13 +44,16 @@ def make_token(body: TokenCreate, principal: Admin, service: ServiceDep) -> Toke
 
 
 @router.get("/tokens", responses=responses(401, 403, 429, 503))
-def show_tokens(principal: Admin, service: ServiceDep) -> list[TokenPublic]:
-    """List all tokens, oldest first, without their secrets."""
-    return [TokenPublic.model_validate(token) for token in list_tokens(service.reads)]
+def show_tokens(principal: Submitter, service: ServiceDep) -> list[TokenPublic]:
+    """List one's own tokens, or all with scope admin, oldest first, without their secrets."""
+    owner = None if principal.is_admin else principal.owner
+    return [TokenPublic.model_validate(token) for token in list_tokens(service.reads, owner)]
 
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
-def revoke_token(token_id: TokenId, principal: Admin, service: ServiceDep) -> None:
-    """Revoke a token; it stays in the list."""
+def revoke_token(token_id: TokenId, principal: Submitter, service: ServiceDep) -> None:
+    """Revoke a token; it stays in the list. Other users' tokens need scope admin."""
+    if not principal.is_admin and get_token(service.reads, token_id).owner != principal.owner:
+        raise NotFoundError(f"no token {token_id}")
     revoke(service.sessions, token_id)
     _log.info("%s (%s) revoked token %s", principal.owner, principal.token_id, token_id)
