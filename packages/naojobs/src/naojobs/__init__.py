@@ -6,6 +6,7 @@ The state of a piece of work is its row in Postgres; a Celery message only wakes
 - `naojobs.states`         the states of work and the allowed transitions
 - `naojobs.models`         the SQLAlchemy models
 - `naojobs.submission`     submission of jobs, groups and evaluations
+- `naojobs.studies`        submission, look-up and end of studies
 - `naojobs.lifecycle`      claim, heartbeat, cancel, pause, resume, retry, requeue: each one small transaction
 - `naojobs.capabilities`   requirements of work, capabilities of workers, and why work waits
 - `naojobs.records`        metrics, logs, events, checkpoints and results of evaluations

@@ -203,20 +203,45 @@ def request_cancel(sessions: Sessions, model: type[W], work_id: str) -> W:
     """
     with sessions.begin() as session:
         work = _known(session, model, work_id)
-        if work.state is WorkState.CANCELLED or (work.cancel_requested and work.state in LEASED):
-            return work
-        if work.state in LEASED:
-            work.cancel_requested = True
-            work.updated_at = func.now()
-            add_event(session, work, "cancel_requested", "asked the worker to stop")
-        elif work.state not in ENDED:
-            _change(work, WorkState.CANCELLED)
-            add_event(session, work, "cancelled", "cancelled before a worker claimed it")
-        else:
-            raise ConflictError(f"{work.kind} {work_id} has already {work.state}; there is nothing to cancel")
+        _cancel(session, work)
         session.flush()
         session.refresh(work)
     return work
+
+
+def _cancel(session: Session, work: Job | Evaluation, why: str = "") -> bool:
+    """Cancel locked work or ask its worker to stop; return whether that is new. Raises ConflictError."""
+    reason = f": {why}" if why else ""
+    if work.state is WorkState.CANCELLED or (work.cancel_requested and work.state in LEASED):
+        return False
+    if work.state in LEASED:
+        work.cancel_requested = True
+        work.updated_at = func.now()
+        add_event(session, work, "cancel_requested", f"asked the worker to stop{reason}")
+    elif work.state not in ENDED:
+        _change(work, WorkState.CANCELLED)
+        add_event(session, work, "cancelled", f"cancelled before a worker claimed it{reason}")
+    else:
+        raise ConflictError(f"{work.kind} {work.id} has already {work.state}; there is nothing to cancel")
+    return True
+
+
+def cancel_open(session: Session, job_ids: Iterable[str], why: str) -> None:
+    """Cancel those of these jobs that are open, for the reason `why`."""
+    rows = select(Job).where(Job.id.in_(list(job_ids)), Job.state.in_(OPEN)).order_by(Job.id).with_for_update()
+    for job in session.scalars(rows):
+        _cancel(session, job, why)
+
+
+def prune(sessions: Sessions, job_id: str, why: str) -> None:
+    """Ask the worker of a running training to stop because its study gains nothing from it.
+
+    Nothing happens to a job that is not training any more or whose end a user requested.
+    """
+    with sessions.begin() as session:
+        job = lock(session, Job, job_id, Job.state == WorkState.RUNNING)
+        if job is not None and _cancel(session, job, why):
+            job.pruned = why
 
 
 def request_pause(sessions: Sessions, job_id: str) -> Job:
@@ -276,7 +301,7 @@ def retry(sessions: Sessions, job_id: str) -> Job:
             raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
         _change(job, WorkState.QUEUED)
         job.failures = job.postponed = 0
-        job.error = None
+        job.error = job.pruned = None
         add_event(session, job, "queued", "retried by a user")
         session.flush()
         session.refresh(job)
@@ -542,6 +567,8 @@ def _settle(
     if work.cancel_requested and target not in LEASED | {WorkState.CANCELLED}:
         target, message = WorkState.CANCELLED, f"{message or target}; cancelled as requested"
     _change(work, target)
+    if isinstance(work, Job) and target is WorkState.CANCELLED and work.pruned:
+        message = error = f"pruned: {work.pruned}"
     if error is not None:
         work.error = error
     elif target is WorkState.SUCCEEDED:

@@ -147,6 +147,8 @@ class Job(Work, Base):
     )
     #: Whether it was submitted with a parent: it never starts without a policy, even when the parent has been deleted.
     needs_policy: Mapped[bool] = mapped_column(server_default=text("false"))
+    #: Why a study ended it early; null if none did.
+    pruned: Mapped[str | None]
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     #: SHA-256 of the request that had the key, to distinguish a repeated request from another one.
@@ -263,6 +265,91 @@ class Evaluation(Work, Base):
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
 
     __table_args__ = (*_work_checks(EVALUATION_STATES), _waiting_index("evaluations"), _lease_index("evaluations"))
+
+
+class StudyState(StrEnum):
+    """State of a study."""
+
+    #: Trials wait, run, or are to be started.
+    RUNNING = "running"
+    #: All trials have ended.
+    FINISHED = "finished"
+    #: Too many trials failed in a row.
+    FAILED = "failed"
+    #: Ended at a user's request.
+    CANCELLED = "cancelled"
+
+
+class TrialState(StrEnum):
+    """State of a trial, as the sampler sees it."""
+
+    #: Its job is open.
+    RUNNING = "running"
+    #: Its job succeeded, with a value for each objective.
+    COMPLETE = "complete"
+    #: Its job was ended early because it fell behind.
+    PRUNED = "pruned"
+    #: It has no values: its job failed, or was cancelled or deleted by a user.
+    FAILED = "failed"
+
+
+def _known(column: str, states: Iterable[StrEnum]) -> CheckConstraint:
+    return CheckConstraint(f"{column} IN ({', '.join(repr(str(state)) for state in states)})", name=f"{column}_known")
+
+
+class Study(Base):
+    """Search for the best settings of a training. Its group of jobs has its id."""
+
+    __tablename__ = "studies"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    owner: Mapped[str] = mapped_column(String(200))
+    #: A `naospec.search.SearchSpec` whose objectives have directions.
+    spec: Mapped[dict[str, Any]]
+    #: What all trials have in common: a `naospec.TrainingSpec`, a `naospec.EvaluationSpec` or null, tags, priority and
+    #: max_attempts.
+    job: Mapped[dict[str, Any]]
+    state: Mapped[StudyState] = mapped_column(
+        Enum(StudyState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
+    )
+    error: Mapped[str | None]
+    #: Importance of each setting by objective; each objective's add up to 1.
+    importance: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
+    idempotency_key: Mapped[str | None] = mapped_column(String(200))
+    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    finished_at: Mapped[datetime | None]
+
+    __table_args__ = (
+        _known("state", StudyState),
+        UniqueConstraint("owner", "idempotency_key"),
+        Index("ix_studies_running", "id", postgresql_where=text("state = 'running'")),
+    )
+
+
+class Trial(Base):
+    """Trial of a study: one choice of settings, and the job that trains with it."""
+
+    __tablename__ = "trials"
+
+    study_id: Mapped[str] = mapped_column(ForeignKey("studies.id", ondelete="CASCADE"), primary_key=True)
+    #: Number of the trial in the sampler's own tables, from 0.
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    #: Null if the choice could not be submitted, or if the job was deleted.
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), unique=True)
+    state: Mapped[TrialState] = mapped_column(
+        Enum(TrialState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
+    )
+    params: Mapped[dict[str, Any]]
+    #: Values of the objectives, in their order; null until it is complete.
+    values: Mapped[list[float] | None] = mapped_column(ARRAY(Double))
+    #: Why it was pruned or has failed.
+    error: Mapped[str | None]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    finished_at: Mapped[datetime | None]
+
+    __table_args__ = (_known("state", TrialState),)
 
 
 #: Models by kind.

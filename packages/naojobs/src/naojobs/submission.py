@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from naospec.flat import nest
@@ -23,8 +23,10 @@ from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
-from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Study
 from naojobs.states import OPEN, WorkState
+
+J = TypeVar("J", Job, Study)
 
 #: The most jobs of one group.
 MAX_GROUP_SIZE = 256
@@ -87,7 +89,7 @@ def submit(
         QuotaError: `owner` has `max_open_jobs` open jobs.
     """
     with sessions.begin() as session:
-        job, created = _submit(session, request, owner, idempotency_key, max_open_jobs, see_all, group_id=None)
+        job, created = add_job(session, request, owner, idempotency_key, max_open_jobs, see_all)
     return job, created
 
 
@@ -112,7 +114,7 @@ def submit_group(
         new = False
         for number, item in enumerate(requests):
             key = None if idempotency_key is None else f"{idempotency_key}#{number}"
-            job, created = _submit(session, item, owner, key, max_open_jobs, see_all, group_id=group_id)
+            job, created = add_job(session, item, owner, key, max_open_jobs, see_all, group_id=group_id)
             new = new or created
             if not created:
                 group_id = job.group_id or group_id
@@ -152,22 +154,24 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
     return jobs
 
 
-def _submit(
+def add_job(
     session: Session,
     request: JobRequest,
     owner: str,
-    idempotency_key: str | None,
-    max_open_jobs: int | None,
-    see_all: bool,
-    group_id: str | None,
+    idempotency_key: str | None = None,
+    max_open_jobs: int | None = None,
+    see_all: bool = False,
+    *,
+    group_id: str | None = None,
 ) -> tuple[Job, bool]:
+    """Queue a new job as `submit` does, as part of a transaction."""
     digest = request.digest() if idempotency_key is not None else None
     if idempotency_key is not None:
         earlier = session.scalar(
             select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key),
         )
         if earlier is not None:
-            return _same_request(earlier, digest), False
+            return same_request(earlier, digest), False
     if max_open_jobs is not None:
         _check_quota(session, owner, max_open_jobs)
     _check_parent(session, request, owner, see_all)
@@ -175,7 +179,7 @@ def _submit(
         insert(Job)
         .values(
             id=new_id("job"),
-            name=_free_name(session, owner, request.display_name),
+            name=free_name(session, Job, owner, request.display_name),
             owner=owner,
             tags=list(dict.fromkeys(request.tags)),
             spec=request.spec.model_dump(mode="json"),
@@ -201,29 +205,30 @@ def _submit(
         earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == idempotency_key))
         if earlier is None:
             raise ConflictError("a job with this key was deleted just now; send the request again", "Idempotency-Key")
-        return _same_request(earlier, digest), False
+        return same_request(earlier, digest), False
     job = session.get_one(Job, job_id, with_for_update=True)
     add_event(session, job, "queued", "submitted", {"owner": owner})
     return job, True
 
 
-def _same_request(earlier: Job, digest: str | None) -> Job:
+def same_request(earlier: J, digest: str | None) -> J:
+    """Return what an earlier request with the same key made. Raises ConflictError if it was another request."""
     if earlier.idempotency_digest != digest:
         raise ConflictError(
-            f"the key was used for another request, which made job {earlier.id}; use a new key",
+            f"the key was used for another request, which made {earlier.id}; use a new key",
             "Idempotency-Key",
         )
     return earlier
 
 
-def _free_name(session: Session, owner: str, name: str) -> str:
-    """Return a name that no job of `owner` has: `name`, or with a number."""
+def free_name(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> str:
+    """Return a name that no job, or no study, of `owner` has: `name`, or with a number."""
     # Two concurrent submits must not both see the same free name.
     session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
     beginning = name[:190]
     taken = set(
         session.scalars(
-            select(Job.name).where(Job.owner == owner, Job.name.startswith(beginning, autoescape=True)),
+            select(model.name).where(model.owner == owner, model.name.startswith(beginning, autoescape=True)),
         ),
     )
     numbered = (f"{beginning}-{number}" for number in itertools.count(2))

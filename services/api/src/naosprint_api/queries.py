@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Study
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import Select, func, select, tuple_
@@ -140,6 +140,30 @@ def visible_evaluation(sessions: Sessions, principal: Principal, evaluation_id: 
         raise NotFoundError(f"no evaluation {evaluation_id} that this token may see")
     evaluation: Evaluation = row.Evaluation
     return evaluation
+
+
+def visible_study(sessions: Sessions, principal: Principal, study_id: str) -> Study:
+    """Return a study that `principal` may see. Raises NotFoundError, also for studies of others."""
+    with sessions.begin() as session:
+        study = session.get(Study, study_id)
+    if study is None or not _may_see(principal, study.owner, study_id):
+        raise NotFoundError(f"no study {study_id} that this token may see")
+    return study
+
+
+def list_studies(
+    sessions: Sessions, *, owner: str | None, text: str | None, limit: int, before: str | None
+) -> list[Study]:
+    """Return up to `limit` studies older than `before`, newest first."""
+    statement = select(Study).order_by(Study.id.desc()).limit(limit)
+    if owner is not None:
+        statement = statement.where(Study.owner == owner)
+    if text:
+        statement = statement.where(Study.name.icontains(text, autoescape=True))
+    if before is not None:
+        statement = statement.where(Study.id < before)
+    with sessions.begin() as session:
+        return list(session.scalars(statement))
 
 
 def metrics_columns(sessions: Sessions, job_id: str, *, after_step: int, max_points: int) -> MetricsPublic:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-from naojobs.models import DEFAULT_TIME_LIMIT_S
+from naojobs.models import DEFAULT_TIME_LIMIT_S, StudyState, TrialState
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.search import SearchSpec
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from naosprint_api.patterns import ID, NAME, PLAIN, TAG
@@ -101,6 +102,20 @@ class GroupCreate(_Request):
         return GroupRequest(self.job.request(), self.seeds, self.grid)
 
 
+class StudyCreate(_Request):
+    """Search for settings to start."""
+
+    name: Name | None = Field(None, description="Name; left out: made of the job's.")
+    job: JobCreate = Field(description="What all trials have in common.")
+    search: SearchSpec = Field(description="What to vary and to optimize, how to sample and when to prune.")
+
+    @model_validator(mode="after")
+    def _without_parent(self) -> Self:
+        if self.job.parent_job_id is not None:
+            raise ValueError("job.parent_job_id: trials start from random weights; leave it out")
+        return self
+
+
 class ResultPublic(BaseModel):
     """One result of an evaluation: a metric over all episodes."""
 
@@ -148,6 +163,7 @@ class JobPublic(_Public):
         description="Since when the running job has made no step; null if it makes steps, and in all other states."
     )
     cancel_requested: bool
+    pruned: str | None = Field(description="Why its study ended it early; null if it did not.")
     pause_requested: bool
     parent_job_id: str | None
     parent_checkpoint_id: str | None
@@ -288,6 +304,50 @@ class EvaluationCreate(_Request):
         le=30 * 86_400,
         description="Seconds that one attempt may take; then the evaluation fails.",
     )
+
+
+class TrialPublic(_Public):
+    """Trial of a study."""
+
+    number: int
+    job_id: str | None = Field(description="Null if its settings were refused or its job was deleted.")
+    state: TrialState
+    params: dict[str, Any] = Field(description="The settings that were chosen.")
+    values: list[float] | None = Field(description="Values of the objectives; null until it is complete.")
+    error: str | None = Field(description="Why it was pruned or has failed.")
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class StudyPublic(_Public):
+    """Study: a search for the best settings of a training."""
+
+    id: str = Field(description="Also the group of its jobs.")
+    name: str
+    owner: str
+    state: StudyState
+    error: str | None = Field(description="Why it failed.")
+    spec: dict[str, Any] = Field(description="Its search, with everything that the task decides.")
+    job: dict[str, Any] = Field(description="What all trials have in common.")
+    importance: dict[str, dict[str, float]] = Field(
+        description="Importance of each setting by objective (PED-ANOVA); empty for fewer than 5 complete trials."
+    )
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class StudyDetails(StudyPublic):
+    """Study with its trials."""
+
+    trials: list[TrialPublic]
+    best: list[int] = Field(description="The best complete trial; with several objectives, those of the Pareto front.")
+
+
+class StudyPage(BaseModel):
+    """Page of studies, newest first."""
+
+    items: list[StudyPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class TokenCreate(_Request):

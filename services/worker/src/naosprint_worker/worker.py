@@ -26,6 +26,7 @@ from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
+from naosprint_worker.studies import Conductor
 from naosprint_worker.supervisor import MIB
 
 logger = logging.getLogger(__name__)
@@ -47,7 +48,7 @@ class Worker:
         self._host = socket.gethostname()
         self.id = f"{self._host}:{owner.pid}:{int(owner.started * 1000):x}"
         self._engine: Engine = open_engine(
-            settings, pool_size=settings.worker_concurrency + 3, application_name="naosprint-worker"
+            settings, pool_size=settings.worker_concurrency + 4, application_name="naosprint-worker"
         )
         self._context = Context(
             settings=settings,
@@ -63,6 +64,8 @@ class Worker:
         self._runs: dict[Run, threading.Thread] = {}
         self._changed = threading.Condition()
         self._woken = threading.Event()
+        self._study_woken = threading.Event()
+        self._conductor = Conductor(self._context.sessions, settings.sqlalchemy_url)
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -71,13 +74,13 @@ class Worker:
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
         (self._context.folder / OWNER_FILE).write_text(str(Owner.current()), encoding="utf-8")
-        for name, period_s, duty in (
-            ("beat", settings.heartbeat_s, self._beat),
-            ("reap", settings.worker_reap_s, self._reaper.sweep),
-            ("sweep", settings.worker_sweep_s, self._sweep_store),
-            ("claim", settings.worker_claim_s, self._claim_work),
+        for name, period_s, duty, wake in (
+            ("beat", settings.heartbeat_s, self._beat, self._stopping),
+            ("reap", settings.worker_reap_s, self._reaper.sweep, self._stopping),
+            ("sweep", settings.worker_sweep_s, self._sweep, self._stopping),
+            ("claim", settings.worker_claim_s, self._claim_work, self._woken),
+            ("studies", settings.worker_claim_s, self._conduct, self._study_woken),
         ):
-            wake = self._woken if duty == self._claim_work else self._stopping
             thread = threading.Thread(target=self._repeat, args=(name, period_s, duty, wake), name=name, daemon=True)
             thread.start()
             self._threads.append(thread)
@@ -88,12 +91,12 @@ class Worker:
         logger.debug("woken up for %s", work_id)
         with self._changed:
             self._changed.wait_for(lambda: self._stopping.is_set() or Job in self._claimable())
-        self._woken.set()
+        self._wake()
 
     def shut_down(self) -> None:
         """Stop claiming and end all runs, trainings with a checkpoint; callable from a signal handler."""
         self._stopping.set()
-        self._woken.set()
+        self._wake()
         with self._changed:
             self._changed.notify_all()
         for run in tuple(self._runs):
@@ -154,6 +157,15 @@ class Worker:
             with self._changed:
                 del self._runs[run]
                 self._changed.notify_all()
+            self._wake()
+
+    def _wake(self) -> None:
+        self._woken.set()
+        self._study_woken.set()
+
+    def _conduct(self) -> None:
+        """Advance all studies."""
+        if self._conductor.advance_all():
             self._woken.set()
 
     def _free_bytes(self) -> int | None:
@@ -192,7 +204,7 @@ class Worker:
             disk_free_bytes=self._free_bytes(),
         )
 
-    def _sweep_store(self) -> None:
+    def _sweep(self) -> None:
         """Delete files that no row refers to, for example of jobs deleted while the store was away, and old spools."""
         for folder in spool.sweep(self._settings.worker_dir, self._context.sessions):
             logger.info("deleted %s: its job no longer needs it", folder)
@@ -200,6 +212,7 @@ class Worker:
             retention.sweep(self._context.sessions, self._store)
         except StoreError as error:
             logger.warning("sweep: the store did not answer: %s", describe(error, 200))
+        self._conductor.forget_deleted()
 
     def _repeat(self, name: str, period_s: float, duty: Callable[[], None], wake: threading.Event) -> None:
         """Do a duty at once, every ``period_s`` seconds and when ``wake`` is set, also after errors."""

@@ -164,7 +164,7 @@ def submit(
         if parent:
             body["parent_job_id"] = find_job(client, parent)["id"]
         if group:
-            made = _hand_in(client, "/groups", {**group, "job": body}, key)
+            made = hand_in(client, "/groups", {**group, "job": body}, key)
             if as_json:
                 context.json(made)
                 return
@@ -174,7 +174,7 @@ def submit(
             for reason in dict.fromkeys(job.get("waiting_reason") for job in made["jobs"]):
                 _note_waiting(context, reason)
             return
-        job = _hand_in(client, "/jobs", body, key)
+        job = hand_in(client, "/jobs", body, key)
         if as_json and not watch:
             context.json(job)
             return
@@ -379,7 +379,8 @@ def _table(file: dict[str, Any], field: str, where: str) -> dict[str, Any]:
     return value
 
 
-def _hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -> dict[str, Any]:
+def hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -> dict[str, Any]:
+    """POST a body with an idempotency key, again if the answer is lost; return the answer."""
     headers = {"Idempotency-Key": key or uuid.uuid4().hex}
     for attempt in range(1, SUBMIT_ATTEMPTS + 1):
         try:

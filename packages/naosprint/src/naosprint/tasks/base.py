@@ -124,6 +124,7 @@ class Task:
         summary: one line for users.
         Parameters: its settings.
         metrics: what is measured of an episode, besides its reward and length.
+        results: what only evaluations report, so that a study can optimize it.
         ends: reasons for which an episode ends.
         presentation: where metrics are shown.
         max_steps: length limit of an episode in steps.
@@ -136,6 +137,7 @@ class Task:
     summary: ClassVar[str]
     Parameters: ClassVar[type[TaskSettings]] = TaskSettings
     metrics: ClassVar[tuple[Metric, ...]] = ()
+    results: ClassVar[tuple[Metric, ...]] = ()
     ends: ClassVar[tuple[End, ...]] = ()
     presentation: ClassVar[Presentation] = Presentation()
     max_steps: int = 1000
@@ -228,13 +230,14 @@ class Task:
     @classmethod
     def describe(cls) -> dict[str, Any]:
         """Return a description of the task for user interfaces, as a JSON object."""
-        from dataclasses import asdict
+        from dataclasses import asdict, replace
 
         return {
             "name": cls.name,
             "version": cls.version,
             "summary": cls.summary,
             "metrics": [asdict(metric) for metric in (*EPISODE_METRICS, *cls.metrics)],
+            "results": [asdict(replace(metric, live=False)) for metric in cls.results],
             "ends": [asdict(end) for end in cls.ends],
             **asdict(cls.presentation),
         }

@@ -94,6 +94,7 @@ class GetUp(Task):
     summary = "Stand up from lying on the front, the back, or a side."
     Parameters = GetUpSettings
     metrics = (STANDING_RATE, SUCCESS_RATE)
+    results = (TIME, HEIGHT)
     presentation = Presentation(
         charts=(Chart("Success", ("success_rate", "standing_rate")), Chart("Reward", ("reward",))),
         listed=("success_rate", "standing_rate"),

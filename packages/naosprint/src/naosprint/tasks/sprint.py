@@ -182,6 +182,19 @@ class Sprint(Task):
 
     Parameters = SprintSettings
     metrics = (DISTANCE, FALL_RATE, SPEED)
+    results = (
+        ARRIVAL_RATE,
+        TIME_LIMIT_RATE,
+        TOP_SPEED,
+        FASTEST,
+        DEVIATION,
+        LOW_AT_END,
+        FLIGHT,
+        CHALLENGE_SCORE,
+        CHALLENGE_SPEED,
+        CHALLENGE_FLIGHT,
+        CHALLENGE_FALLS,
+    )
     ends = (FALL, End("arrived", "Arrival"))
     presentation = Presentation(
         charts=(

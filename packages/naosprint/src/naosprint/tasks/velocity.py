@@ -241,6 +241,20 @@ class Velocity(Task):
     summary = "Follow a commanded velocity: forward, sideways, and turning."
     Parameters = VelocitySettings
     metrics = (ERROR, FALL_RATE, SPEED)
+    results = (
+        RMSE,
+        RMSE_WHOLE,
+        TURN_RMSE,
+        SETTLED_SPEED,
+        DRIFT,
+        MEDIAN_SPEED,
+        MEDIAN_RMSE,
+        MEDIAN_RMSE_WHOLE,
+        MEDIAN_DRIFT,
+        UPRIGHT,
+        FLIGHT,
+        FLIGHT_RATE,
+    )
     ends = (FALL,)
     trace = (
         "forward_mps",

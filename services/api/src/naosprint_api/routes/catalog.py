@@ -68,6 +68,7 @@ class TaskPublic(BaseModel):
     version: int
     summary: str
     metrics: list[MetricPublic]
+    results: list[MetricPublic] = Field(description="What only evaluations report.")
     ends: list[EndPublic]
     charts: list[ChartPublic] = Field(description="Learning curves, the most important first.")
     listed: list[str] = Field(description="Live metrics in lists of jobs, the most important first.")

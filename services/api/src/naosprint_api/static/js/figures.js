@@ -29,13 +29,13 @@ export class Figure {
   }
 }
 
-const svg = (width, height, label, ...kids) =>
+export const svg = (width, height, label, ...kids) =>
   s(
     "svg",
     { class: "figure", viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": label },
     kids,
   );
-const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+export const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
 /** Round steps for about `count` ticks between two numbers. */
 export function ticks(low, high, count) {
@@ -48,7 +48,7 @@ export function ticks(low, high, count) {
 }
 
 /** Axes of a plot: scales and the group that draws them. */
-function axes({
+export function axes({
   width,
   height,
   x: [x0, x1],

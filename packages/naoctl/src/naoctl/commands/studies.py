@@ -1,0 +1,331 @@
+"""``naoctl tune`` and ``naoctl study``: start, list, show and end searches for settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from naospec.search import SearchSpec
+from pydantic import ValidationError
+from rich.table import Table
+
+from naoctl.client import Client
+from naoctl.commands.submit import (
+    COMMON_EVALUATION_SETTINGS,
+    COMMON_SETTINGS,
+    EVAL_PREFIX,
+    EVALUATION_SETTINGS,
+    hand_in,
+    make_body,
+    read_recipe,
+)
+from naoctl.context import JsonFlag, context_of
+from naoctl.errors import CliError, ExitCode, InvalidInput
+from naoctl.help import HelpAllFlag, SettingsCommand
+from naoctl.jobfile import load_job_file
+from naoctl.render import MISSING, ago, cell, pairs, plain
+from naoctl.specflags import expanded, parse_flags, spec_parameters, training_settings, with_parameters
+
+app = typer.Typer(
+    help="List, show, cancel and delete studies.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Reference = Annotated[str, typer.Argument(metavar="STUDY", help="A study's id, its name, or `last`.")]
+
+DIRECTIONS = {"max": "maximize", "min": "minimize", "maximize": "maximize", "minimize": "minimize"}
+_SPACE_EXAMPLE = "For example --space learning_rate=1e-4..1e-2:log --space 'n_epochs=5|10'."
+
+
+def tune(
+    ctx: typer.Context,
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="FILE", help="Job as YAML, TOML or JSON; flags override its values.", dir_okay=False),
+    ] = None,
+    recipe: Annotated[str | None, typer.Option(metavar="NAME", help="Start from a bundled job.")] = None,
+    space: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FIELD=RANGE",
+            help="Setting to vary: LOW..HIGH, with :log for a logarithmic scale, or A|B|C; may be repeated.",
+        ),
+    ] = None,
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="RESULT[:max|:min]",
+            help="Result to optimize; may be repeated.",
+            show_default="the task's most important",
+        ),
+    ] = None,
+    trials: Annotated[int, typer.Option(min=1, max=1000, help="Number of trials.")] = 20,
+    parallel: Annotated[int, typer.Option(min=1, max=64, help="Trials that may wait or run at a time.")] = 2,
+    sampler: Annotated[str, typer.Option(metavar="tpe|random", help="How settings are chosen.")] = "tpe",
+    sampler_seed: Annotated[int, typer.Option(min=0, help="Seed of the sampler.")] = 0,
+    prune: Annotated[
+        str, typer.Option(metavar="none|median|asha", help="When trials that fall behind end early.")
+    ] = "none",
+    prune_metric: Annotated[
+        str | None, typer.Option(metavar="METRIC", help="Training metric that trials are compared by.")
+    ] = None,
+    name: Annotated[str | None, typer.Option("--name", "-n", metavar="NAME", help="Name of the study.")] = None,
+    tag: Annotated[
+        list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the jobs; may be repeated.")
+    ] = None,
+    priority: Annotated[
+        int | None, typer.Option(metavar="0-9", min=0, max=9, help="Priority of the jobs.", show_default="5")
+    ] = None,
+    key: Annotated[
+        str | None,
+        typer.Option("--idempotency-key", metavar="KEY", help="A second request with the same key starts no study."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the study; start nothing.")] = False,
+    as_json: JsonFlag = False,
+    help_all: HelpAllFlag = False,
+    spec: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
+    evaluation: dict[str, Any] = {},  # noqa: B006
+) -> None:
+    """Search for the best settings of a training.
+
+    A study runs trials, which are ordinary jobs, and chooses the settings of each by the results of those before.
+    """
+    del help_all
+    context = context_of(ctx)
+    if file and recipe:
+        raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
+    job = make_body(
+        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
+        spec,
+        evaluation,
+        where=f"{file}: " if file else "",
+    )
+    for field, value in (("tags", tag), ("priority", priority)):
+        if value is not None:
+            job[field] = value
+    search = make_search(
+        space or [],
+        objective or [],
+        trials=trials,
+        parallel=parallel,
+        sampler=sampler,
+        seed=sampler_seed,
+        pruning={"name": prune, "metric": prune_metric},
+    )
+    body = {"job": job, "search": search, "name": name}
+    if dry_run:
+        context.json(body)
+        return
+    with context.client() as client:
+        study = hand_in(client, "/studies", body, key)
+    if as_json:
+        context.json(study)
+        return
+    context.out.print(f"Started {study['id']} ({plain(study['name'])}): {trials} trials", markup=False)
+    context.note(f"Look at it with: naoctl study show {study['id']}")
+
+
+def make_search(space: list[str], objectives: list[str], **others: Any) -> dict[str, Any]:
+    """Return the search of ``POST /studies``.
+
+    Raises:
+        InvalidInput: naming the flag that is wrong.
+    """
+    if not space:
+        raise InvalidInput("--space is missing", fix=_SPACE_EXAMPLE)
+    known = training_settings()
+    known = {**known, **{".".join(setting.path): setting for setting in known.values()}}
+    chosen: dict[str, Any] = {}
+    for entry in space:
+        field, sign, text = entry.partition("=")
+        field = field.strip().lstrip("-").replace("-", "_")
+        if not sign or not text.strip():
+            raise InvalidInput(f"--space {entry!r} is not FIELD=RANGE", fix=_SPACE_EXAMPLE)
+        if field not in known:
+            raise InvalidInput(f"--space: there is no setting {field}", fix="`naoctl spec` lists the settings.")
+        if field in chosen:
+            raise InvalidInput(f"--space: {field} is given twice", fix="Give it once.")
+        chosen[field] = _parameter(field, text, known)
+    goals = []
+    for entry in objectives:
+        metric, sign, direction = entry.partition(":")
+        if sign and direction not in DIRECTIONS:
+            raise InvalidInput(f"--objective {entry!r} ends in neither :max nor :min", fix="For example speed_mps:max.")
+        goals.append({"metric": metric, "direction": DIRECTIONS[direction] if sign else None})
+    try:
+        return SearchSpec.model_validate({"space": chosen, "objectives": goals, **others}).model_dump(mode="json")
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"] if part not in ("float", "int", "choice"))
+        message = first["msg"].removeprefix("Value error, ")
+        raise InvalidInput(f"{place}: {message}" if place else message, fix="Change the flag.") from None
+
+
+def _parameter(field: str, text: str, known: dict[str, Any]) -> dict[str, Any]:
+    if ".." in text:
+        limits, _, scale = text.partition(":")
+        if scale not in ("", "log"):
+            raise InvalidInput(f"--space {field}: unknown scale {scale!r}", fix="Use :log or leave it out.")
+        try:
+            low, high = (float(expanded(part.strip())) for part in limits.split(".."))
+        except ValueError:
+            raise InvalidInput(f"--space {field}={text} is not LOW..HIGH", fix=_SPACE_EXAMPLE) from None
+        whole = "float" not in str(known[field].info.annotation)
+        kind: Any = int if whole else float
+        return {"type": kind.__name__, "low": kind(low), "high": kind(high), "log": scale == "log"}
+    values = [parse_flags(known, {field: item.strip()})[field] for item in text.split("|") if item.strip()]
+    if len(values) < 2:
+        raise InvalidInput(f"--space {field}={text} is neither LOW..HIGH nor A|B", fix=_SPACE_EXAMPLE)
+    return {"type": "choice", "choices": [_typed(value) for value in values]}
+
+
+def _typed(value: Any) -> Any:
+    """Return the number or the truth value that a text stands for, else the text."""
+    if isinstance(value, list):
+        return [_typed(item) for item in value]
+    words = {"true": True, "false": False}
+    if value is None or value in words:
+        return words.get(value)
+    for kind in (int, float):
+        try:
+            return kind(value)
+        except ValueError:
+            continue
+    return value
+
+
+def find_study(client: Client, reference: str) -> dict[str, Any]:
+    """Return a study with its trials by its id, its name, or ``last`` for the newest.
+
+    Raises:
+        CliError: if there is no such study.
+    """
+    if reference.startswith("study_"):
+        found: dict[str, Any] = client.get(f"/studies/{reference}")
+        return found
+    named = reference if reference != "last" else None
+    for study in client.pages("/studies", limit=200, q=named):
+        if named is None or study["name"] == named:
+            found = client.get(f"/studies/{study['id']}")
+            return found
+    raise CliError(
+        f"There is no study {reference!r}", fix="`naoctl study list` shows all studies.", code=ExitCode.NOT_FOUND
+    )
+
+
+@app.command("list")
+def list_studies(
+    ctx: typer.Context,
+    limit: Annotated[int, typer.Option("--limit", "-l", min=1, max=1000, help="Most studies to show.")] = 20,
+    as_json: JsonFlag = False,
+) -> None:
+    """List studies, the newest first."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = list(client.pages("/studies", limit=limit))
+    if as_json:
+        context.json(found)
+        return
+    table = Table("Id", "Name", "State", "Trials", "Started", box=None, pad_edge=False, header_style="bold")
+    for study in found:
+        table.add_row(
+            study["id"],
+            cell(study["name"]),
+            study["state"],
+            str(study["spec"]["trials"]),
+            ago(study["created_at"]),
+        )
+    context.out.print(table if found else "No studies yet. Start one with `naoctl tune`.")
+
+
+@app.command("show")
+def show_study(ctx: typer.Context, study: Reference = "last", as_json: JsonFlag = False) -> None:
+    """Show a study: its trials, the best first, and the importance of the settings."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_study(client, study)
+    if as_json:
+        context.json(found)
+        return
+    goals = found["spec"]["objectives"]
+    ended = sum(trial["state"] != "running" for trial in found["trials"])
+    rows: list[tuple[str, Any]] = [
+        ("Study", cell(f"{found['name']} ({found['id']})")),
+        ("State", found["state"]),
+        ("Trials", f"{ended} of {found['spec']['trials']} ended"),
+        ("Objectives", ", ".join(f"{goal['direction']} {goal['metric']}" for goal in goals)),
+    ]
+    for metric, shares in found["importance"].items():
+        rows.append((f"Matters for {metric}", ", ".join(f"{name} {share:.0%}" for name, share in shares.items())))
+    if found["error"]:
+        rows.append(("Error", cell(found["error"])))
+    context.out.print(pairs(rows))
+    table = Table("", "Trial", "State", box=None, pad_edge=False, header_style="bold")
+    for goal in goals:
+        table.add_column(goal["metric"], justify="right")
+    for name in found["spec"]["space"]:
+        table.add_column(name, justify="right")
+    table.add_column("Job")
+    factor = -1.0 if goals[0]["direction"] == "maximize" else 1.0
+
+    def rank(trial: dict[str, Any]) -> tuple[bool, float, int]:
+        values = trial["values"]
+        return values is None, factor * values[0] if values else 0.0, trial["number"]
+
+    for trial in sorted(found["trials"], key=rank):
+        values = trial["values"] or [None] * len(goals)
+        table.add_row(
+            "*" if trial["number"] in found["best"] else "",
+            str(trial["number"]),
+            trial["state"],
+            *(MISSING if value is None else f"{value:.4g}" for value in values),
+            *(_short(trial["params"].get(name)) for name in found["spec"]["space"]),
+            trial["job_id"] or MISSING,
+        )
+    if found["trials"]:
+        context.out.print(table)
+        context.note("* the best" if len(goals) == 1 else "* no other trial is better in all objectives")
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+@app.command("cancel")
+def cancel_study(ctx: typer.Context, study: Reference, as_json: JsonFlag = False) -> None:
+    """Cancel a study and its open jobs."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = client.post(f"/studies/{find_study(client, study)['id']}/cancel")
+    if as_json:
+        context.json(found)
+    else:
+        context.out.print(f"{found['id']}: {found['state']}", markup=False)
+
+
+@app.command("delete")
+def delete_study(ctx: typer.Context, study: Reference) -> None:
+    """Delete a study that has ended; its jobs stay."""
+    context = context_of(ctx)
+    with context.client() as client:
+        found = find_study(client, study)
+        client.request("DELETE", f"/studies/{found['id']}")
+    context.out.print(f"Deleted {found['id']}; its jobs stay", markup=False)
+
+
+def register(application: typer.Typer) -> None:
+    """Add the commands, ``tune`` with one flag per setting of the specifications."""
+    training = spec_parameters(
+        training_settings(), panel="Training", aliases={"total_steps": ["--steps"]}, shown=COMMON_SETTINGS
+    )
+    evaluation = spec_parameters(
+        EVALUATION_SETTINGS, panel="Evaluation", prefix=EVAL_PREFIX, shown=COMMON_EVALUATION_SETTINGS
+    )
+    application.command("tune", cls=SettingsCommand)(
+        with_parameters(tune, {"spec": training, "evaluation": evaluation})
+    )
+    application.add_typer(app, name="study")

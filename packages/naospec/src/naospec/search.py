@@ -1,0 +1,159 @@
+"""Specification of a search for settings: what to vary, what to optimize, how to sample and when to prune."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+#: Value of a setting that a search can choose.
+Scalar = bool | int | float | str | None
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Range(_Model):
+    def _check(self, low: float, high: float, log: bool, step: float | None) -> None:
+        if low >= high:
+            raise ValueError(f"high: expected more than low ({low:g}), got {high:g}")
+        if log and low <= 0:
+            raise ValueError(f"low: a logarithmic range needs a positive lower end, got {low:g}; use log=false")
+        if log and step is not None:
+            raise ValueError("step: cannot be combined with log; leave one of them out")
+
+
+class FloatRange(_Range):
+    """Range of a number."""
+
+    type: Literal["float"] = "float"
+    low: float = Field(description="Smallest value.")
+    high: float = Field(description="Largest value.")
+    log: bool = Field(default=False, description="Whether to sample on a logarithmic scale.")
+    step: float | None = Field(default=None, gt=0, description="Distance between values; null for none.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        self._check(self.low, self.high, self.log, self.step)
+        return self
+
+    def ends(self) -> tuple[Any, ...]:
+        """Return the values between which all others lie."""
+        return self.low, self.high
+
+
+class IntRange(_Range):
+    """Range of a whole number."""
+
+    type: Literal["int"] = "int"
+    low: int = Field(description="Smallest value.")
+    high: int = Field(description="Largest value.")
+    log: bool = Field(default=False, description="Whether to sample on a logarithmic scale.")
+    step: int | None = Field(default=None, ge=1, description="Distance between values; null for 1.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        self._check(self.low, self.high, self.log, self.step)
+        return self
+
+    def ends(self) -> tuple[Any, ...]:
+        """Return the values between which all others lie."""
+        return self.low, self.high
+
+
+class Choices(_Model):
+    """Values to choose from."""
+
+    type: Literal["choice"] = "choice"
+    choices: list[Scalar | list[Scalar]] = Field(min_length=2, max_length=100, description="The values.")
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if len({repr(choice) for choice in self.choices}) < len(self.choices):
+            raise ValueError("choices: a value is given twice; give each once")
+        return self
+
+    def ends(self) -> tuple[Any, ...]:
+        """Return all values."""
+        return tuple(self.choices)
+
+
+Parameter = Annotated[FloatRange | IntRange | Choices, Field(discriminator="type")]
+
+
+class Objective(_Model):
+    """Result to optimize."""
+
+    metric: str = Field(
+        min_length=1,
+        max_length=100,
+        description="Name of a result of the evaluation, or of a training metric where no evaluation has it.",
+    )
+    direction: Literal["maximize", "minimize"] | None = Field(
+        default=None, description="Null for the direction that is better for this metric."
+    )
+
+
+class Pruning(_Model):
+    """Rule by which trials that fall behind end early."""
+
+    name: Literal["none", "median", "asha"] = Field(
+        default="none",
+        description="none; median: worse than the median of earlier trials at the same step; asha: not among the best "
+        "1/reduction_factor at a rung (asynchronous successive halving).",
+    )
+    metric: str | None = Field(
+        default=None,
+        max_length=100,
+        description="Training metric to compare trials by; null for the objective if trainings report it, else reward.",
+    )
+    direction: Literal["maximize", "minimize"] | None = Field(
+        default=None, description="Null for the direction that is better for this metric."
+    )
+    interval_steps: int | None = Field(
+        default=None,
+        ge=1,
+        description="Environment steps between two comparisons; null for a twentieth of the training.",
+    )
+    warmup_intervals: int = Field(
+        default=2, ge=0, le=1000, description="Intervals of each trial before the first comparison."
+    )
+    startup_trials: int = Field(
+        default=4, ge=0, le=1000, description="Trials that have to end before `median` prunes any."
+    )
+    reduction_factor: int = Field(
+        default=3, ge=2, le=16, description="Of so many trials, `asha` keeps one at each rung."
+    )
+
+
+class SearchSpec(_Model):
+    """Search for the best settings of a training."""
+
+    space: dict[str, Parameter] = Field(
+        min_length=1,
+        max_length=20,
+        description="Settings to vary, by short name (learning_rate) or by path (algorithm.learning_rate).",
+    )
+    objectives: list[Objective] = Field(
+        default_factory=list,
+        max_length=4,
+        description="What to optimize; empty for the task's most important result. Several give a Pareto front.",
+    )
+    sampler: Literal["tpe", "random"] = Field(
+        default="tpe", description="tpe (tree-structured Parzen estimator) or random."
+    )
+    startup_trials: int = Field(default=10, ge=1, le=1000, description="Random trials before `tpe` models the results.")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="Seed of the sampler.")
+    pruning: Pruning = Field(default_factory=Pruning, description="When trials end early.")
+    trials: int = Field(default=20, ge=1, le=1000, description="Number of trials.")
+    parallel: int = Field(default=2, ge=1, le=64, description="Trials that may wait or run at a time.")
+
+    @model_validator(mode="after")
+    def _one_objective_to_prune_by(self) -> Self:
+        if self.pruning.name != "none" and len(self.objectives) > 1:
+            raise ValueError("pruning: needs a single objective; use pruning none or one objective")
+        names = [objective.metric for objective in self.objectives]
+        if len(set(names)) < len(names):
+            raise ValueError("objectives: a metric is given twice; give each once")
+        return self

@@ -1,0 +1,107 @@
+"""Studies: start, look up, end."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Response
+from naojobs import studies
+from naojobs.errors import InvalidError, NotFoundError
+from naojobs.ids import PATTERN
+from naojobs.models import Study
+from naojobs.studies import StudyRequest
+from naospec.search import SearchSpec
+
+from naosprint_api import queries
+from naosprint_api.dependencies import IdempotencyKey, Reader, ServiceDep, Submitter
+from naosprint_api.patterns import PLAIN
+from naosprint_api.problems import responses
+from naosprint_api.schemas import StudyCreate, StudyDetails, StudyPage, StudyPublic, TrialPublic
+from naosprint_api.service import Service
+
+router = APIRouter(tags=["studies"])
+
+READ = responses(401, 403, 404, 422, 429, 503)
+CONTROL = responses(401, 403, 404, 409, 422, 429, 503)
+
+StudyId = Annotated[str, Path(pattern=PATTERN, description="Id of the study.")]
+
+
+def _details(service: Service, study: Study) -> StudyDetails:
+    with service.reads.begin() as session:
+        trials = studies.trials_of(session, study.id)
+    return StudyDetails(
+        **StudyPublic.model_validate(study).model_dump(),
+        trials=[TrialPublic.model_validate(trial) for trial in trials],
+        best=studies.pareto_front(SearchSpec.model_validate(study.spec), trials),
+    )
+
+
+@router.post(
+    "/studies",
+    status_code=201,
+    responses={
+        **responses(401, 403, 409, 413, 422, 429, 503),
+        200: {"model": StudyPublic, "description": "Known already"},
+    },
+)
+def submit_study(
+    body: StudyCreate,
+    principal: Submitter,
+    service: ServiceDep,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> StudyPublic:
+    """Start a search for settings; its trials are jobs of a group with the study's id."""
+    limit = service.settings.api_max_open_jobs
+    if body.search.parallel > limit:
+        raise InvalidError(f"at most {limit} jobs may be open at a time; use a lower number", "search.parallel")
+    request = StudyRequest(body.job.request(), body.search, body.name)
+    study, created = studies.submit_study(
+        service.sessions, request, owner=principal.owner, idempotency_key=idempotency_key
+    )
+    if not created:
+        response.status_code = 200
+    response.headers["Location"] = f"/studies/{study.id}"
+    return StudyPublic.model_validate(study)
+
+
+@router.get("/studies", responses=READ)
+def list_studies(
+    principal: Reader,
+    service: ServiceDep,
+    owner: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="Studies of this owner; others' need scope admin.")
+    ] = None,
+    q: Annotated[str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name.")] = None,
+    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
+    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
+) -> StudyPage:
+    """List studies, newest first."""
+    if not principal.is_admin:
+        if owner is not None and owner != principal.owner:
+            raise NotFoundError(f"no studies of {owner} that this token may see; leave `owner` out")
+        owner = principal.owner
+    rows = queries.list_studies(service.reads, owner=owner, text=q, limit=limit + 1, before=cursor)
+    page = [StudyPublic.model_validate(study) for study in rows[:limit]]
+    return StudyPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+
+
+@router.get("/studies/{study_id}", responses=READ)
+def get_study(study_id: StudyId, principal: Reader, service: ServiceDep) -> StudyDetails:
+    """Look up one study with its trials."""
+    return _details(service, queries.visible_study(service.reads, principal, study_id))
+
+
+@router.post("/studies/{study_id}/cancel", responses=CONTROL)
+def cancel_study(study_id: StudyId, principal: Submitter, service: ServiceDep) -> StudyDetails:
+    """Cancel a study and its open jobs."""
+    queries.visible_study(service.reads, principal, study_id)
+    return _details(service, studies.cancel_study(service.sessions, study_id))
+
+
+@router.delete("/studies/{study_id}", status_code=204, responses=CONTROL)
+def delete_study(study_id: StudyId, principal: Submitter, service: ServiceDep) -> None:
+    """Delete a study that has ended; its jobs stay."""
+    queries.visible_study(service.reads, principal, study_id)
+    studies.delete_study(service.sessions, study_id)

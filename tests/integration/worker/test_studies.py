@@ -1,0 +1,300 @@
+"""Studies with real trainings, and the conductor against a real Postgres."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from naojobs import lifecycle, records, studies
+from naojobs.errors import ConflictError, InvalidError
+from naojobs.models import Job, Study, StudyState, Trial, TrialState
+from naojobs.states import ENDED, WorkState
+from naojobs.studies import StudyRequest
+from naojobs.submission import JobRequest
+from naojobs.tokens import Scope, create_token
+from naospec import EvaluationSpec, TrainingSpec
+from naospec.flat import nest
+from naospec.search import SearchSpec
+from naosprint_worker.studies import Conductor
+from sqlalchemy import select
+
+from .conftest import ROLLOUT, TINY, Broker, Service
+
+SPACE = {
+    "learning_rate": {"type": "float", "low": 1e-4, "high": 1e-2, "log": True},
+    "n_epochs": {"type": "int", "low": 1, "high": 3},
+    "hidden_sizes": {"type": "choice", "choices": [[4], [8]]},
+}
+
+
+def start(service: Service, *, evaluate: bool = False, **search: Any) -> Study:
+    spec = TrainingSpec.model_validate(nest({**TINY, "total_steps": ROLLOUT * 20}))
+    evaluation = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100) if evaluate else None
+    request = StudyRequest(
+        JobRequest(spec, evaluation), SearchSpec.model_validate({"space": SPACE, "trials": 4, **search})
+    )
+    return studies.submit_study(service.sessions, request, owner="tester")[0]
+
+
+def study_of(service: Service, study_id: str) -> tuple[Study, list[Trial]]:
+    with service.sessions() as session:
+        return session.get_one(Study, study_id), studies.trials_of(session, study_id)
+
+
+def told(service: Service, study_id: str) -> list[Any]:
+    """Return the trials as Optuna has them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import optuna
+
+        conductor = Conductor(service.sessions, service.settings.sqlalchemy_url)
+        return list(optuna.load_study(study_name=study_id, storage=conductor._optuna()).get_trials())
+
+
+@pytest.fixture
+def conductor(service: Service) -> Conductor:
+    return Conductor(service.sessions, service.settings.sqlalchemy_url)
+
+
+def take(service: Service, job_id: str) -> lifecycle.Lease:
+    claim = lifecycle.claim(service.sessions, Job, job_id, "worker")
+    assert claim is not None
+    lifecycle.begin(service.sessions, claim.lease, step=0)
+    lifecycle.transition(service.sessions, claim.lease, WorkState.RUNNING)
+    return claim.lease
+
+
+@pytest.mark.timeout(400)
+def test_a_study_survives_the_death_of_worker_broker_and_api(
+    service: Service, broker: Broker, request: pytest.FixtureRequest
+) -> None:
+    """Each trial has one job, ends once, and counts once."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    apis: list[subprocess.Popen[bytes]] = []
+    request.addfinalizer(lambda: [api.kill() or api.wait() for api in apis])  # type: ignore[func-returns-value]
+    _, secret = create_token(service.sessions, name="test", owner="alice", scopes=[Scope.SUBMIT])
+    client = httpx.Client(
+        base_url=f"http://127.0.0.1:{port}", headers={"Authorization": f"Bearer {secret}"}, trust_env=False, timeout=60
+    )
+
+    def start_api() -> subprocess.Popen[bytes]:
+        environment = {**service.environment, "NAOSPRINT_API_PORT": str(port)}
+        with (service.folder / "api.log").open("ab") as log:
+            api = subprocess.Popen([sys.executable, "-m", "naosprint_api"], env=environment, stdout=log, stderr=log)
+        apis.append(api)
+
+        def ready() -> bool:
+            try:
+                return client.get("/readyz").status_code == 200
+            except httpx.TransportError:
+                return False
+
+        service.until(ready, what="for the API")
+        return api
+
+    api = start_api()
+    worker = service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+    body = {
+        "job": {
+            "spec": nest({**TINY, "total_steps": ROLLOUT * 60, "checkpoint_interval_steps": ROLLOUT * 10}),
+            "evaluation": {"task": "sprint2", "episodes": 2, "n_envs": 2, "bootstrap_resamples": 100},
+        },
+        "search": {"space": SPACE, "trials": 3, "parallel": 2, "objectives": [{"metric": "distance_m"}]},
+        "name": "lost",
+    }
+    answer = client.post("/studies", json=body, headers={"Idempotency-Key": "one"})
+    assert answer.status_code == 201, answer.text
+    study_id = answer.json()["id"]
+
+    service.until(worker.trainings, what="for a trial to train")
+    broker.stop()
+    os.killpg(worker.pid, signal.SIGKILL)
+    api.kill()
+    api.wait()
+    broker.start()
+    start_api()
+    assert client.post("/studies", json=body, headers={"Idempotency-Key": "one"}).json()["id"] == study_id
+    worker = service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+    service.until(lambda: len(study_of(service, study_id)[1]) > 2, what="for another trial")
+    os.killpg(worker.pid, signal.SIGKILL)
+    service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+    service.until(
+        lambda: study_of(service, study_id)[0].state is StudyState.FINISHED, timeout_s=300, what="for the study"
+    )
+
+    shown = client.get(f"/studies/{study_id}").json()
+    client.close()
+    assert [trial["number"] for trial in shown["trials"]] == [0, 1, 2]
+    assert [trial["state"] for trial in shown["trials"]] == ["complete"] * 3
+    assert len({trial["job_id"] for trial in shown["trials"]}) == 3
+    optuna_trials = told(service, study_id)
+    assert [trial.values for trial in optuna_trials] == [trial["values"] for trial in shown["trials"]]
+    best = max(shown["trials"], key=lambda trial: trial["values"][0])
+    assert shown["best"] == [best["number"]]
+    with service.sessions() as session:
+        jobs = list(session.scalars(select(Job)))
+    assert {job.id for job in jobs} == {trial["job_id"] for trial in shown["trials"]}
+    for trial in shown["trials"]:
+        (job,) = [job for job in jobs if job.id == trial["job_id"]]
+        assert job.group_id == study_id
+        assert job.spec["algorithm"]["learning_rate"] == trial["params"]["learning_rate"]
+        assert job.spec["algorithm"]["hidden_sizes"] == trial["params"]["hidden_sizes"]
+
+
+def test_what_an_interrupted_pass_asked_for_gets_its_job(service: Service, conductor: Conductor) -> None:
+    study = start(service, parallel=2)
+    conductor.advance(study.id)
+    import optuna
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        asked = optuna.load_study(study_name=study.id, storage=conductor._optuna()).ask()
+        asked.suggest_int("n_epochs", 1, 3)  # and here it was killed
+    rows = study_of(service, study.id)[1]
+    lifecycle.request_cancel(service.sessions, Job, str(rows[0].job_id))
+    assert conductor.advance(study.id)
+    rows = study_of(service, study.id)[1]
+    assert [row.number for row in rows] == [0, 1, 2]
+    assert rows[2].params["n_epochs"] == asked.params["n_epochs"]
+    assert rows[2].params.keys() == SPACE.keys()
+    assert [row.state for row in rows] == [TrialState.FAILED, TrialState.RUNNING, TrialState.RUNNING]
+    assert not conductor.advance(study.id)
+    assert len(study_of(service, study.id)[1]) == 3
+
+
+def test_a_report_whose_row_was_not_written_counts_once(service: Service, conductor: Conductor) -> None:
+    study = start(service, parallel=1, objectives=[{"metric": "reward"}])
+    conductor.advance(study.id)
+    job_id = str(study_of(service, study.id)[1][0].job_id)
+    lease = take(service, job_id)
+    records.append_metrics(service.sessions, lease, [{"step": ROLLOUT * 20, "reward": 3.0}])
+    lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+    import optuna
+
+    optuna.load_study(study_name=study.id, storage=conductor._optuna()).tell(0, 3.0)
+    conductor.advance(study.id)
+    rows = study_of(service, study.id)[1]
+    assert (rows[0].state, rows[0].values) == (TrialState.COMPLETE, [3.0])
+    assert [trial.number for trial in told(service, study.id)] == [0, 1]
+
+
+def test_a_trial_that_falls_behind_is_pruned_and_says_why(service: Service, conductor: Conductor) -> None:
+    pruning = {"name": "median", "metric": "reward", "startup_trials": 2, "warmup_intervals": 1}
+    study = start(
+        service, parallel=3, trials=3, pruning={**pruning, "interval_steps": ROLLOUT}, objectives=[{"metric": "reward"}]
+    )
+    conductor.advance(study.id)
+    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for lease in leases[:2]:
+        rows = [{"step": ROLLOUT * n, "reward": float(n)} for n in range(1, 21)]
+        records.append_metrics(service.sessions, lease, rows)
+        lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+    records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT, "reward": -5.0}])
+    conductor.advance(study.id)
+    assert not lifecycle.read_requests(service.sessions, leases[2]).cancel, "within its first interval"
+    records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
+    conductor.advance(study.id)
+    assert lifecycle.read_requests(service.sessions, leases[2]).cancel
+    lifecycle.transition(service.sessions, leases[2], WorkState.CANCELLED, message="cancelled as requested")
+    conductor.advance(study.id)
+    study, rows = study_of(service, study.id)
+    assert [row.state for row in rows] == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.PRUNED]
+    reason = "reward was -5 up to step 32, behind other trials (median pruning)"
+    assert rows[2].error == reason
+    assert service.job(str(rows[2].job_id)).error == f"pruned: {reason}"
+    assert service.events(str(rows[2].job_id))[-1].message == f"pruned: {reason}"
+    assert study.state is StudyState.FINISHED
+
+
+def test_halving_keeps_the_best_at_each_rung(service: Service, conductor: Conductor) -> None:
+    pruning = {"name": "asha", "interval_steps": ROLLOUT, "warmup_intervals": 1, "reduction_factor": 2}
+    study = start(service, parallel=4, trials=4, pruning=pruning, objectives=[{"metric": "fall_rate"}])
+    conductor.advance(study.id)
+    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for falls, lease in zip((0.1, 0.9, 0.8, 0.2), leases, strict=True):
+        rows = [{"step": ROLLOUT * n, "fall_rate": falls} for n in (1, 2)]
+        records.append_metrics(service.sessions, lease, rows)
+        conductor.advance(study.id)
+    pruned = [lifecycle.read_requests(service.sessions, lease).cancel for lease in leases]
+    assert pruned == [False, True, True, False]
+
+
+def test_several_objectives_have_a_pareto_front(service: Service, conductor: Conductor) -> None:
+    objectives = [{"metric": "speed_mps"}, {"metric": "fall_rate"}]
+    study = start(service, parallel=4, trials=4, objectives=objectives)
+    conductor.advance(study.id)
+    points = [(3.0, 0.5), (2.0, 0.1), (2.5, 0.6), (3.0, 0.4)]
+    for (speed, falls), row in zip(points, study_of(service, study.id)[1], strict=True):
+        lease = take(service, str(row.job_id))
+        records.append_metrics(service.sessions, lease, [{"step": 320, "speed_mps": speed, "fall_rate": falls}])
+        lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+    conductor.advance(study.id)
+    study, rows = study_of(service, study.id)
+    search = SearchSpec.model_validate(study.spec)
+    assert [objective.direction for objective in search.objectives] == ["maximize", "minimize"]
+    assert studies.pareto_front(search, rows) == [1, 3]
+
+
+def test_a_study_whose_trials_all_fail_fails(service: Service, conductor: Conductor) -> None:
+    study = start(service, parallel=2, trials=20)
+    for _ in range(studies.MAX_FAILURES_IN_A_ROW):
+        conductor.advance(study.id)
+        for row in study_of(service, study.id)[1]:
+            if row.state is TrialState.RUNNING and service.job(str(row.job_id)).state not in ENDED:
+                lifecycle.request_cancel(service.sessions, Job, str(row.job_id))
+                break
+    conductor.advance(study.id)
+    study, rows = study_of(service, study.id)
+    assert study.state is StudyState.FAILED
+    assert "5 trials in a row failed" in str(study.error)
+    assert all(service.job(str(row.job_id)).state is WorkState.CANCELLED for row in rows)
+
+
+def test_cancel_and_delete(service: Service, conductor: Conductor) -> None:
+    study = start(service, parallel=2)
+    conductor.advance(study.id)
+    rows = study_of(service, study.id)[1]
+    lifecycle.request_cancel(service.sessions, Job, str(rows[0].job_id))
+    lifecycle.delete(service.sessions, str(rows[0].job_id))
+    conductor.advance(study.id)
+    assert study_of(service, study.id)[1][0].error == "its job was deleted"
+    with pytest.raises(ConflictError):
+        studies.delete_study(service.sessions, study.id)
+    studies.cancel_study(service.sessions, study.id)
+    assert service.job(str(rows[1].job_id)).state is WorkState.CANCELLED
+    assert not conductor.advance(study.id)
+    studies.delete_study(service.sessions, study.id)
+    conductor.forget_deleted()
+    assert conductor._optuna().get_all_studies() == []
+
+
+@pytest.mark.parametrize(
+    ("search", "field"),
+    [
+        ({"space": {"wings": {"type": "int", "low": 1, "high": 2}}}, "search.space.wings"),
+        ({"space": {"gamma": {"type": "float", "low": 0.9, "high": 1.5}}}, "search.space.gamma"),
+        ({"objectives": [{"metric": "beauty"}]}, "search.objectives.0"),
+        ({"objectives": [{"metric": "episode_length"}]}, "search.objectives.0.direction"),
+        ({"pruning": {"name": "median", "metric": "beauty"}}, "search.pruning.metric"),
+    ],
+)
+def test_a_study_that_cannot_work_is_refused(shared: Service, search: dict[str, Any], field: str) -> None:
+    with pytest.raises(InvalidError) as caught:
+        start(shared, **search)
+    assert caught.value.field == field
+
+
+@pytest.fixture(autouse=True)
+def _optuna_is_quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="optuna")
+        yield
