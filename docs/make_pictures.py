@@ -169,7 +169,7 @@ def save_gif(pictures: list[Image.Image]) -> None:
     sample = Image.new("RGB", (pictures[0].width, sum(p.height for p in pictures[::8])))
     for i, picture in enumerate(pictures[::8]):
         sample.paste(picture, (0, i * picture.height))
-    # The robot covers little of the picture: by coverage, its colours are not given up for shades of turf.
+    # The robot covers little of the picture; this method keeps its colours.
     palette = sample.quantize(GIF_COLOURS, method=Image.Quantize.MAXCOVERAGE)
     frames = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     path = IMAGES / "replay.gif"

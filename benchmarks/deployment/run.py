@@ -2,7 +2,7 @@
 
     python benchmarks/deployment/run.py [--record FILE] [--steps 1000000] [--no-sidecars]
 
-Builds the images and starts a compose project of its own on the engine at hand, as tests/e2e/compose does, with the
+Builds the images and starts a compose project of its own on the available engine, as tests/e2e/compose does, with the
 same images in place of official ones where there is no registry. Results of a job are differences between before and
 after it: rows and bytes in Postgres, bytes in the store, messages of the broker, and the highest memory of each
 container meanwhile, sampled about each second.

@@ -1,4 +1,4 @@
-"""Step the same motion on naosim and on libode's dWorldStep, side by side: compare paths and cycles per second.
+"""Step the same motion on naosim and on libode's dWorldStep; compare paths and cycles per second.
 
 Needs libode's headers (Debian: libode-dev) and a C++ compiler; writes results.json beside this file with --write.
 """

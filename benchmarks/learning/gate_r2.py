@@ -10,7 +10,7 @@ commands without bounds; here each of them has to keep 95 % of the episodes upri
 where the robot turns), a drift of 0.25 m from the commanded path, and the speed itself within 0.15 m/s. RMSE and drift
 are medians over the episodes. The RMSE is that of the whole episode, the start from standing included; a robot that
 falls is measured until then. Flight is two successive frames of 5 ms without contact; a server reports no contacts, so
-there it is judged by the height of the soles every 20 ms.
+there it is determined by the height of the soles every 20 ms.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Point:
         command: what the robot has to do.
         name: what is measured.
         value: the measurement.
-        bound: its bound, with the sign that says which side passes.
+        bound: its bound, with the sign of the side that passes.
         passed: whether it passes.
     """
 
@@ -172,7 +172,7 @@ def main() -> int:
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="checkpoint, or name of a bundled policy")
     parser.add_argument("--simulator", choices=("embedded", "server"), default="embedded", help="where episodes run")
     parser.add_argument("--episodes", type=int, default=EPISODES, help="episodes of each command (the gate: 200)")
-    parser.add_argument("--n-envs", type=int, default=0, help="episodes side by side (default: 128; 4 on servers)")
+    parser.add_argument("--n-envs", type=int, default=0, help="episodes in parallel (default: 128; 4 on servers)")
     parser.add_argument("--json", type=Path, help="write the points here")
     options = parser.parse_args()
     options.n_envs = options.n_envs or (4 if options.simulator == "server" else 128)

@@ -38,7 +38,7 @@ from naospec.flat import nest
 from sqlalchemy import DateTime, func, select, update
 from stack import Stack
 
-#: A training of a moment: the smallest network, two robots.
+#: A very short training: the smallest network, two robots.
 TINY = {
     "task": "sprint2",
     "n_envs": 2,
@@ -66,7 +66,7 @@ class Fault:
 
 
 class Nemesis:
-    """Draws faults and applies them."""
+    """Random sequence of faults."""
 
     def __init__(self, stack: Stack, random: Random, longest_s: float) -> None:
         self._stack = stack
@@ -87,7 +87,7 @@ class Nemesis:
         ]
 
     def run(self, faults: int) -> None:
-        """Apply so many faults, alone or in pairs, each for a while and then repaired."""
+        """Apply faults, alone or in pairs, and repair each after a while."""
         left = faults
         while left > 0:
             chosen: dict[str, Fault] = {}
@@ -160,7 +160,7 @@ class Nemesis:
         seconds = self._random.choice((-3600.0, 3600.0))
 
         def jump() -> None:
-            # To its rows a clock that jumps and rows that are dated anew are the same.
+            # Shifting the times of all rows has the effect of a clock that jumps.
             with contextlib.suppress(Exception), self._stack.sessions.begin() as session:
                 for table in (Job.__table__, Worker.__table__):
                     dates = [column for column in table.columns if isinstance(column.type, DateTime)]
@@ -179,7 +179,7 @@ def send_signal(pid: int | None, number: int) -> None:
 
 @dataclass
 class User:
-    """User of the API; whatever it got acknowledged has to hold."""
+    """User of the API, whose acknowledged requests must take effect."""
 
     stack: Stack
     random: Random
@@ -225,7 +225,7 @@ class User:
             self.unknown.append((action, job_id))
 
     def run(self, steps: int) -> None:
-        """Use the service until told to stop."""
+        """Use the service until stopped."""
         jobs: list[str] = []
         while not self.stop.wait(self.random.uniform(0.2, 1.2)):
             jobs = [job for job in jobs if ("delete", job) not in self.acknowledged]

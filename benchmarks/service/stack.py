@@ -77,15 +77,15 @@ class Proxy:
         self._call(self._break)
 
     def silence(self) -> None:
-        """Accept connections and pass nothing on."""
+        """Accept connections and forward nothing."""
         self._call(self._passing.clear)
 
     def delay(self, seconds: float) -> None:
-        """Pass everything on so much later."""
+        """Forward everything with a delay."""
         self._delay_s = seconds
 
     def heal(self) -> None:
-        """Pass everything on at once."""
+        """Forward everything at once."""
         self._cut, self._delay_s = False, 0.0
         self._call(self._passing.set)
 
@@ -193,7 +193,7 @@ class Stack:
         self._broker.start()
 
     def stop_broker(self) -> None:
-        """End the broker and all it held."""
+        """Stop the broker and lose its data."""
         self._broker.stop()
 
     def flush_broker(self) -> None:
@@ -260,13 +260,13 @@ class Stack:
         return self._small_disk
 
     def fill_store(self) -> None:
-        """Leave no free block on the store's disk."""
+        """Fill the store's disk."""
         with (self.folder / "store" / "filler").open("ab", buffering=0) as file, contextlib.suppress(OSError):
             while True:
                 file.write(bytes(1 << 16))
 
     def free_store(self) -> None:
-        """Give back what `fill_store` took."""
+        """Free the space that `fill_store` used."""
         (self.folder / "store" / "filler").unlink(missing_ok=True)
 
     def stop_services(self, timeout_s: float = 90.0) -> None:
@@ -293,7 +293,7 @@ class Stack:
         return found
 
     def close(self) -> None:
-        """End everything and delete the folder."""
+        """Stop everything and delete the folder."""
         for name, process in self._processes.items():
             if process.poll() is None:
                 with contextlib.suppress(ProcessLookupError):

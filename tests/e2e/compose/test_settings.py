@@ -64,7 +64,7 @@ def test_new_env_fills_in_secrets_of_its_own_and_keeps_a_file_that_is_there(tmp_
     assert len(values) == len(set(values)) == 2 * sum(1 for comment, _ in documented().values() if not comment)
     before = made[0].read_text()
     again = subprocess.run([ROOT / "deploy" / "new-env", made[0]], capture_output=True, text=True, timeout=20)
-    assert again.returncode == 1 and "is there already" in again.stderr
+    assert again.returncode == 1 and "exists already" in again.stderr
     assert made[0].read_text() == before
 
 

@@ -625,7 +625,7 @@ def test_the_replay_plays_a_recorded_episode(
     last = replay["frames"] - 1
     first, end = moment(browser, 0), moment(browser, last)
     assert len(first.getcolors(1 << 24) or []) > 200, "the canvas is blank"
-    # The start line's amber lies on the turf, whatever the renderer's depth is good for.
+    # The start line's amber is visible on the turf with any depth resolution of the renderer.
     amber = sum(n for n, (r, g, b) in first.getcolors(1 << 24) or [] if r > 130 and 60 < g < r - 25 and b < 70)
     assert amber > 500, f"the start line is not seen: {amber} pixels of its colour"
     assert ImageChops.difference(first, end).getbbox(), "the first frame looks like the last"

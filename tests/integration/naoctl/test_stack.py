@@ -222,9 +222,9 @@ def test_a_page_and_an_export_of_the_policy(naoctl: Shell, job: dict[str, Any]) 
 
 
 def test_a_judgement_on_request(naoctl: Shell, job: dict[str, Any]) -> None:
-    judged = naoctl.json("eval", "tiny", "--episodes", "4", "--n-envs", "4", "--seed", "9")
-    assert judged["state"] == "succeeded"
-    assert judged["summary"]["episodes"] == 4
+    evaluated = naoctl.json("eval", "tiny", "--episodes", "4", "--n-envs", "4", "--seed", "9")
+    assert evaluated["state"] == "succeeded"
+    assert evaluated["summary"]["episodes"] == 4
     assert len(naoctl.api(f"/jobs/{job['id']}/evaluations")) == 2
 
 

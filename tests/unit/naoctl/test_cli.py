@@ -463,9 +463,9 @@ def test_the_report_is_the_one_that_the_service_has_drawn(
         "sha256": hashlib.sha256(page).hexdigest(),
         "url": "/evaluations/eval_1/files/report.html",
     }
-    judged = {"id": "eval_1", "state": "succeeded", "files": [file], "finished_at": "2026-01-02T03:04:05Z"}
+    evaluated = {"id": "eval_1", "state": "succeeded", "files": [file], "finished_at": "2026-01-02T03:04:05Z"}
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
-    server.on("GET", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json([judged]))
+    server.on("GET", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json([evaluated]))
     server.on("GET", file["url"])(lambda request: request.raw(page))
     ran = naoctl("report", job()["id"], "-o", str(tmp_path / "out"), "--json")
     assert ran.code == 0, ran.err

@@ -313,7 +313,7 @@ def test_data_of_an_unknown_postgres_is_refused(layout: Layout) -> None:
     layout.postgres.mkdir()
     newest = find_programs(layout.postgres)
     (layout.postgres / "PG_VERSION").write_text("9\n")
-    assert find_programs(layout.postgres) == newest  # an interrupted initdb: made anew
+    assert find_programs(layout.postgres) == newest  # an interrupted initdb: made again
     (layout.postgres / ".finished").touch()
     with pytest.raises(StackError, match="is of Postgres 9"):
         find_programs(layout.postgres)

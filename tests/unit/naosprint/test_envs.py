@@ -137,7 +137,7 @@ def one_by_one(n: int) -> VectorEnv:  # type: ignore[type-arg]
 
 @pytest.mark.parametrize("make_envs", [one_by_one, lambda n: gymnasium.make_vec(SPRINT, num_envs=n)])
 def test_cleanrls_ppo_trains_on_it(make_envs) -> None:  # type: ignore[no-untyped-def]
-    """A single-file PPO in the manner of CleanRL, on environments side by side and in one simulator."""
+    """A single-file PPO in the manner of CleanRL, on separate environments and in one simulator."""
     envs = make_envs(4)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -15,7 +15,7 @@ from naosprint.tasks.metrics import Metric, format_value
 if TYPE_CHECKING:
     from naoctl.client import Client
 
-#: Metric of how fast a training is, whatever its task and algorithm.
+#: Metric of a training's speed, for any task and algorithm.
 PACE = Metric("steps_per_s", "Pace", "steps/s", "Environment steps a second in this update, learning included.", 0)
 
 #: Name of a section that a stored specification lacks.

@@ -2,8 +2,8 @@
 
 The state of a piece of work changes only in `_change`, which checks it against `naojobs.states.TRANSITIONS`, under a
 lock on its row. Times come from the database's clock, never from a host's. Events are written under the lock on the
-job's row, so their ids ascend in the order of their commits; whoever locks an evaluation's row and writes an event
-locks the job's row first.
+job's row, so their ids ascend in the order of their commits; a function that locks an evaluation's row and writes an
+event locks the job's row first.
 """
 
 from __future__ import annotations
@@ -561,7 +561,7 @@ def _settle(
 ) -> None:
     """Change the state of locked work to `target` and record it. Raises ConflictError.
 
-    A request to cancel was acknowledged: work that ends or gives up its lease is cancelled then, whatever came first.
+    A request to cancel was acknowledged: work that then ends or gives up its lease is cancelled in any case.
     """
     source = work.state
     if work.cancel_requested and target not in LEASED | {WorkState.CANCELLED}:

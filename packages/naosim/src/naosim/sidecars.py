@@ -1,7 +1,7 @@
 """Launcher service: starts servers' containers for workers, which have no access to the container engine.
 
-Whoever may create containers is root on the host. A worker therefore names a kind of server, a job, an attempt and a
-number; this service alone holds the engine's socket and builds every request to the engine itself.
+A process that may create containers is root on the host. A worker therefore names a kind of server, a job, an attempt
+and a number; only this service has the engine's socket, and it builds every request to the engine itself.
 
     POST   /servers          {"server": "rcssserver3d", "job": "job_...", "attempt": 1, "count": 2}
     GET    /servers/{name}   {"running": true, "description": "..."}
@@ -9,9 +9,9 @@ number; this service alone holds the engine's socket and builds every request to
     GET    /health
 
 The answer to POST is a line of JSON, and does not end: the servers last as long as the connection does, so they are
-gone when the process that asked for them is. Servers of one attempt share a network without a way out, which the
-caller's container joins. The caller is the container that has the connection's address on one of this service's
-networks; it reaches its own servers only.
+gone when the process that asked for them is. Servers of one attempt share a network without connection to the outside,
+which the caller's container joins. The caller is the container that has the connection's address on one of this
+service's networks; it reaches its own servers only.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _WORKERS = 16
 
 
 class Order(BaseModel):
-    """Servers that a worker asks for."""
+    """Servers that a worker requests."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -75,7 +75,7 @@ class Order(BaseModel):
 
 
 class RefusedError(Exception):
-    """An order that is not carried out, with the HTTP status that says why."""
+    """Refusal of an order, with its HTTP status."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -142,7 +142,7 @@ class Sidecars:
 
         Args:
             owner: id of the container that they are for.
-            order: what was asked for.
+            order: the requested servers.
 
         Raises:
             RefusedError: there are too many.
@@ -231,11 +231,11 @@ class Sidecars:
         for one in containers:
             name = one["Names"][0].lstrip("/") if one.get("Names") else one["Id"]
             if name not in held:
-                logger.info("removing container %s, which nobody holds", name)
+                logger.info("removing container %s, which has no owner", name)
                 remove_server(self._api, name)
         for one in networks:
             if one["Name"] not in open_networks:
-                logger.info("removing network %s, which nobody holds", one["Name"])
+                logger.info("removing network %s, which has no owner", one["Name"])
                 self._remove_network(one["Name"], one["Labels"].get(OWNER, ""))
 
     def healthy(self) -> None:

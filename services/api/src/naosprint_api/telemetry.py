@@ -58,7 +58,7 @@ class _Rows(Collector):
             for name, value in _counts(session):
                 families[name].add_metric([], value)
             by_state = session.execute(select(Job.state, func.count()).group_by(Job.state))
-            states = {state: count for state, count in by_state}  # mypy knows no dict of rows
+            states = {state: count for state, count in by_state}  # mypy does not accept dict() of rows
             for state in WorkState:
                 families["naosprint_jobs"].add_metric([state], states.get(state, 0))
             for worker, free in session.execute(select(Worker.id, Worker.disk_free_bytes).where(_ALIVE)):

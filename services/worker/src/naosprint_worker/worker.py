@@ -205,7 +205,7 @@ class Worker:
         )
 
     def _sweep(self) -> None:
-        """Delete files that no row refers to, for example of jobs deleted while the store was away, and old spools."""
+        """Delete files that no row refers to, for example after an outage of the store, and old spools."""
         for folder in spool.sweep(self._settings.worker_dir, self._context.sessions):
             logger.info("deleted %s: its job no longer needs it", folder)
         try:

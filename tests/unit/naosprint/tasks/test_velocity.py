@@ -74,7 +74,7 @@ def test_commands_are_drawn_from_the_ranges() -> None:
 
 
 def test_commands_depend_on_the_seed_and_on_nothing_that_other_robots_do() -> None:
-    """A robot's commands are the same alone in motion, among others, and whatever it does itself."""
+    """A robot's commands are the same alone in motion, among others, and for any own action."""
     first = environment_of(4)
     actions = gentle(first, 60)
     found = commands(first, actions)

@@ -425,7 +425,7 @@ def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as
 
 
 def _folder_name(job: dict[str, Any]) -> str:
-    """Return a plain folder name for a job: its name where that is one, with its id's end to tell it from others."""
+    """Return a plain folder name for a job: its name if possible, with the end of its id."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", job["name"]).strip(".-")[:60] or "job"
     return f"{name}-{job['id'][-6:]}"
 

@@ -53,7 +53,7 @@ def start_detached(layout: Layout, options: Options, say: Say, *, tied: bool = F
     Args:
         layout: the data folder.
         options: what the user chose.
-        say: told what happens during the start.
+        say: called with what happens during the start.
         tied: stop the stack when this very process ends, however it ends.
 
     Raises:
@@ -134,8 +134,8 @@ def stop(layout: Layout, say: Say, *, now: bool = False, within_s: float = DOWN_
 
     Args:
         layout: the data folder.
-        say: told what happens.
-        now: kill instead of asking; running jobs go on from their last checkpoint next time.
+        say: called with what happens.
+        now: kill instead of asking; running jobs resume from their last checkpoint next time.
         within_s: seconds to wait for an orderly end.
 
     Raises:

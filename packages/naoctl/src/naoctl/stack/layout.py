@@ -31,7 +31,7 @@ class Layout:
 
     @property
     def stop_command(self) -> str:
-        """Command that stops the stack, whatever ``NAOCTL_DATA_DIR`` is in the shell that it is typed in."""
+        """Command that stops the stack, with any ``NAOCTL_DATA_DIR`` in the shell."""
         usual = platformdirs.user_data_path("naosprint", appauthor=False).resolve()
         return "naoctl down" if self.root == usual else f"naoctl down --data-dir {shlex.quote(str(self.root))}"
 

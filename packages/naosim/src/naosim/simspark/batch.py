@@ -155,7 +155,7 @@ class BatchSimulator:
 
         Raises:
             ValueError: wrong shape, or a speed is not finite; nothing has been stepped then.
-            FloatingPointError: an environment's state is not finite any more; the message names it, the others step.
+            FloatingPointError: an environment's state is no longer finite; the message names it, the others step.
         """
         commands = self._array("speeds", speeds, (self.n, len(self.model.joints)))
         lanes = self._lanes(mask)

@@ -1,6 +1,6 @@
-"""Disturbances: what differs from the ideal world, for robust policies and to test how robust a policy is.
+"""Disturbances of the ideal world, to train robust policies and to test robustness.
 
-Evaluations leave them out unless they are set for the evaluation itself.
+Evaluations have none unless they are set for the evaluation itself.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Disturbances:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 
     def begin(self, rows: IntArray) -> None:
-        """Forget the commands of earlier episodes of the robots ``rows``."""
+        """Discard the commands of earlier episodes of the robots ``rows``."""
         self._waiting[:, rows] = self._simulator.robot.nominal
 
     def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:

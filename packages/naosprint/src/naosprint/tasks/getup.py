@@ -174,7 +174,7 @@ class GetUp(Task):
         return np.asarray(tall & (self._up[rows] > STANDING_UP))
 
     def begin(self, rows: IntArray) -> None:
-        """Forget earlier attempts."""
+        """Reset the attempt."""
         self._held[rows] = self._stood_at[rows] = 0
         self._height[rows] = self.world.position(rows)[:, 2]
         self._up[rows] = self.world.rotation(rows)[:, 2, 2]
@@ -202,7 +202,7 @@ class GetUp(Task):
         return np.stack([self._stood_at[rows], self._held[rows]], axis=1).astype(np.float64)
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
-        """Return how often and how fast the robot stood up."""
+        """Return the success rates and the time to stand up."""
         stood = np.array([trace[-1, 0] for trace in episodes.trace]) * STEP_S
         held = np.array([trace[-1, 1] for trace in episodes.trace])
         height = np.array([height[-1] for height in episodes.height])

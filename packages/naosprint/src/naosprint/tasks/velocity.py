@@ -233,8 +233,8 @@ class Velocity(Task):
     """Follow a commanded velocity.
 
     The command is a forward and a sideways speed in m/s, relative to the commanded heading, and a turn rate in rad/s,
-    positive to the left. It is drawn again on the way. The commanded heading begins as the torso's own and turns with
-    the commanded rate; the commanded path begins where the torso is. Both begin again with every new command.
+    positive to the left. It is redrawn during the episode. The commanded heading begins as the torso's own and turns
+    with the commanded rate; the commanded path begins where the torso is. Both begin again with every new command.
     """
 
     name = "velocity"
@@ -351,7 +351,7 @@ class Velocity(Task):
 
         def track(rows: slice) -> FloatArray:
             squared = np.square(self.velocity[rows, :2] - self.command[rows, :2]).sum(axis=1)
-            # the Gaussian alone has no slope for a robot that stands and should run at 2 m/s
+            # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
             return np.asarray(0.5 * np.exp(-squared / TRACKING_SCALE) + 0.5 / (1.0 + np.sqrt(squared)))
 
         def turn(rows: slice) -> FloatArray:
@@ -375,7 +375,7 @@ class Velocity(Task):
         )
 
     def begin(self, rows: IntArray) -> None:
-        """Note where the robots start and draw their first commands."""
+        """Store where the robots start and draw their first commands."""
         self._position[rows] = self.world.position(rows)[:, :2]
         self._yaw[rows] = self.world.yaw(rows)
         self._perceived_position[rows] = self.world.perceptors["torso_pos"][rows, :2]
@@ -438,7 +438,7 @@ class Velocity(Task):
             self._draw(fresh)
 
     def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return who has fallen."""
+        """Return which robots have fallen."""
         return (self._fallen[rows],)
 
     def measure(self, rows: IntArray) -> FloatArray:
