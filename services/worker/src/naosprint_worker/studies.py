@@ -312,7 +312,7 @@ class _Pass:
     def _sampler(self) -> optuna.samplers.BaseSampler:
         import optuna
 
-        # A new seed for each choice: the sampler is made anew in every pass.
+        # A new seed for each choice: every pass makes a new sampler.
         words = f"{self._search.seed}:{len(self._rows)}"
         seed = int.from_bytes(hashlib.sha256(words.encode()).digest()[:4], "big")
         if self._search.sampler == "random":
