@@ -608,7 +608,13 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
     assert summary["episodes"] == 4
     assert summary["checkpoint"]["step"] == cards["sprint"]["lineage"][-1]["steps"]
     exported = naoctl("policies", "export", "sprint", "-o", str(tmp_path / "export"))
-    assert [Path(line).name for line in exported.out.splitlines()] == ["policy.npz", "policy.onnx", "policy.json"]
+    assert [Path(line).name for line in exported.out.splitlines()] == [
+        "policy.npz",
+        "policy.onnx",
+        "policy.json",
+        "policy.h",
+        "policy_check.c",
+    ]
     unknown = naoctl("policies", "replay", "sprnt")
     assert unknown.code == ExitCode.NOT_FOUND
     assert "choose one of" in unknown.err

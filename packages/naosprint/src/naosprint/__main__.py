@@ -89,10 +89,16 @@ def _parser() -> argparse.ArgumentParser:
     export = commands.add_parser(
         "export",
         help="export a policy",
-        description="Write policy.onnx, policy.npz and policy.json.",
+        description="Write policy.json, and policy.npz, policy.onnx or policy.h.",
     )
     export.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     export.add_argument("output", type=Path, help="directory for the files")
+    export.add_argument(
+        "--format",
+        action="append",
+        choices=("numpy", "onnx", "c"),
+        help="format of the policy; may be given repeatedly (default: all)",
+    )
     export.set_defaults(run=_export)
 
     replay = commands.add_parser(
@@ -279,9 +285,9 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from naosprint.export import export_policy
+    from naosprint.export import FORMATS, export_policy
 
-    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output):
+    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format or FORMATS):
         sys.stdout.write(f"{path}\n")
     return 0
 

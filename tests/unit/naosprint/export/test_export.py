@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -21,7 +23,8 @@ from naosim.robots.actuation import Actuation
 from naosim.simspark import centre_of_mass
 from naosim.simspark.control import motor_speeds
 from naospec import TrainingSpec
-from naosprint.export import describe, export_policy, policy_arrays
+from naosprint.export import build_check, build_header, describe, export_policy, policy_arrays
+from naosprint.export.header import exact_actions
 from naosprint.export.nao import kinematics
 from naosprint.rl.checkpoint import CheckpointError, Manifest
 from naosprint.rl.policy import Policy, load_policy
@@ -120,6 +123,84 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
         if robots.get(robot).action_range_rad is not None:
             assert entry["zero_deg"] == pytest.approx(nominal[entry["joint"]], abs=1e-5)
     json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize("robot", ["nao-0", "t1"])
+def test_header_computes_what_the_checkpoint_does(robot: str, tmp_path: Path) -> None:
+    """Compiled with all warnings as errors; actions and joint targets to 1e-6."""
+    policy, manifest = random_policy(robot)
+    rng = np.random.default_rng(1)
+    (tmp_path / "policy.h").write_text(build_header(policy, manifest))
+    (tmp_path / "policy_check.c").write_text(build_check(policy))
+    observations = policy.mean + rng.standard_normal((20, len(policy.mean))) / policy.scale
+    (tmp_path / "run.c").write_text(RUN)
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    for name in ("policy_check", "run"):
+        subprocess.run(["cc", *flags, f"{name}.c", "-o", name, "-lm"], cwd=tmp_path, check=True)
+    checked = subprocess.run([tmp_path / "policy_check"], capture_output=True, text=True, check=True).stdout
+    assert checked.startswith("64 vectors, largest difference ")
+    values = " ".join(repr(float(value)) for value in observations.ravel())
+    printed = subprocess.run([tmp_path / "run"], input=values, capture_output=True, text=True, check=True).stdout
+    found = np.array([line.split() for line in printed.splitlines()], dtype=np.float64)
+    actuation = Actuation(robots.get(robot))
+    expected = exact_actions(policy, observations)
+    np.testing.assert_allclose(found[:, : expected.shape[1]], expected, atol=1e-6)
+    np.testing.assert_allclose(found[:, expected.shape[1] :], actuation.targets(expected), atol=1e-6)
+    np.testing.assert_allclose(policy.act(observations), expected, atol=2e-5)
+    assert expected.std() > 0.1
+
+
+def test_check_of_the_header_fails_for_another_policy(tmp_path: Path) -> None:
+    """A weight that differs in the fourth digit is found."""
+    policy, manifest = random_policy("nao-0")
+    weights, bias = policy.layers[0]
+    other = replace(policy, layers=((weights * np.float32(1.0001), bias), *policy.layers[1:]))
+    (tmp_path / "policy.h").write_text(build_header(other, manifest))
+    (tmp_path / "policy_check.c").write_text(build_check(policy))
+    subprocess.run(["cc", "-std=c99", "policy_check.c", "-o", "check", "-lm"], cwd=tmp_path, check=True)
+    assert subprocess.run([tmp_path / "check"], capture_output=True, check=False).returncode == 1
+
+
+RUN = """
+#include <stdio.h>
+#include "policy.h"
+
+int main(void)
+{
+    double observations[POLICY_OBSERVATIONS], actions[POLICY_ACTIONS], targets[POLICY_JOINTS];
+    int i;
+    for (;;) {
+        for (i = 0; i < POLICY_OBSERVATIONS; i++)
+            if (scanf("%lf", observations + i) != 1)
+                return 0;
+        policy_act(observations, actions);
+        policy_targets(actions, targets);
+        for (i = 0; i < POLICY_ACTIONS; i++)
+            printf("%.17g ", actions[i]);
+        for (i = 0; i < POLICY_JOINTS; i++)
+            printf("%.17g ", targets[i]);
+        printf("\\n");
+    }
+}
+"""
+
+
+def random_policy(robot: str) -> tuple[Policy, Manifest]:
+    """Return a policy with random weights, two hidden layers and standardized observations."""
+    spec = TrainingSpec.model_validate({"robot": robot, "task": {"name": "sprint1"}})
+    actuation = Actuation(robots.get(robot))
+    names = tuple(f"o{i}" for i in range(30))
+    manifest = Manifest.model_construct(
+        spec=spec, spec_sha256=spec.digest(), stage=0, steps=0, observations=names, actions=actuation.names
+    )
+    rng = np.random.default_rng(0)
+    sizes = (len(names), 64, 48, actuation.n_actions)
+    layers = tuple(
+        ((rng.standard_normal((b, a)) / np.sqrt(a)).astype(np.float32), rng.standard_normal(b).astype(np.float32) / 4)
+        for a, b in itertools.pairwise(sizes)
+    )
+    mean, scale = rng.standard_normal(len(names)), np.exp(rng.standard_normal(len(names)))
+    return Policy(mean, scale, 5.0, layers, np.zeros(actuation.n_actions, np.float32)), manifest
 
 
 def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from rich.table import Table
 from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
-from naoctl.errors import CliError, ExitCode
+from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
@@ -216,6 +216,20 @@ def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
     return folder / "report" / REPORT_PAGE
 
 
+EXPORT_FORMATS = ("numpy", "onnx", "c")
+ExportFormats = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--format",
+        "-f",
+        metavar="|".join(EXPORT_FORMATS),
+        help="Format of the policy; may be repeated.",
+        show_default="all",
+        autocompletion=lambda: list(EXPORT_FORMATS),
+    ),
+]
+
+
 def export(
     ctx: typer.Context,
     job: Job = "last",
@@ -227,10 +241,12 @@ def export(
         Path | None,
         typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
     ] = None,
+    formats: ExportFormats = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Export a job's policy as ONNX, NumPy and JSON. Needs PyTorch."""
+    """Export a job's policy for NumPy, as ONNX and as a C header. Needs PyTorch."""
     context = context_of(ctx)
+    flags = format_flags(formats)
     with context.client() as client:
         found = find_job(client, job)
         folder = output or Path(_folder_name(found))
@@ -238,12 +254,20 @@ def export(
         source = folder / f"checkpoint-{point['step']:012d}"
         fetch_artifacts(context, client, [("checkpoint", source, point)], quiet=as_json)
     target = folder / f"export-{point['step']:012d}"
-    run_naosprint("export", str(source), str(target))
+    run_naosprint("export", str(source), str(target), *flags)
     files = sorted(str(path) for path in target.iterdir())
     if as_json:
         context.json({"path": str(target), "files": files})
     else:
         context.say("Export", str(target))
+
+
+def format_flags(formats: list[str] | None) -> list[str]:
+    """Return the flags of ``naosprint export``. Raises InvalidInput for an unknown format."""
+    for name in formats or []:
+        if name not in EXPORT_FORMATS:
+            raise InvalidInput(f"--format: unknown format {name!r}", fix=f"Choose from {', '.join(EXPORT_FORMATS)}.")
+    return [word for name in formats or [] for word in ("--format", name)]
 
 
 def run_naosprint(*words: str) -> str:

@@ -14,7 +14,7 @@ from naospec import plugins
 from naosprint.tasks.metrics import format_value
 from rich.table import Table
 
-from naoctl.commands.artifacts import run_naosprint
+from naoctl.commands.artifacts import ExportFormats, format_flags, run_naosprint
 from naoctl.context import JsonFlag, context_of
 from naoctl.descriptions import UNNAMED, metric_of, section_name
 from naoctl.errors import CliError, ExitCode
@@ -92,9 +92,15 @@ def replay_policy(ctx: typer.Context, name: Name, output: Output = None, as_json
 
 
 @app.command("export")
-def export_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
-    """Export a policy as ONNX, NumPy and JSON."""
-    _write("export", ctx, name, output or Path(f"{name}-export"), as_json=as_json)
+def export_policy(
+    ctx: typer.Context,
+    name: Name,
+    output: Output = None,
+    formats: ExportFormats = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Export a policy for NumPy, as ONNX and as a C header."""
+    _write("export", ctx, name, output or Path(f"{name}-export"), *format_flags(formats), as_json=as_json)
 
 
 def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
@@ -117,10 +123,10 @@ def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embed
     return summary
 
 
-def _write(word: str, ctx: typer.Context, name: str, folder: Path, *, as_json: bool) -> None:
+def _write(word: str, ctx: typer.Context, name: str, folder: Path, *flags: str, as_json: bool) -> None:
     context = context_of(ctx)
     _known(name)
-    files = run_naosprint(word, name, str(folder)).split("\n")[:-1]
+    files = run_naosprint(word, name, str(folder), *flags).split("\n")[:-1]
     if as_json:
         context.json({"path": str(folder), "files": files})
         return

@@ -1,8 +1,9 @@
 """Export of a policy for use without this package.
 
-policy.npz     weights, standardization, and the robot's tables: all that an agent needs besides NumPy
-policy.onnx    the network from raw observations to actions, standardization included
-policy.json    inputs and outputs by name and unit
+policy.npz      weights, standardization, and the robot's tables: all that an agent needs besides NumPy
+policy.onnx     the network from raw observations to actions, standardization included
+policy.h        the same as C99 without dependencies; policy_check.c compares it with values of the checkpoint
+policy.json     inputs and outputs by name and unit
 """
 
 from __future__ import annotations
@@ -15,32 +16,47 @@ import numpy as np
 from naosprint.export.arrays import policy_arrays
 from naosprint.export.description import describe
 from naosprint.export.graph import build_onnx
+from naosprint.export.header import build_check, build_header
 from naosprint.rl.policy import load_policy
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["build_onnx", "describe", "export_policy", "policy_arrays"]
+__all__ = ["FORMATS", "build_check", "build_header", "build_onnx", "describe", "export_policy", "policy_arrays"]
+
+FORMATS = ("numpy", "onnx", "c")
+"""Formats of an exported policy."""
 
 
-def export_policy(checkpoint: Path, directory: Path) -> tuple[Path, Path, Path]:
-    """Write the policy of a checkpoint to ``directory`` as ``policy.npz``, ``policy.onnx`` and ``policy.json``.
+def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] = FORMATS) -> tuple[Path, ...]:
+    """Write the policy of a checkpoint to ``directory`` in some of :data:`FORMATS`, and ``policy.json``.
 
     Returns:
-        The paths of the three files, which are replaced if they exist.
+        The paths of the files, which are replaced if they exist.
 
     Raises:
         CheckpointError: if the checkpoint is damaged.
-        OSError: if onnx is not installed.
+        OSError: if onnx is needed and not installed.
     """
-    try:
-        import onnx
-    except ImportError as error:
-        raise OSError("policy.onnx needs onnx: pip install naosprint[export]") from error
+    if "onnx" in formats:
+        try:
+            import onnx
+        except ImportError as error:
+            raise OSError("policy.onnx needs onnx: pip install naosprint[export]") from error
     policy, manifest = load_policy(checkpoint)
     directory.mkdir(parents=True, exist_ok=True)
-    arrays, network, text = directory / "policy.npz", directory / "policy.onnx", directory / "policy.json"
-    np.savez(arrays, allow_pickle=False, **policy_arrays(policy, manifest))
-    onnx.save(build_onnx(policy), network)
-    text.write_text(json.dumps(describe(policy, manifest), indent=2, allow_nan=False) + "\n")
-    return arrays, network, text
+    written = []
+    if "numpy" in formats:
+        written.append(directory / "policy.npz")
+        np.savez(written[-1], allow_pickle=False, **policy_arrays(policy, manifest))
+    if "onnx" in formats:
+        written.append(directory / "policy.onnx")
+        onnx.save(build_onnx(policy), written[-1])
+    texts = {"policy.json": json.dumps(describe(policy, manifest), indent=2, allow_nan=False) + "\n"}
+    if "c" in formats:
+        texts |= {"policy.h": build_header(policy, manifest), "policy_check.c": build_check(policy)}
+    for name, text in texts.items():
+        written.append(directory / name)
+        written[-1].write_text(text)
+    return tuple(written)

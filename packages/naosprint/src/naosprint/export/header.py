@@ -1,0 +1,171 @@
+"""``policy.h``: the policy as one C99 header without dependencies, and a program that checks it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from naosprint.export.arrays import policy_arrays
+
+if TYPE_CHECKING:
+    from naosprint.arrays import AnyArray, FloatArray
+    from naosprint.rl.checkpoint import Manifest
+    from naosprint.rl.policy import Policy
+
+TOLERANCE = 1e-6
+"""Largest difference of an action between the header and the checkpoint."""
+
+_VECTORS = 64
+_WIDTH = 8
+
+_CODE = """\
+/* Compute the actions, in [-1, 1], of raw observations. */
+static inline void policy_act(const double observations[POLICY_OBSERVATIONS], double actions[POLICY_ACTIONS])
+{
+    double z0[POLICY_WIDEST], z1[POLICY_WIDEST], *in = z0, *out = z1, *swap;
+    int i;
+    for (i = 0; i < POLICY_OBSERVATIONS; i++) {
+        in[i] = (observations[i] - policy_mean[i]) * policy_scale[i];
+#ifdef POLICY_CLIP
+        in[i] = fmin(fmax(in[i], -POLICY_CLIP), POLICY_CLIP);
+#endif
+    }
+%(layers)s
+    for (i = 0; i < POLICY_ACTIONS; i++)
+        actions[i] = fmin(fmax(in[i], -1.0), 1.0);
+}
+
+/* Compute the target angles of all joints in radians, in the simulator's order and signs. */
+static inline void policy_targets(const double actions[POLICY_ACTIONS], double targets[POLICY_JOINTS])
+{
+    int i, k;
+    for (i = 0; i < POLICY_JOINTS; i++) {
+        double sum = policy_middle_rad[i];
+        for (k = 0; k < POLICY_ACTIONS; k++)
+            sum += policy_reach_rad[i * POLICY_ACTIONS + k] * actions[k];
+        targets[i] = fmin(fmax(sum, policy_low_rad[i]), policy_high_rad[i]);
+    }
+}
+"""
+
+_LAYER = "    policy_layer(policy_weights_{i}, policy_bias_{i}, {rows}, {columns}, {last}, in, out);\n    {swap}"
+_SWAP = "swap = in, in = out, out = swap;"
+
+_LINEAR = """\
+static inline void policy_layer(const float *weights, const float *bias, int rows, int columns, int last,
+                                const double *in, double *out)
+{
+    int row, column;
+    for (row = 0; row < rows; row++) {
+        double sum = bias[row];
+        for (column = 0; column < columns; column++)
+            sum += (double)weights[row * columns + column] * in[column];
+        out[row] = last ? sum : tanh(sum);
+    }
+}
+"""
+
+_CHECK = """\
+/* Compare policy.h with the checkpoint it was made from: cc -std=c99 policy_check.c -lm && ./a.out */
+#include <stdio.h>
+#include "policy.h"
+
+#define VECTORS %(count)d
+
+%(observations)s
+%(actions)s
+int main(void)
+{
+    double actions[POLICY_ACTIONS], worst = 0.0;
+    int n, i;
+    for (n = 0; n < VECTORS; n++) {
+        policy_act(observations + n * POLICY_OBSERVATIONS, actions);
+        for (i = 0; i < POLICY_ACTIONS; i++)
+            worst = fmax(worst, fabs(actions[i] - expected[n * POLICY_ACTIONS + i]));
+    }
+    printf("%%d vectors, largest difference %%.3g\\n", VECTORS, worst);
+    return worst <= %(tolerance)g ? 0 : 1;
+}
+"""
+
+
+def build_header(policy: Policy, manifest: Manifest) -> str:
+    """Return the text of ``policy.h``: weights, standardization, ranges of the joints, and functions."""
+    arrays = policy_arrays(policy, manifest)
+    joints = len(arrays["joint_names"])
+    widest = max(len(policy.mean), *(len(bias) for _, bias in policy.layers))
+    lines = [
+        f"/* Policy of {arrays['robot']}, {manifest.steps} steps of training. Exported by naosprint. */",
+        "#ifndef NAOSPRINT_POLICY_H",
+        "#define NAOSPRINT_POLICY_H",
+        "",
+        "#include <math.h>",
+        "",
+        f"#define POLICY_OBSERVATIONS {len(policy.mean)}",
+        f"#define POLICY_ACTIONS {len(policy.log_std)}",
+        f"#define POLICY_JOINTS {joints}",
+        f"#define POLICY_WIDEST {widest}",
+        f"#define POLICY_CYCLE_S {float(arrays['cycle_s'])!r}",
+    ]
+    if np.isfinite(policy.clip):
+        lines.append(f"#define POLICY_CLIP {float(policy.clip)!r}")
+    lines += [
+        "",
+        _names("policy_observation_names", manifest.observations),
+        _names("policy_action_names", manifest.actions),
+        _names("policy_joint_names", [str(name) for name in arrays["joint_names"]]),
+    ]
+    for name, values in (("mean", policy.mean), ("scale", policy.scale)):
+        lines.append(_array(f"policy_{name}", values))
+    for name in ("middle_rad", "reach_rad", "low_rad", "high_rad"):
+        lines.append(_array(f"policy_{name}", arrays[name]))
+    calls = []
+    for i, (weights, bias) in enumerate(policy.layers):
+        lines += [_array(f"policy_weights_{i}", weights), _array(f"policy_bias_{i}", bias)]
+        rows, columns = weights.shape
+        last = int(i == len(policy.layers) - 1)
+        calls.append(_LAYER.format(i=i, rows=rows, columns=columns, last=last, swap=_SWAP))
+    return "\n".join([*lines, _LINEAR, _CODE % {"layers": "\n".join(calls)}, "#endif", ""])
+
+
+def build_check(policy: Policy) -> str:
+    """Return the text of ``policy_check.c``, a program that compares ``policy.h`` with values of the checkpoint."""
+    observations = parity_observations(policy)
+    expected = exact_actions(policy, observations)
+    return _CHECK % {
+        "count": len(observations),
+        "observations": _array("observations", observations),
+        "actions": _array("expected", expected),
+        "tolerance": TOLERANCE,
+    }
+
+
+def parity_observations(policy: Policy) -> FloatArray:
+    """Return (n, D) observations spread as widely as the policy has seen them, and beyond."""
+    rng = np.random.default_rng(0)
+    spread = 2.0 * rng.standard_normal((_VECTORS, len(policy.mean)))
+    return np.asarray(policy.mean + spread / np.minimum(policy.scale, 1e3))
+
+
+def exact_actions(policy: Policy, observations: FloatArray) -> FloatArray:
+    """Return (n, A) actions computed from the checkpoint's weights in double precision."""
+    hidden = np.clip((observations - policy.mean) * policy.scale, -policy.clip, policy.clip)
+    for i, (weights, bias) in enumerate(policy.layers):
+        hidden = hidden @ weights.T.astype(np.float64) + bias.astype(np.float64)
+        hidden = np.tanh(hidden) if i < len(policy.layers) - 1 else np.clip(hidden, -1.0, 1.0)
+    return np.asarray(hidden)
+
+
+def _names(name: str, values: tuple[str, ...] | list[str]) -> str:
+    return f"static const char *const {name}[] = {{\n" + "".join(f'    "{value}",\n' for value in values) + "};"
+
+
+def _array(name: str, values: AnyArray) -> str:
+    """Return the definition of a constant array, row by row, with all digits."""
+    single = values.dtype == np.float32
+    kind = "float" if single else "double"
+    texts = [f"{v:.9g}" if single else repr(float(v)) for v in values.ravel()]
+    words = [(text if any(c in text for c in ".en") else f"{text}.0") + ("f" if single else "") for text in texts]
+    rows = [", ".join(words[i : i + _WIDTH]) for i in range(0, len(words), _WIDTH)]
+    return f"static const {kind} {name}[] = {{\n    " + ",\n    ".join(rows) + "};"
