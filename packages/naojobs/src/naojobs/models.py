@@ -159,6 +159,8 @@ class Job(Work, Base):
     began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     #: Id of the last batch of records, so that a repeated write adds nothing twice.
     last_batch: Mapped[str | None] = mapped_column(String(64))
+    #: Number of rows of metrics, logs and events that workers have written.
+    row_count: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     #: The newest metrics row, so that a list of jobs needs no join.
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
 
@@ -243,6 +245,8 @@ class Checkpoint(Base):
     key: Mapped[str]
     #: A `naojobs.store.Manifest`.
     manifest: Mapped[dict[str, Any]]
+    #: Bytes of its files.
+    size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (UniqueConstraint("job_id", "step", "attempt"), UniqueConstraint("key"))
@@ -263,6 +267,8 @@ class Evaluation(Work, Base):
     key: Mapped[str | None]
     #: A `naojobs.store.Manifest`.
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    #: Bytes of its files.
+    size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
 
     __table_args__ = (*_work_checks(EVALUATION_STATES), _waiting_index("evaluations"), _lease_index("evaluations"))
 

@@ -102,6 +102,7 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
         for event in batch.events if not repeated else ():
             add_event(session, job, event.kind, event.message, event.data)
         ids = {stored.step: _write_checkpoint(session, job, stored) for stored in batch.checkpoints}
+        job.row_count += len(batch.metrics) + (0 if repeated else len(batch.logs) + len(batch.events))
         notify(session, job.id)
     return ids
 
@@ -178,7 +179,7 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     furthest = session.scalar(select(func.max(Checkpoint.step)).where(Checkpoint.job_id == job.id))
     new: str | None = session.scalar(
         upsert(Checkpoint)
-        .values(id=new_id("ckpt"), key=stored.key, manifest=dict(stored.manifest), **same)
+        .values(id=new_id("ckpt"), key=stored.key, manifest=dict(stored.manifest), size=_size(stored.manifest), **same)
         .on_conflict_do_nothing(index_elements=[Checkpoint.job_id, Checkpoint.step, Checkpoint.attempt])
         .returning(Checkpoint.id),
     )
@@ -191,6 +192,11 @@ def _write_checkpoint(session: Session, job: Job, stored: StoredCheckpoint) -> s
     message = f"checkpoint at step {stored.step}"
     add_event(session, job, "checkpoint", message, {"checkpoint_id": new, "step": stored.step})
     return new
+
+
+def _size(manifest: Mapping[str, Any]) -> int:
+    """Return the bytes of all files of a manifest."""
+    return sum(int(file["size"]) for file in manifest["files"])
 
 
 def _drop_superseded(session: Session, job: Job) -> None:
@@ -211,6 +217,7 @@ def record_result(
         evaluation.summary = dict(summary)
         evaluation.key = key
         evaluation.manifest = dict(manifest)
+        evaluation.size = _size(manifest)
         evaluation.updated_at = func.now()
 
 
@@ -246,6 +253,7 @@ def record_evaluation(
             summary=dict(summary),
             key=key,
             manifest=dict(manifest),
+            size=_size(manifest),
             finished_at=func.now(),
         )
         session.add(evaluation)

@@ -20,10 +20,11 @@ from sqlalchemy.orm import Session
 from naojobs.capabilities import Requirements
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
-from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
+from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Study
+from naojobs.quotas import require_free_slot
 from naojobs.states import OPEN, WorkState
 
 J = TypeVar("J", Job, Study)
@@ -173,7 +174,7 @@ def add_job(
         if earlier is not None:
             return same_request(earlier, digest), False
     if max_open_jobs is not None:
-        _check_quota(session, owner, max_open_jobs)
+        require_free_slot(session, owner, max_open_jobs)
     _check_parent(session, request, owner, see_all)
     job_id = session.scalar(
         insert(Job)
@@ -233,18 +234,6 @@ def free_name(session: Session, model: type[Job] | type[Study], owner: str, name
     )
     numbered = (f"{beginning}-{number}" for number in itertools.count(2))
     return next(text for text in itertools.chain([name], numbered) if text not in taken)
-
-
-def _check_quota(session: Session, owner: str, max_open_jobs: int) -> None:
-    # Two concurrent submits must not both see the last free slot.
-    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota:{owner}", 0))))
-    open_jobs = session.scalar(
-        select(func.count()).select_from(Job).where(Job.owner == owner, Job.state.in_(OPEN)),
-    )
-    if (open_jobs or 0) >= max_open_jobs:
-        raise QuotaError(
-            f"{owner} has {open_jobs} open jobs, the most that are allowed; wait until some finish, or cancel some",
-        )
 
 
 def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> None:

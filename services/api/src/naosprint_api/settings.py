@@ -19,6 +19,14 @@ class ApiSettings(ServiceSettings):
     api_rate_per_s: float = Field(100.0, gt=0, description="Requests per second that one token may make on average.")
     api_rate_burst: int = Field(400, ge=1, description="Requests that one token may make at once.")
     api_max_open_jobs: int = Field(2000, ge=1, description="Jobs of one owner that may wait or run at a time.")
+    api_max_bytes: int = Field(
+        200 << 30,
+        ge=1,
+        description="Bytes of one owner in the store at which no job starts; a running one may exceed them.",
+    )
+    api_max_rows: int = Field(
+        100_000_000, ge=1, description="The same for rows of metrics, logs and events in the database."
+    )
     api_max_followers: int = Field(500, ge=1, description="Streams that may be open at a time.")
     api_max_followers_per_token: int = Field(100, ge=1, description="Streams that one token may have open at a time.")
     api_recheck_s: float = Field(

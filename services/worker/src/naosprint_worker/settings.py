@@ -89,11 +89,11 @@ class WorkerSettings(ServiceSettings):
     worker_memory_mb: int | None = Field(
         None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."
     )
-    worker_keep_last: int | None = Field(
-        None,
-        ge=2,
+    worker_keep_last: int = Field(
+        20,
+        ge=0,
         description="Newest checkpoints that are kept of a job, besides its best one and those that were evaluated or "
-        "that another job starts from; left out: all. At least 2, since one may be damaged.",
+        "that another job starts from; 0: all. At least 2, since one may be damaged.",
     )
     worker_keep_every: int | None = Field(
         None, ge=1, description="With worker_keep_last: every n-th checkpoint is kept as well; left out: no others."
@@ -152,9 +152,11 @@ class WorkerSettings(ServiceSettings):
         return value
 
     @model_validator(mode="after")
-    def _every_needs_last(self) -> Self:
-        if self.worker_keep_every is not None and self.worker_keep_last is None:
-            raise ValueError("worker_keep_every: needs worker_keep_last; set that, too")
+    def _keeps_enough(self) -> Self:
+        if self.worker_keep_last == 1:
+            raise ValueError("worker_keep_last: expected 0 for all, or at least 2, since one may be damaged; got 1")
+        if self.worker_keep_every is not None and self.worker_keep_last == 0:
+            raise ValueError("worker_keep_every: all checkpoints are kept; set worker_keep_last to at least 2")
         return self
 
     @model_validator(mode="after")
@@ -177,4 +179,4 @@ class WorkerSettings(ServiceSettings):
     @property
     def retention(self) -> Retention | None:
         """Return which checkpoints of a job are kept; none for all."""
-        return None if self.worker_keep_last is None else Retention(self.worker_keep_last, self.worker_keep_every)
+        return None if self.worker_keep_last == 0 else Retention(self.worker_keep_last, self.worker_keep_every)

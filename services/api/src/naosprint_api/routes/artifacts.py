@@ -15,6 +15,7 @@ from naosprint_api import queries
 from naosprint_api.dependencies import CheckpointId, EvaluationId, FileName, JobId, Reader, ServiceDep, Submitter
 from naosprint_api.downloads import send_archive, send_file
 from naosprint_api.problems import responses
+from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import CheckpointPublic, EvaluationCreate, EvaluationPublic
 from naosprint_api.views import checkpoint_view
 
@@ -94,7 +95,7 @@ def request_evaluation(
     body: EvaluationCreate | None = None,
 ) -> EvaluationPublic:
     """Queue an evaluation of a checkpoint; look it up again until it has ended."""
-    queries.visible_job(service.reads, principal, job_id)
+    require_space(service, queries.visible_job(service.reads, principal, job_id).owner)
     body = body or EvaluationCreate.model_validate({})
     row = submission.request_evaluation(
         service.sessions,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, BackgroundTasks, Query, Response
-from naojobs import lifecycle, submission
+from naojobs import lifecycle, quotas, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Job
@@ -71,6 +71,12 @@ def job_filter(
     return queries.JobFilter(states=state, tags=tags, owner=owner, group=group, parent=parent, text=q)
 
 
+def require_space(service: Service, owner: str) -> None:
+    """Raise QuotaError if the owner's jobs have stored as much as they may."""
+    settings = service.settings
+    quotas.require_space(service.reads, owner, max_bytes=settings.api_max_bytes, max_rows=settings.api_max_rows)
+
+
 def controllable(service: Service, principal: Principal, job_id: str) -> Job:
     """Return a job that the caller may change. Raises NotFoundError."""
     return queries.visible_job(service.reads, principal, job_id)
@@ -86,6 +92,7 @@ def submit_job(
     idempotency_key: IdempotencyKey = None,
 ) -> JobPublic:
     """Queue a training. 201 for a new job; 200 if the idempotency key was used before with the same body."""
+    require_space(service, principal.owner)
     job, created = submission.submit(
         service.sessions,
         body.request(),
@@ -114,6 +121,7 @@ def submit_group(
     idempotency_key: IdempotencyKey = None,
 ) -> GroupPublic:
     """Queue several trainings that differ in seed or in fields of a grid: all of them, or none."""
+    require_space(service, principal.owner)
     group_id, jobs, created = submission.submit_group(
         service.sessions,
         body.request(),
@@ -188,8 +196,8 @@ def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
 @router.post("/jobs/{job_id}/retry", responses=CONTROL)
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
-    controllable(service, principal, job_id)
-    job = lifecycle.retry(service.sessions, job_id)
+    require_space(service, controllable(service, principal, job_id).owner)
+    job = lifecycle.retry(service.sessions, job_id, max_open_jobs=service.settings.api_max_open_jobs)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 
