@@ -349,7 +349,7 @@ def main() -> int:
         wrong = wait_until_ended(stack, user, options.patience)
         weights = {seed: final_weights(stack, str(job_id)) for seed, job_id in first.items()}
         say(f"undisturbed: {weights}")
-        using = threading.Thread(target=user.run, args=(steps,), name="user")
+        using = threading.Thread(target=user.run, args=(steps,), name="user", daemon=True)
         using.start()
         nemesis = Nemesis(stack, random, options.longest)
         nemesis.run(options.faults)

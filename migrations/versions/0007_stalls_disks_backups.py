@@ -1,4 +1,4 @@
-"""Record stalled work, the free disk space of workers, and finished backups.
+"""Record stalled work, the free disk space of workers, and backups.
 
 Revision: 0007
 Revises: 0006
@@ -23,7 +23,8 @@ def upgrade() -> None:
     op.create_table(
         "backups",
         sa.Column("id", sa.BigInteger(), sa.Identity(), nullable=False),
-        sa.Column("finished_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
+        sa.Column("started_at", sa.DateTime(timezone=True), server_default=sa.text("now()"), nullable=False),
+        sa.Column("finished_at", sa.DateTime(timezone=True)),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_backups")),
     )
 

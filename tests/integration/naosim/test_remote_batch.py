@@ -13,6 +13,7 @@ import pytest
 from naosim.launchers import Address, ProcessLauncher
 from naosim.robots import nao_model
 from naosim.simspark import RCSSSERVER3D, BatchSimulator, RemoteBatch, embedded_launcher
+from naosim.simspark.program import PROGRAM_VARIABLE
 from naosim.simspark.server_robot import SPAWN
 from naosim.simulator import ServerLostError
 
@@ -137,11 +138,13 @@ sys.stdin.read()
 """
 
 
+#: The real server's program: the one that the service would start, or the one in the search path.
+PROGRAM = shutil.which(os.environ.get(PROGRAM_VARIABLE, "rcssserver3d"))
 REAL = pytest.param(
-    "rcssserver3d",
+    PROGRAM,
     marks=(
         pytest.mark.rcssserver3d,
-        pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path"),
+        pytest.mark.skipif(PROGRAM is None, reason="no rcssserver3d in NAOSPRINT_SIMSERVER or in the search path"),
     ),
 )
 
@@ -180,9 +183,9 @@ def wait_pidfd(fd: int) -> None:
 
 
 @pytest.mark.rcssserver3d
-@pytest.mark.skipif(shutil.which("rcssserver3d") is None, reason="no rcssserver3d in the search path")
+@pytest.mark.skipif(PROGRAM is None, reason="no rcssserver3d in NAOSPRINT_SIMSERVER or in the search path")
 def test_the_real_server_is_driven_like_the_engine() -> None:
-    with RemoteBatch(ProcessLauncher(RCSSSERVER3D), 2) as remote:
+    with RemoteBatch(ProcessLauncher(RCSSSERVER3D, (str(PROGRAM),)), 2) as remote:
         remote.beam((-14.0, 0.0, 0.4), -90.0)
         for _ in range(100):
             remote.step(np.zeros((2, 22)))

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from naojobs.archive import export_artifacts, import_artifacts
+from naojobs import backups
+from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
 from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
@@ -47,9 +48,18 @@ def _parser() -> argparse.ArgumentParser:
     verbs.add_parser("import", help="verify the artifacts of an archive and put them into the store").add_argument(
         "file", nargs="?", type=Path, help="the archive (default: standard input)"
     )
+    verbs.add_parser("verify", help="check an archive against its manifests").add_argument(
+        "file", nargs="?", type=Path, help="the archive (default: standard input)"
+    )
     sweep = verbs.add_parser("sweep", help="delete files that no job refers to")
     sweep.add_argument("--hours", type=float, default=DEFAULT_AGE_S / 3600, help="only files this old (default: 24)")
     sweep.add_argument("--dry-run", action="store_true", help="only list the files")
+
+    backup = commands.add_parser("backup", help="announce a backup: while one is made, no file is deleted")
+    backups_verbs = backup.add_subparsers(dest="verb", required=True)
+    backups_verbs.add_parser("begin", help="before the database is copied; prints the id")
+    for verb, text in (("finish", "record that it is complete"), ("abort", "forget it")):
+        backups_verbs.add_parser(verb, help=text).add_argument("id", type=int)
     return parser
 
 
@@ -69,6 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if arguments.command == "artifacts":
             answer = _artifacts(arguments, make_sessions(engine), ArtifactStore.from_settings(settings))
+        elif arguments.command == "backup":
+            answer = _backup(arguments, make_sessions(engine))
         else:
             answer = _token(arguments, make_sessions(engine))
     except (JobError, StoreError, OSError, ValueError) as error:
@@ -99,6 +111,14 @@ def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
     return {"id": arguments.id, "revoked": True}
 
 
+def _backup(arguments: argparse.Namespace, sessions: Sessions) -> object:
+    if arguments.verb == "begin":
+        return backups.begin(sessions)
+    change = backups.finish if arguments.verb == "finish" else backups.abort
+    change(sessions, arguments.id)
+    return {"id": arguments.id}
+
+
 def _artifacts(arguments: argparse.Namespace, sessions: Sessions, store: ArtifactStore) -> object:
     if arguments.verb == "export":
         if arguments.file is None:
@@ -108,6 +128,9 @@ def _artifacts(arguments: argparse.Namespace, sessions: Sessions, store: Artifac
             count = export_artifacts(store, target)
         partial.replace(arguments.file)
         return {"files": count, "archive": str(arguments.file)}
+    if arguments.verb == "verify":
+        with arguments.file.open("rb") if arguments.file is not None else nullcontext(sys.stdin.buffer) as source:
+            return {"files": verify_artifacts(source)}
     if arguments.verb == "import":
         with arguments.file.open("rb") if arguments.file is not None else nullcontext(sys.stdin.buffer) as source:
             return {"files": import_artifacts(store, source)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import tarfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import BinaryIO
 
 from naojobs.errors import JobError
@@ -41,6 +41,13 @@ def export_artifacts(store: ArtifactStore, target: BinaryIO) -> int:
     return count
 
 
+def verify_artifacts(source: BinaryIO) -> int:
+    """Check every file of an archive against its manifest; return how many there are. Raises DamagedArchiveError."""
+    digests, manifests = _read(source, lambda _key, _data: None)
+    _refuse_damaged([key for key, data in manifests.items() if not _fits(key, data, digests)])
+    return len(digests)
+
+
 def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
     """Write everything in `source` to the store, manifests last, and return how many files that was.
 
@@ -48,6 +55,16 @@ def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
         DamagedArchiveError: an artifact does not match its manifest; it is then stored without a manifest and so does
             not count, while all others do.
     """
+    digests, manifests = _read(source, store.put_bytes)
+    damaged = [key for key, data in manifests.items() if not _fits(key, data, digests)]
+    for key in manifests.keys() - set(damaged):
+        store.put_bytes(key, manifests[key])
+    _refuse_damaged(damaged)
+    return len(digests)
+
+
+def _read(source: BinaryIO, put: Callable[[str, bytes], object]) -> tuple[dict[str, str], dict[str, bytes]]:
+    """Pass every file of an archive but its manifests to `put`; return the SHA-256 of all by key, and the manifests."""
     digests: dict[str, str] = {}
     manifests: dict[str, bytes] = {}
     try:
@@ -61,15 +78,15 @@ def import_artifacts(store: ArtifactStore, source: BinaryIO) -> int:
                 if _is_manifest(entry.name):
                     manifests[entry.name] = data
                 else:
-                    store.put_bytes(entry.name, data)
+                    put(entry.name, data)
     except (tarfile.TarError, ValueError) as error:
         raise DamagedArchiveError(f"not an archive of artifacts, or truncated: {error}") from error
-    damaged = [key for key, data in manifests.items() if not _fits(key, data, digests)]
-    for key in manifests.keys() - set(damaged):
-        store.put_bytes(key, manifests[key])
+    return digests, manifests
+
+
+def _refuse_damaged(damaged: Sequence[str]) -> None:
     if damaged:
         raise DamagedArchiveError(f"{len(damaged)} artifacts do not match their manifests: {', '.join(damaged)}")
-    return len(digests)
 
 
 def _is_manifest(key: str) -> bool:

@@ -383,12 +383,13 @@ class Worker(Base):
 
 
 class Backup(Base):
-    """Backup that `deploy/backup` has finished."""
+    """Backup that `deploy/backup` makes or has made."""
 
     __tablename__ = "backups"
 
     id: Mapped[int] = mapped_column(BigInteger, Identity(), primary_key=True)
-    finished_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    started_at: Mapped[datetime] = mapped_column(server_default=func.now())
+    finished_at: Mapped[datetime | None]
 
 
 class Token(Base):

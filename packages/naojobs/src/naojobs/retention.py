@@ -11,6 +11,7 @@ from naospec import TrainingSpec
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
+from naojobs import backups
 from naojobs.database import Sessions
 from naojobs.lifecycle import Lease, hold_job
 from naojobs.models import Checkpoint, Evaluation, Job, Metric
@@ -82,6 +83,15 @@ def _spared(session: Session, job_id: str) -> set[str]:
     return {str(item) for item in (best, *evaluated, *parents) if item is not None}
 
 
+def delete_files(sessions: Sessions, store: ArtifactStore, prefix: str) -> int:
+    """Delete the files below `prefix`, whose rows are deleted already; return how many.
+
+    While a backup is made they stay: its copy of the database may still refer to them. The sweep deletes them later.
+    Raises StoreError.
+    """
+    return 0 if backups.in_progress(sessions) else store.delete_prefix(prefix)
+
+
 def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> list[str]:
     """Return the prefixes of files that no row refers to and that have not changed for `age_s`, sorted.
 
@@ -106,9 +116,11 @@ def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEF
 def sweep(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> Sequence[str]:
     """Delete files that no row refers to (see `find_orphans`); return their prefixes.
 
-    Several processes may do so at once. Raises StoreError.
+    Several processes may do so at once; none does while a backup is made. Raises StoreError.
     """
-    gone = []
+    gone: list[str] = []
+    if backups.in_progress(sessions):
+        return gone
     for prefix in find_orphans(sessions, store, age_s=age_s):
         try:
             count = store.delete_prefix(prefix) or store.delete_file(prefix)

@@ -15,6 +15,7 @@ from naojobs.errors import JobError
 from naojobs.lifecycle import record_notification_failure
 from naojobs.models import Evaluation, Job
 from naojobs.notifications import Notifier, make_celery
+from naojobs.retention import delete_files
 from naojobs.store import ArtifactStore, StoreError, job_prefix
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
@@ -141,7 +142,7 @@ class Service:
 
     def _discard_artifacts(self, job_id: str) -> None:
         try:
-            count = self.store.delete_prefix(job_prefix(job_id))
+            count = delete_files(self.sessions, self.store, job_prefix(job_id))
         except StoreError as error:
             _log.error("the files of the deleted job %s are still in the store: %s", job_id, error)
         else:

@@ -9,7 +9,7 @@ from naojobs import records
 from naojobs.database import Sessions
 from naojobs.lifecycle import Lease
 from naojobs.records import Batch, StoredCheckpoint
-from naojobs.retention import Retention, prune_checkpoints
+from naojobs.retention import Retention, delete_files, prune_checkpoints
 from naojobs.store import ArtifactStore, StoreError, checkpoint_key, new_nonce
 
 from naosprint_worker.database import DATABASE_ERRORS
@@ -57,6 +57,6 @@ class JobSink:
             return
         for key in prune_checkpoints(self._sessions, self._lease, self._retention):
             try:
-                self._store.delete_prefix(key)
+                delete_files(self._sessions, self._store, key)
             except StoreError as error:
                 logger.warning("%s stays for now: %s", key, error)

@@ -40,6 +40,10 @@ class PortLease:
         self._locks: list[IO[str]] = []
         folder = Path(tempfile.gettempdir()) / f"naosim-ports-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
+        for left in folder.iterdir():  # by owners that were killed
+            if (lock := _lock(left)) is not None:
+                left.unlink(missing_ok=True)
+                lock.close()
         probes = []
         try:
             while len(self.ports) < count:
@@ -47,14 +51,9 @@ class PortLease:
                 probes.append(probe)
                 probe.bind((host, 0))
                 port = probe.getsockname()[1]
-                lock = (folder / str(port)).open("w")
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except OSError:
-                    lock.close()
-                    continue
-                self._locks.append(lock)
-                self.ports.append(port)
+                if (lock := _lock(folder / str(port))) is not None:
+                    self._locks.append(lock)
+                    self.ports.append(port)
         except OSError:
             self.release()
             raise
@@ -69,6 +68,19 @@ class PortLease:
                 os.unlink(lock.name)
             lock.close()
         self._locks = []
+
+
+def _lock(path: Path) -> IO[str] | None:
+    """Return the locked file at `path`, made if need be; none if another process has it locked, or deletes it."""
+    file = path.open("w")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            return file
+    except OSError:
+        pass
+    file.close()
+    return None
 
 
 class ProcessLauncher:

