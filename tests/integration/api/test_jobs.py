@@ -237,7 +237,12 @@ def test_a_token_that_may_only_read_changes_nothing(make_client: Callable[..., h
     job = submit(make_client("reader", "submit"))["id"]
     reader = make_client("reader", "read")
     assert reader.get(f"/jobs/{job}").status_code == 200
-    assert reader.get("/whoami").json() == {"owner": "reader", "scopes": ["read"]}
+    assert reader.get("/whoami").json() == {
+        "owner": "reader",
+        "scopes": ["read"],
+        "job_id": None,
+        "docs_url": "",
+    }
     for method, path in (
         ("POST", "/jobs"),
         ("POST", "/groups"),

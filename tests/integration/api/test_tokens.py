@@ -16,7 +16,7 @@ def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> No
     assert (made["owner"], made["name"], made["scopes"], made["revoked_at"]) == ("carol", "laptop", ["read"], None)
     assert made["expires_at"] > made["created_at"]
     with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {made['token']}"}) as carol:
-        assert carol.get("/whoami").json() == {"owner": "carol", "scopes": ["read"]}
+        assert carol.get("/whoami").json() == {"owner": "carol", "scopes": ["read"], "job_id": None, "docs_url": ""}
         listed = admin.get("/tokens")
         assert made["token"] not in listed.text
         (shown,) = (token for token in listed.json() if token["id"] == made["id"])

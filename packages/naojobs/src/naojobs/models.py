@@ -137,6 +137,8 @@ class Job(Work, Base):
     name: Mapped[str] = mapped_column(String(200))
     owner: Mapped[str] = mapped_column(String(200))
     tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
+    #: Text of the user about the job.
+    notes: Mapped[str] = mapped_column(server_default=text("''"))
     #: A `naospec.EvaluationSpec` for the evaluation at the end; null for none.
     evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     pause_requested: Mapped[bool] = mapped_column(server_default=text("false"))
@@ -402,6 +404,8 @@ class Token(Base):
     owner: Mapped[str] = mapped_column(String(200))
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     scopes: Mapped[list[str]]
+    #: The only job that the token gives access to; null for all jobs of the owner.
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Requirements
 from naojobs.checkpoints import newest_checkpoint
-from naojobs.database import Sessions
+from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
@@ -220,6 +220,37 @@ def same_request(earlier: J, digest: str | None) -> J:
             "Idempotency-Key",
         )
     return earlier
+
+
+def edit(
+    sessions: Sessions,
+    job_id: str,
+    *,
+    name: str | None = None,
+    tags: Sequence[str] | None = None,
+    notes: str | None = None,
+) -> Job:
+    """Change what a user calls a job and writes about it; None leaves a value as it is.
+
+    Raises NotFoundError, and ConflictError if another job of the owner has the name.
+    """
+    with sessions.begin() as session:
+        job = session.get(Job, job_id, with_for_update=True)
+        if job is None:
+            raise NotFoundError(f"no job {job_id}")
+        if name is not None and name != job.name:
+            if free_name(session, Job, job.owner, name) != name:
+                raise ConflictError(f"another job is named {name!r}; use another name", "name")
+            job.name = name
+        if tags is not None:
+            job.tags = list(tags)
+        if notes is not None:
+            job.notes = notes
+        job.updated_at = func.now()
+        session.flush()
+        session.refresh(job)
+        notify(session, job_id)
+    return job
 
 
 def free_name(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> str:

@@ -19,7 +19,17 @@ from naojobs.ids import new_id
 from naojobs.models import Token
 from naojobs.scopes import Scope
 
-__all__ = ["Principal", "Scope", "create_token", "get_token", "is_valid", "list_tokens", "revoke", "verify"]
+__all__ = [
+    "Principal",
+    "Scope",
+    "create_token",
+    "get_token",
+    "is_valid",
+    "list_tokens",
+    "revoke",
+    "revoke_shared",
+    "verify",
+]
 
 _PREFIX = "nao_"
 
@@ -41,11 +51,17 @@ class Principal:
     token_id: str
     owner: str
     scopes: frozenset[Scope]
+    #: The only job that it may access; none for all jobs of the owner.
+    job_id: str | None = None
 
     @property
     def is_admin(self) -> bool:
         """Whether it may access all users' jobs."""
         return Scope.ADMIN in self.scopes
+
+    def may_see(self, owner: str, job_id: str) -> bool:
+        """Return whether it may access a job of `owner`."""
+        return self.job_id in (None, job_id) and (self.is_admin or owner == self.owner)
 
 
 def create_token(
@@ -55,8 +71,9 @@ def create_token(
     owner: str,
     scopes: Sequence[Scope],
     valid_for: timedelta | None = None,
+    job_id: str | None = None,
 ) -> tuple[str, str]:
-    """Make a token; return its id and the secret, which cannot be read again."""
+    """Make a token, of one job if `job_id` is given; return its id and the secret, which cannot be read again."""
     if not scopes:
         raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
     if not owner or len(owner) > 200:
@@ -71,6 +88,7 @@ def create_token(
                 owner=owner,
                 sha256=_sha256(secret),
                 scopes=sorted(str(Scope(scope)) for scope in scopes),
+                job_id=job_id,
                 expires_at=func.now() + valid_for if valid_for is not None else None,
             ),
         )
@@ -86,7 +104,7 @@ def verify(sessions: Sessions, secret: str) -> Principal | None:
         if token is None:
             return None
         scopes = frozenset().union(*(_INCLUDES[Scope(scope)] for scope in token.scopes))
-        return Principal(token.id, token.owner, scopes)
+        return Principal(token.id, token.owner, scopes, token.job_id)
 
 
 def is_valid(sessions: Sessions, token_id: str) -> bool:
@@ -106,6 +124,15 @@ def revoke(sessions: Sessions, token_id: str) -> None:
         )
     if found is None:
         raise NotFoundError(f"no token {token_id}")
+
+
+def revoke_shared(sessions: Sessions, job_id: str) -> int:
+    """Revoke all tokens that give access to one job only; return their number."""
+    with sessions.begin() as session:
+        statement = (
+            update(Token).where(Token.job_id == job_id, Token.revoked_at.is_(None)).values(revoked_at=func.now())
+        )
+        return len(session.scalars(statement.returning(Token.id)).all())
 
 
 def get_token(sessions: Sessions, token_id: str) -> Token:

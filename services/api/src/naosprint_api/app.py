@@ -11,18 +11,21 @@ from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
-from starlette.middleware.gzip import GZipMiddleware
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp
 
 from naosprint_api import __version__, problems
 from naosprint_api.dependencies import storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
-from naosprint_api.routes import artifacts, catalog, jobs, policies, streams, studies, system, tokens
+from naosprint_api.routes import artifacts, catalog, jobs, policies, sharing, streams, studies, system, tokens
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
 STATIC = Path(__file__).parent / "static"
+
+#: Artifacts are compressed already, and clients ask for ranges of them.
+_NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/octet-stream", "application/x-tar")
 
 _DESCRIPTION = """\
 Submit trainings of simulated humanoid robots, follow them live and download the trained policies.
@@ -62,6 +65,7 @@ def create_app(service: Service) -> FastAPI:
         artifacts.router,
         policies.router,
         tokens.router,
+        sharing.router,
     )
     problems.install(app, routers)
     for router in routers:
@@ -73,7 +77,7 @@ def create_app(service: Service) -> FastAPI:
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
     pages = StaticFiles(directory=STATIC, html=True, check_dir=False)
-    app.mount("/ui", GZipMiddleware(pages, minimum_size=1000, compresslevel=6), name="ui")
+    app.mount("/ui", pages, name="ui")
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
@@ -100,4 +104,5 @@ def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
     """Return the application for a server, and its service."""
     service = Service.build(settings)
     app = create_app(service)
-    return Envelope(BodyLimit(app, settings.api_max_body_bytes), service.telemetry), service
+    compressed = GZipMiddleware(app, minimum_size=1000, compresslevel=6, exclude_content_types=_NOT_COMPRESSED)
+    return Envelope(BodyLimit(compressed, settings.api_max_body_bytes), service.telemetry), service

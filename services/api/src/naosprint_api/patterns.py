@@ -12,17 +12,23 @@ TAG = r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$"
 NAME = r"^[^\x00-\x1f]*$"
 #: Text without control characters, which Postgres refuses.
 PLAIN = r"^[^\x00-\x1f\x7f]*$"
+#: Text of several lines.
+TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$"
 #: An idempotency key.
 KEY = r"^[\x21-\x7e]{1,150}$"
 #: The name of a bundled policy.
 POLICY = r"^[a-z0-9-]{1,60}$"
+#: What lets a browser open a report: token, time of expiry, signature.
+TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 
 WORDS = {
     ID: "expected an id such as job_01jd8z6vq9k3m5t7x2c4b6n8pr, as lists show it",
     TAG: "expected a letter or digit, then letters, digits and ._:/=- (at most 50 characters)",
     NAME: "expected text without control characters",
     PLAIN: "expected text without control characters",
+    TEXT: "expected text without control characters",
     KEY: "expected 1 to 150 ASCII characters without spaces",
+    TICKET: "expected the address of a report as the service returned it",
     POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",
 }
 

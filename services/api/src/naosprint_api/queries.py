@@ -34,6 +34,7 @@ class JobFilter:
     group: str | None = None
     parent: str | None = None
     text: str | None = None
+    job_id: str | None = None
 
     def apply(self, statement: Select[tuple[Job]]) -> Select[tuple[Job]]:
         """Return `statement` narrowed to these jobs."""
@@ -47,9 +48,13 @@ class JobFilter:
             statement = statement.where(Job.group_id == self.group)
         if self.parent is not None:
             statement = statement.where(Job.parent_job_id == self.parent)
+        if self.job_id is not None:
+            statement = statement.where(Job.id == self.job_id)
         if self.text:
             statement = statement.where(
-                Job.name.icontains(self.text, autoescape=True) | Job.id.startswith(self.text, autoescape=True),
+                Job.name.icontains(self.text, autoescape=True)
+                | Job.id.startswith(self.text, autoescape=True)
+                | func.array_to_string(Job.tags, " ").icontains(self.text, autoescape=True),
             )
         return statement
 
@@ -105,14 +110,14 @@ def visible_job(sessions: Sessions, principal: Principal, job_id: str) -> Job:
     """Return a job that `principal` may see. Raises NotFoundError, also for jobs of others."""
     with sessions.begin() as session:
         job = session.get(Job, job_id)
-    if job is None or not _may_see(principal, job.owner, job_id):
+    if job is None or not _may_see(principal, job.owner, job_id, job_id):
         raise NotFoundError(f"no job {job_id} that this token may see")
     return job
 
 
-def _may_see(principal: Principal, owner: str, what: str) -> bool:
-    """Return whether `principal` may see what `owner` owns; log a refusal."""
-    if principal.is_admin or owner == principal.owner:
+def _may_see(principal: Principal, owner: str, job_id: str, what: str) -> bool:
+    """Return whether `principal` may see `what` of a job of `owner`; log a refusal."""
+    if principal.may_see(owner, job_id):
         return True
     _log.warning("refused %s (%s): %s belongs to %s", principal.owner, principal.token_id, what, owner)
     return False
@@ -124,7 +129,7 @@ def visible_checkpoint(sessions: Sessions, principal: Principal, checkpoint_id: 
         row = session.execute(
             select(Checkpoint, Job.owner).join(Job, Job.id == Checkpoint.job_id).where(Checkpoint.id == checkpoint_id),
         ).one_or_none()
-    if row is None or not _may_see(principal, row.owner, checkpoint_id):
+    if row is None or not _may_see(principal, row.owner, row.Checkpoint.job_id, checkpoint_id):
         raise NotFoundError(f"no checkpoint {checkpoint_id} that this token may see")
     checkpoint: Checkpoint = row.Checkpoint
     return checkpoint
@@ -136,7 +141,7 @@ def visible_evaluation(sessions: Sessions, principal: Principal, evaluation_id: 
         row = session.execute(
             select(Evaluation, Job.owner).join(Job, Job.id == Evaluation.job_id).where(Evaluation.id == evaluation_id),
         ).one_or_none()
-    if row is None or not _may_see(principal, row.owner, evaluation_id):
+    if row is None or not _may_see(principal, row.owner, row.Evaluation.job_id, evaluation_id):
         raise NotFoundError(f"no evaluation {evaluation_id} that this token may see")
     evaluation: Evaluation = row.Evaluation
     return evaluation
@@ -146,7 +151,7 @@ def visible_study(sessions: Sessions, principal: Principal, study_id: str) -> St
     """Return a study that `principal` may see. Raises NotFoundError, also for studies of others."""
     with sessions.begin() as session:
         study = session.get(Study, study_id)
-    if study is None or not _may_see(principal, study.owner, study_id):
+    if study is None or not _may_see(principal, study.owner, "", study_id):
         raise NotFoundError(f"no study {study_id} that this token may see")
     return study
 
@@ -164,6 +169,15 @@ def list_studies(
         statement = statement.where(Study.id < before)
     with sessions.begin() as session:
         return list(session.scalars(statement))
+
+
+def evaluation(sessions: Sessions, evaluation_id: str) -> Evaluation:
+    """Return an evaluation, whoever owns it. Raises NotFoundError."""
+    with sessions.begin() as session:
+        row = session.get(Evaluation, evaluation_id)
+    if row is None:
+        raise NotFoundError(f"no evaluation {evaluation_id}")
+    return row
 
 
 def metrics_columns(sessions: Sessions, job_id: str, *, after_step: int, max_points: int) -> MetricsPublic:
@@ -218,10 +232,13 @@ def logs_after(sessions: Sessions, job_id: str, *, after: int, limit: int) -> li
         )
 
 
-def logs_tail(sessions: Sessions, job_id: str, *, limit: int) -> list[Log]:
-    """Return the last log lines of a job, oldest first."""
+def logs_tail(sessions: Sessions, job_id: str, *, limit: int, before: int | None = None) -> list[Log]:
+    """Return the last log lines of a job, or the last ones before the line `before`, oldest first."""
+    statement = select(Log).where(Log.job_id == job_id).order_by(Log.id.desc()).limit(limit)
+    if before is not None:
+        statement = statement.where(Log.id < before)
     with sessions.begin() as session:
-        rows = session.scalars(select(Log).where(Log.job_id == job_id).order_by(Log.id.desc()).limit(limit)).all()
+        rows = session.scalars(statement).all()
     return list(reversed(rows))
 
 

@@ -13,7 +13,7 @@ from naospec import EvaluationSpec, TrainingSpec
 from naospec.search import SearchSpec
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from naosprint_api.patterns import ID, NAME, PLAIN, TAG
+from naosprint_api.patterns import ID, NAME, PLAIN, TAG, TEXT
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
 #: Words that refer to a job in commands, and so are not allowed as names.
@@ -83,6 +83,37 @@ class JobCreate(_Request):
         return JobRequest(**{name: getattr(self, name) for name in type(self).model_fields})
 
 
+class JobPatch(_Request):
+    """Changes of a job's name, tags and notes."""
+
+    name: Name | None = Field(None, description="New name, which no other job of the owner has.")
+    tags: list[Tag] | None = Field(None, max_length=20, description="All tags from now on.")
+    notes: Annotated[str, StringConstraints(max_length=10_000, pattern=TEXT)] | None = Field(
+        None, description="Notes: plain text, at most 10,000 characters."
+    )
+
+
+class ShareCreate(_Request):
+    """Sharing of a job."""
+
+    expires_in_days: float = Field(30, gt=0, le=366, description="Days until the link expires.")
+
+
+class SharePublic(BaseModel):
+    """Read-only token for one job."""
+
+    token: str = Field(description="The secret. It is shown only here.")
+    job_id: str
+    expires_at: datetime
+
+
+class PagePublic(BaseModel):
+    """Address of a page that can be opened without a token for a few minutes."""
+
+    url: str = Field(description="Where the page is, below the API's root.")
+    expires_at: datetime
+
+
 class GroupCreate(_Request):
     """Jobs to submit that differ in a few fields: N seeds, a grid, or both."""
 
@@ -146,6 +177,7 @@ class JobPublic(_Public):
     name: str
     owner: str
     tags: list[str]
+    notes: str = Field(description="The user's notes.")
     state: WorkState
     priority: int
     queue: str = Field(description="Queue of the broker for its wake-up message.")
@@ -376,6 +408,7 @@ class TokenPublic(_Public):
     name: str
     owner: str
     scopes: list[Scope]
+    job_id: str | None = Field(description="The only job that it gives access to; null for all jobs of the owner.")
     created_at: datetime
     expires_at: datetime | None
     revoked_at: datetime | None

@@ -39,4 +39,9 @@ class ApiSettings(ServiceSettings):
         False,
         description="Whether /metrics may be read without a token; else it needs one with the scope metrics or admin.",
     )
+    api_docs_url: str = Field(
+        "",
+        pattern=r"^(https?://.+/)?$",
+        description="Address of the documentation's site, ending with a slash; the dashboard's pages link to it.",
+    )
     api_docs_public: bool = Field(True, description="Whether /openapi.json is served.")

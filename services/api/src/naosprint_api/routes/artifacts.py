@@ -121,7 +121,8 @@ def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service
     return service.show_evaluation(lifecycle.request_cancel(service.sessions, Evaluation, evaluation_id))
 
 
-def _finished(row: Evaluation) -> tuple[str, Manifest]:
+def finished(row: Evaluation) -> tuple[str, Manifest]:
+    """Return the key and the manifest of an evaluation that has succeeded. Raises NotFoundError."""
     if row.state is not WorkState.SUCCEEDED or row.key is None:
         raise NotFoundError(f"evaluation {row.id} is {row.state}; it has no files")
     return row.key, Manifest.model_validate(row.manifest)
@@ -137,7 +138,7 @@ def get_evaluation_file(
     presigned: Presigned = False,
 ) -> Response:
     """Download a file of an evaluation; a Range header selects a part of it."""
-    key, manifest = _finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
+    key, manifest = finished(queries.visible_evaluation(service.reads, principal, evaluation_id))
     return send_file(request, service.store, service.store_threads, key, manifest, name, presigned=presigned)
 
 
@@ -145,5 +146,5 @@ def get_evaluation_file(
 def get_evaluation_archive(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> Response:
     """Download all files of an evaluation as a tar archive."""
     row = queries.visible_evaluation(service.reads, principal, evaluation_id)
-    key, manifest = _finished(row)
+    key, manifest = finished(row)
     return send_archive(service.store, service.store_threads, key, manifest, evaluation_id, row.created_at)

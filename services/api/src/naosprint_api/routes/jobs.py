@@ -31,6 +31,7 @@ from naosprint_api.schemas import (
     GroupPublic,
     JobCreate,
     JobPage,
+    JobPatch,
     JobPublic,
     LogPage,
     MetricsPublic,
@@ -58,7 +59,8 @@ def job_filter(
     group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
-        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or the beginning of the id.")
+        str | None,
+        Query(max_length=200, pattern=PLAIN, description="Part of the name or of a tag, or the beginning of the id."),
     ] = None,
 ) -> queries.JobFilter:
     """Return the filter of a query, restricted to the jobs that the token may see."""
@@ -68,7 +70,9 @@ def job_filter(
         owner = principal.owner
     # A tag that no job can have matches nothing, without an error.
     tags = [item for item in tag if "\x00" not in item]
-    return queries.JobFilter(states=state, tags=tags, owner=owner, group=group, parent=parent, text=q)
+    return queries.JobFilter(
+        states=state, tags=tags, owner=owner, group=group, parent=parent, text=q, job_id=principal.job_id
+    )
 
 
 def require_space(service: Service, owner: str) -> None:
@@ -149,7 +153,8 @@ def list_jobs(
     group: Annotated[str | None, Query(pattern=PATTERN, description="Jobs of this group.")] = None,
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
-        str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name, or the beginning of the id.")
+        str | None,
+        Query(max_length=200, pattern=PLAIN, description="Part of the name or of a tag, or the beginning of the id."),
     ] = None,
     limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
     cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
@@ -168,6 +173,13 @@ def list_jobs(
 def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
     """Look up one job."""
     return service.show_job(queries.visible_job(service.reads, principal, job_id))
+
+
+@router.patch("/jobs/{job_id}", responses={**CONTROL, **responses(413)})
+def edit_job(job_id: JobId, body: JobPatch, principal: Submitter, service: ServiceDep) -> JobPublic:
+    """Rename a job, or change its tags or notes; fields left out stay as they are."""
+    controllable(service, principal, job_id)
+    return service.show_job(submission.edit(service.sessions, job_id, **body.model_dump()))
 
 
 @router.post("/jobs/{job_id}/cancel", responses=CONTROL)
@@ -238,11 +250,15 @@ def get_logs(
     after: After = 0,
     limit: Limit = 200,
     tail: Annotated[bool, Query(description="The last lines instead of those after `after`.")] = False,
+    before: Annotated[
+        int | None,
+        Query(ge=1, le=MAX_BIGINT, description="The last lines before this id instead of those after `after`."),
+    ] = None,
 ) -> LogPage:
     """Get lines of a job's log, oldest first."""
     queries.visible_job(service.reads, principal, job_id)
-    if tail:
-        rows = queries.logs_tail(service.reads, job_id, limit=limit)
+    if tail or before is not None:
+        rows = queries.logs_tail(service.reads, job_id, limit=limit, before=before)
     else:
         rows = queries.logs_after(service.reads, job_id, after=after, limit=limit)
     return LogPage(items=[log_view(row) for row in rows], next_after=rows[-1].id if rows else None)

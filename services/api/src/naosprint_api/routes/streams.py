@@ -222,7 +222,7 @@ async def _news_of_all(
                 yield KEEPALIVE_COMMENT
             deleted, subscription.deleted = subscription.deleted, {}
             for job_id, owner in deleted.items():
-                if wanted.owner in (None, owner):
+                if wanted.owner in (None, owner) and wanted.job_id in (None, job_id):
                     yield _message("gone", {"id": job_id}, since.isoformat())
 
 

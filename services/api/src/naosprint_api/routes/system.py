@@ -44,6 +44,8 @@ class Identity(BaseModel):
 
     owner: str
     scopes: list[Scope]
+    docs_url: str = Field(description="Address of the documentation's site; empty if the service knows none.")
+    job_id: str | None = Field(description="The only job that the token gives access to; null for all of the owner's.")
 
 
 @router.get("/healthz")
@@ -89,9 +91,14 @@ async def figures(request: Request) -> Response:
 
 
 @router.get("/whoami", responses=responses(401, 403, 429, 503))
-def whoami(principal: Reader) -> Identity:
+def whoami(principal: Reader, service: ServiceDep) -> Identity:
     """Return the token's owner and scopes."""
-    return Identity(owner=principal.owner, scopes=sorted(principal.scopes))
+    return Identity(
+        owner=principal.owner,
+        scopes=sorted(principal.scopes),
+        job_id=principal.job_id,
+        docs_url=service.settings.api_docs_url,
+    )
 
 
 @router.get("/workers", responses=responses(401, 403, 429, 503))
@@ -99,4 +106,6 @@ def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
     """List the workers with their capabilities, and their leased jobs (one's own, unless the token is admin)."""
     found = registry.workers(service.reads, stale_s=service.settings.lease_s)
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
+    if mine is not None and principal.job_id is not None:
+        mine &= {principal.job_id}
     return [worker_view(worker, mine) for worker in found]

@@ -34,9 +34,47 @@ export function setToken(value, remember) {
   }
 }
 
-export function clearToken() {
+/** Forget the token in this tab, or in all tabs of this browser. */
+export function clearToken({ everywhere = false } = {}) {
   memory = null;
   for (const store of stores()) store.removeItem(KEY);
+  if (everywhere) channel?.postMessage({ type: "sign-out" });
+}
+
+const BORROW_MS = 250;
+const channel = typeof BroadcastChannel === "undefined" ? null : new BroadcastChannel(KEY);
+let signedOut = () => {};
+/** Set what happens when another tab signs out. */
+export function onSignOut(handler) {
+  signedOut = handler;
+}
+
+channel?.addEventListener("message", ({ data }) => {
+  if (data.type === "ask" && token()) channel.postMessage({ type: "token", token: token() });
+  else if (data.type === "sign-out" && token()) {
+    clearToken();
+    signedOut();
+  }
+});
+
+/** Take the token over from another open tab of this browser; returns whether there was one. */
+export function borrowToken() {
+  if (!channel) return Promise.resolve(false);
+  return new Promise((resolve) => {
+    const done = (found) => {
+      clearTimeout(timer);
+      channel.removeEventListener("message", take);
+      resolve(found);
+    };
+    const take = ({ data }) => {
+      if (data.type !== "token") return;
+      setToken(data.token, false);
+      done(true);
+    };
+    const timer = setTimeout(done, BORROW_MS, false);
+    channel.addEventListener("message", take);
+    channel.postMessage({ type: "ask" });
+  });
 }
 
 /** An answer that is no success. `fields` maps field names to messages. */

@@ -1,23 +1,11 @@
 /** Start the dashboard: frame, sign-in, routes, keyboard. */
 
-import { call, clearToken, OfflineError, onUnauthorised, setToken, token } from "./api.js";
+import { borrowToken, call, clearToken, OfflineError, onSignOut, onUnauthorised, setToken, token, url } from "./api.js";
 import { fill, h, icon, isTyping, toast } from "./dom.js";
+import { PAGES, pageAt, SHORTCUTS, shortcut } from "./pages.js";
 import { onConnection } from "./stream.js";
 import { setTheme, theme } from "./theme.js";
 import { problem } from "./views/messages.js";
-
-/** Path pattern, module and the page's name; modules load on first use. */
-const ROUTES = [
-  [/^\/?$/, () => import("./views/jobs.js"), "jobs"],
-  [/^\/submit$/, () => import("./views/submit.js"), "submit"],
-  [/^\/compare$/, () => import("./views/compare.js"), "compare"],
-  [/^\/studies$/, () => import("./views/studies.js"), "studies"],
-  [/^\/studies\/(?<id>[^/]+)$/, () => import("./views/study.js"), "studies"],
-  [/^\/workers$/, () => import("./views/workers.js"), "workers"],
-  [/^\/policies$/, () => import("./views/policies.js"), "policies"],
-  [/^\/policies\/(?<id>[^/]+)$/, () => import("./views/policy.js"), "policies"],
-  [/^\/jobs\/(?<id>[^/]+)(?:\/(?<tab>[a-z]+))?(?:\/(?<sub>[^/]+))?$/, () => import("./views/job.js"), "jobs"],
-];
 
 const main = document.getElementById("main");
 const top = document.getElementById("top");
@@ -47,16 +35,17 @@ async function show() {
     history.replaceState(null, "", `#${path === "/sign-in" ? "/" : path}${params.size ? `?${params}` : ""}`);
     return show();
   }
-  if (!token()) return signIn();
-  const found = ROUTES.map(([pattern, load, name]) => ({ match: pattern.exec(path), load, name })).find((r) => r.match);
+  if (!token() && !(await borrowToken())) return mine === turn ? signIn() : undefined;
+  top.hidden = false;
+  const found = pageAt(path);
   // A view may take over a change of place within itself (another tab, another filter) without being built anew.
-  const where = { path, params, ...(found?.match.groups ?? {}) };
+  const where = { path, params, ...(found?.parts ?? {}) };
   if (found && current?.update && current.name === found.name && current.update(where)) {
-    frame(found.name);
+    frame(found);
     return;
   }
   leave();
-  frame(found?.name);
+  frame(found);
   if (!found) {
     document.title = "Not found · naosprint";
     fill(
@@ -65,14 +54,14 @@ async function show() {
         "div",
         { class: "card empty" },
         h("h1", null, "There is no such page"),
-        h("p", null, `Nothing lives at ${path}.`),
+        h("p", null, `There is nothing at ${path}.`),
         h("a", { class: "button primary", href: "#/" }, "Show all jobs"),
       ),
     );
     return;
   }
   const controller = new AbortController();
-  current = { name: found.name, controller };
+  current = { name: found.name, page: found, controller };
   try {
     const module = await found.load().catch(() => {
       throw new OfflineError("A part of this page could not be loaded.");
@@ -83,7 +72,7 @@ async function show() {
       view?.destroy?.();
       return;
     }
-    current = { name: found.name, controller, destroy: view?.destroy, update: view?.update };
+    current = { name: found.name, page: found, controller, destroy: view?.destroy, update: view?.update };
   } catch (error) {
     if (error.name === "AbortError" || mine !== turn) return;
     // A module that failed to load stays failed until the page is loaded anew.
@@ -144,27 +133,54 @@ onConnection((state) => {
   linkState.hidden = state === "idle";
 });
 
-function frame(name) {
-  const link = (href, text, key) => h("a", { href, "aria-current": key === name ? "page" : null }, text);
+let identity = null;
+
+/** Who is signed in, and where the documentation is; asked for once for each token. */
+async function identify() {
+  const mine = token();
+  if (identity?.token === mine) return;
+  identity = { token: mine };
+  try {
+    identity = { token: mine, ...(await call("whoami")) };
+    if (token() === mine) frame(current?.page);
+  } catch {
+    identity = null; // the page itself says what is wrong
+  }
+}
+
+function frame(page) {
+  const documents = identity?.docs_url;
+  const logo = new URL("../favicon.svg", import.meta.url).href;
+  const maySubmit = !identity?.scopes || identity.scopes.includes("submit");
   fill(
     top,
     h(
       "a",
       { class: "brand", href: "#/", "aria-label": "naosprint: all jobs" },
-      h("img", { src: new URL("../favicon.svg", import.meta.url).href, alt: "" }),
+      h("img", { src: logo, alt: "" }),
       h("span", null, "naosprint"),
     ),
     h(
       "nav",
       { "aria-label": "Main" },
-      link("#/", "Jobs", "jobs"),
-      link("#/compare", "Compare", "compare"),
-      link("#/studies", "Studies", "studies"),
-      link("#/workers", "Workers", "workers"),
-      link("#/policies", "Policies", "policies"),
+      PAGES.filter((p) => p.nav).map((p) =>
+        h("a", { href: `#${p.path}`, "aria-current": p.name === page?.name ? "page" : null }, p.nav),
+      ),
     ),
     h("span", { class: "space" }),
     linkState,
+    documents
+      ? h(
+          "a",
+          {
+            class: "button ghost wide-only",
+            href: new URL(page?.docs ?? "index.html", documents).href,
+            target: "_blank",
+            rel: "noreferrer",
+          },
+          "Docs",
+        )
+      : null,
     themeButton(),
     h(
       "button",
@@ -183,15 +199,16 @@ function frame(name) {
         "aria-label": "Sign out",
         title: "Sign out",
         onclick: () => {
-          clearToken();
+          clearToken({ everywhere: true });
           leave();
           signIn();
         },
       },
       icon("out"),
     ),
-    h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")),
+    maySubmit ? h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")) : null,
   );
+  identify();
 }
 
 /** Show the sign-in form; the place stays in the address and is opened afterwards. */
@@ -295,20 +312,8 @@ function signIn(message) {
 }
 
 function showKeys() {
-  const key = (k) => h("span", { class: "kbd" }, k);
-  const rows = [
-    [["n"], "New job"],
-    [["g", "j"], "All jobs"],
-    [["g", "c"], "Compare"],
-    [["g", "w"], "Workers"],
-    [["g", "p"], "Policies"],
-    [["/"], "Search jobs"],
-    [["j", "k"], "Next, previous job"],
-    [["Enter"], "Open job"],
-    [["x"], "Select job for comparison"],
-    [["t"], "Change theme"],
-    [["?"], "This list"],
-  ];
+  const rows = [...PAGES.filter((page) => page.keys), ...SHORTCUTS];
+  const documents = identity?.docs_url;
   const dialog = h(
     "dialog",
     { class: "modal", "aria-labelledby": "keys-title" },
@@ -319,14 +324,20 @@ function showKeys() {
       h(
         "dl",
         { class: "keys" },
-        rows.map(([keys, text]) => [
+        rows.map(({ keys, about, nav }) => [
           h(
             "dt",
             null,
-            keys.map((k) => [key(k), " "]),
+            keys.map((key) => [h("span", { class: "kbd" }, key), " "]),
           ),
-          h("dd", null, text),
+          h("dd", null, about ?? nav),
         ]),
+      ),
+      h(
+        "p",
+        null,
+        documents ? [h("a", { href: documents, target: "_blank", rel: "noreferrer" }, "Documentation"), " · "] : null,
+        h("a", { href: url("openapi.json").href, target: "_blank", rel: "noreferrer" }, "HTTP API (OpenAPI)"),
       ),
       h("div", { class: "row end" }, h("button", { value: "ok" }, "Close")),
     ),
@@ -336,38 +347,34 @@ function showKeys() {
   dialog.showModal();
 }
 
-let prefix = 0;
-addEventListener("keydown", (event) => {
-  if (
-    event.ctrlKey ||
-    event.metaKey ||
-    event.altKey ||
-    isTyping(event) ||
-    document.querySelector("dialog[open]") ||
-    !token()
-  )
-    return;
-  const after = Date.now() - prefix < 1200;
-  prefix = 0;
-  const aim = after && { j: "/", c: "/compare", w: "/workers", p: "/policies" }[event.key];
-  if (aim) {
-    event.preventDefault();
-    go(aim);
-    event.stopImmediatePropagation();
-    return;
-  }
-  if (event.key === "g") prefix = Date.now();
-  else if (event.key === "n") {
-    event.preventDefault();
-    go("/submit");
-  } else if (event.key === "?") showKeys();
-  else if (event.key === "t") {
+const RUN = {
+  help: showKeys,
+  theme: () => {
     setTheme(THEMES[theme()][0]);
     toast(THEMES[theme()][2]);
-    frame(current?.name);
-  }
+    frame(current?.page);
+  },
+};
+
+const PREFIX_MS = 1200;
+let prefix = { key: undefined, at: 0 };
+addEventListener("keydown", (event) => {
+  const busy = event.ctrlKey || event.metaKey || event.altKey || isTyping(event);
+  if (busy || document.querySelector("dialog[open]") || !token()) return;
+  const before = Date.now() - prefix.at < PREFIX_MS ? prefix.key : undefined;
+  const found = shortcut(event.key, before) ?? shortcut(event.key, undefined);
+  prefix = { key: event.key === "g" ? "g" : undefined, at: Date.now() };
+  if (!found) return;
+  event.preventDefault();
+  event.stopImmediatePropagation();
+  if (found.run) RUN[found.run]();
+  else go(found.path);
 });
 
+onSignOut(() => {
+  leave();
+  signIn();
+});
 onUnauthorised(() => {
   clearToken();
   top.hidden = true;

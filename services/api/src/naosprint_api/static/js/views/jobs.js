@@ -1,167 +1,92 @@
-/** All jobs, live: filter, search, act, choose some to compare. */
+/** All jobs, live: filter, search, sort, choose columns, act on one or on several, choose some to compare. */
 
 import { call, query } from "../api.js";
 import { common, Descriptions, descriptions } from "../descriptions.js";
-import { fill, h, icon, isTyping, setText } from "../dom.js";
-import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
-import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
-import { ACTIVE, actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
+import { confirmDialog, fill, h, icon, isTyping, toast } from "../dom.js";
+import { act, latest, progress, remaining, shownMetric } from "../jobs.js";
+import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
+import { Row } from "./job-row.js";
 import { loading, problem } from "./messages.js";
 
-const PAGE = 50;
+/** Jobs of the first answer, which is shown at once, and of the others. */
+const FIRST = 50;
+const PAGE = 200;
+/** Most jobs that the page holds. */
+const MOST = 5000;
+/** Lists up to this length are drawn as a whole; of longer ones, only the rows near the view. */
+const WHOLE = 60;
+/** Rows drawn beyond each edge of the view. */
+const MARGIN = 12;
 /** Columns of metrics. */
 const MOST_METRICS = 3;
 const FILTERS = [
   ["", "All"],
   ["active", "Active"],
+  ["paused", "Paused"],
   ["succeeded", "Succeeded"],
   ["failed", "Failed"],
   ["cancelled", "Cancelled"],
 ];
-const statesOf = (key) => (key === "active" ? ACTIVE : key ? [key] : []);
+const STATES = { "": [], active: ACTIVE, paused: ["paused", "pausing"] };
+const statesOf = (key) => STATES[key] ?? [key];
+const HIDDEN_KEY = "naosprint.jobs.hidden";
 
-/** One table row that is updated in place. */
-class Row {
-  constructor(job, list) {
-    this.list = list;
-    this.check = h("input", { type: "checkbox", onchange: () => list.select(this.job.id, this.check.checked) });
-    this.link = h("a", { href: `#/jobs/${job.id}` });
-    this.sub = h("div", { class: "sub" });
-    this.state = h("td", { class: "st" });
-    this.percent = h("span");
-    this.steps = h("span", { class: "muted" });
-    this.fillBar = h("span");
-    this.bar = h("div", { class: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100 }, this.fillBar);
-    const cell = (label, extra) => h("td", { class: ["num figs", extra], "data-label": label });
-    this.metrics = [];
-    this.cells = [];
-    this.rate = cell("Steps/s", "rate");
-    this.eta = cell("Time left");
-    this.age = h("td", { class: "num age muted" });
-    this.owner = h("td", { class: "owner muted" });
-    this.actions = h("div", { class: "row" });
-    this.element = h(
-      "tr",
-      { "data-job": job.id },
-      h("td", { class: "check" }, this.check),
-      h("td", { class: "name" }, this.link, this.sub),
-      this.state,
-      h("td", { class: "progress" }, h("div", { class: "row" }, this.percent, this.steps), this.bar),
-      this.rate,
-      this.eta,
-      this.owner,
-      this.age,
-      h("td", { class: "actions" }, this.actions),
-    );
-    this.update(job);
-  }
+/** Columns by key, with what they sort by; metrics stand in front of the steps per second. */
+const COLUMNS = [
+  { key: "name", title: "Name", fixed: true, value: (job) => job.name.toLowerCase() },
+  { key: "state", title: "State", value: (job) => [...ACTIVE, "succeeded", "failed", "cancelled"].indexOf(job.state) },
+  { key: "progress", title: "Progress", value: progress },
+  {
+    key: "rate",
+    title: "Steps/s",
+    number: true,
+    value: (job) => (job.state === "running" ? latest(job).steps_per_s : null),
+  },
+  { key: "eta", title: "Time left", number: true, value: (job) => (isEnded(job.state) ? null : remaining(job)) },
+  { key: "owner", title: "Owner", value: (job) => job.owner },
+  { key: "age", title: "Submitted", number: true, value: (job) => job.created_at },
+];
 
-  /** Show these metrics, each in a cell. */
-  setMetrics(metrics) {
-    for (const cell of this.cells) cell.remove();
-    this.metrics = metrics;
-    this.cells = metrics.map((m) => h("td", { class: "num figs", "data-label": m.title }));
-    this.rate.before(...this.cells);
-    this.paintMetrics();
-  }
-
-  paintMetrics() {
-    const own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
-    this.metrics.forEach(({ name }, i) => {
-      const metric = own.get(name);
-      const shown = metric ? shownMetric(this.job, metric) : null;
-      const text = shown ? metricText(metric, shown.value) : "–";
-      figure(this.cells[i], text, metric ? shownUnit(metric) : "", Boolean(shown?.training) && text !== "–");
-      this.cells[i].title =
-        !shown || text === "–"
-          ? ""
-          : shown.training
-            ? "During training, with exploration"
-            : `Evaluation of ${integer(this.job.result.episodes)} episodes`;
-    });
-  }
-
-  update(job) {
-    const before = this.job;
-    this.job = job;
-    const m = latest(job);
-    this.check.setAttribute("aria-label", `Select ${job.name}`);
-    setText(this.link, job.name);
-    if (!before || before.tags.join() !== job.tags.join())
-      fill(
-        this.sub,
-        h("span", null, summary(job)),
-        job.tags.map((t) => h("a", { class: "tag", href: `#/?tag=${encodeURIComponent(t)}` }, t)),
-      );
-    const key = job.state + (stateNote(job) ?? "");
-    if (this.key !== key) {
-      fill(this.state, stateBadge(job.state, stateNote(job)));
-      fill(
-        this.actions,
-        actionsFor(job).map((a) =>
-          h(
-            "button",
-            {
-              class: ["ghost square", a.danger && "danger"],
-              title: a.label,
-              "aria-label": `${a.label} ${job.name}`,
-              "data-action": a.name,
-              onclick: () => this.list.act(this.job, a.name),
-            },
-            icon(a.icon),
-          ),
-        ),
-      );
-      this.key = key;
-    }
-    const share = progress(job);
-    setText(this.percent, share > 0 && share < 0.001 ? "<0.1 %" : percent(share, share < 1 ? 1 : 0));
-    setText(this.steps, `${compact(job.progress_step)} / ${compact(job.total_steps)}`);
-    this.bar.dataset.tone = isEnded(job.state) || job.state === "paused" ? tone(job.state) : "blue";
-    this.bar.setAttribute("aria-valuenow", Math.round(share * 100));
-    this.bar.setAttribute("aria-label", `${job.name}: steps done`);
-    this.fillBar.style.width = `${share * 100}%`;
-    this.fillBar.hidden = share === 0;
-    this.paintMetrics();
-    figure(this.rate, job.state === "running" ? integer(m.steps_per_s) : "–");
-    setText(this.owner, job.owner);
-    this.tick();
-  }
-
-  /** What changes with time alone. */
-  tick() {
-    setText(this.eta, isEnded(this.job.state) ? "–" : duration(remaining(this.job)));
-    setText(this.age, ago(this.job.created_at));
-    this.age.title = `Submitted ${stamp(this.job.created_at)}${this.job.started_at ? `, ran ${duration(elapsed(this.job))}` : ""}`;
+function readHidden() {
+  try {
+    return new Set(JSON.parse(localStorage.getItem(HIDDEN_KEY) ?? "[]"));
+  } catch {
+    return new Set();
   }
 }
 
-function figure(cell, text, unit, training = false) {
-  const key = `${text}${training}`;
-  if (cell.dataset.key === key) return;
-  cell.dataset.key = key;
-  fill(
-    cell,
-    text,
-    unit && text !== "–" ? h("span", { class: "unit" }, unit) : null,
-    training ? h("span", { class: "unit" }, "training") : null,
-  );
+function writeHidden(keys) {
+  try {
+    localStorage.setItem(HIDDEN_KEY, JSON.stringify([...keys]));
+  } catch {
+    /* storage refused: lasts for this page */
+  }
 }
+
+const filterOf = (params) => ({
+  state: params.get("state") ?? "",
+  tag: params.get("tag") ?? "",
+  q: params.get("q") ?? "",
+  sort: params.get("sort") ?? "",
+});
 
 class JobsView {
   constructor(root, { params, signal, go }) {
     this.root = root;
     this.signal = signal;
     this.go = go;
+    this.jobs = new Map();
     this.rows = new Map();
+    this.order = [];
     this.selected = new Set();
-    /** The newest state of each job that the stream has told of; an answer that is older does not undo it. */
+    /** The newest state of each job that the stream has sent; an answer that is older does not undo it. */
     this.news = new Map();
     this.known = new Descriptions();
     this.metrics = [];
-    this.cursor = null;
-    this.filter = { state: params.get("state") ?? "", tag: params.get("tag") ?? "", q: params.get("q") ?? "" };
+    this.hidden = readHidden();
+    this.filter = filterOf(params);
+    this.turn = 0;
   }
 
   async start() {
@@ -175,8 +100,8 @@ class JobsView {
     );
     this.search = h("input", {
       type: "search",
-      placeholder: "Search name or id",
-      "aria-label": "Search jobs by name or id",
+      placeholder: "Search name, tag or id",
+      "aria-label": "Search jobs by name, tag or id",
       value: this.filter.q,
       oninput: () => {
         clearTimeout(this.typing);
@@ -184,13 +109,11 @@ class JobsView {
       },
     });
     this.tag = h("div", { class: "row" });
+    this.columnList = h("div", { class: "menu-list" });
+    this.columnMenu = h("details", { class: "menu" }, h("summary", { class: "button" }, "Columns"), this.columnList);
+    this.above = h("tbody", { "aria-hidden": "true" });
     this.body = h("tbody");
-    this.more = h("button", { onclick: () => this.load(true) }, "Show more");
-    this.moreBox = h(
-      "div",
-      { class: "row", style: { "justify-content": "center", "margin-top": "1rem" }, hidden: true },
-      this.more,
-    );
+    this.below = h("tbody", { "aria-hidden": "true" });
     this.box = h("div", { class: "card" }, loading("Loading jobs"));
     this.bar = h("div", { class: "select-bar", hidden: true });
     fill(
@@ -202,14 +125,17 @@ class JobsView {
         h("div", { class: "segments", role: "group", "aria-label": "Show by state" }, this.segments),
         h("div", { class: "search" }, icon("search"), this.search),
         this.tag,
+        this.columnMenu,
       ),
       this.box,
-      this.moreBox,
       this.bar,
     );
     this.paintTag();
     this.keys = (event) => this.onKey(event);
     addEventListener("keydown", this.keys);
+    this.scrolled = () => this.soon();
+    addEventListener("scroll", this.scrolled, { passive: true });
+    addEventListener("resize", this.scrolled);
     this.timer = setInterval(() => {
       for (const row of this.rows.values()) row.tick();
     }, 5000);
@@ -217,13 +143,16 @@ class JobsView {
     follow("jobs/stream", {
       signal: this.signal,
       onEvent: (type, job) => this.onEvent(type, job),
-      onError: () => this.load(false),
+      onError: () => this.load(),
     });
-    this.fallback = setTimeout(() => this.loaded || this.load(false), 1500);
+    this.fallback = setTimeout(() => this.loaded || this.load(), 1500);
   }
 
   destroy() {
     removeEventListener("keydown", this.keys);
+    removeEventListener("scroll", this.scrolled);
+    removeEventListener("resize", this.scrolled);
+    cancelAnimationFrame(this.frame);
     clearInterval(this.timer);
     clearTimeout(this.typing);
     clearTimeout(this.fallback);
@@ -232,34 +161,36 @@ class JobsView {
   /** Take over a change of the address within this page. */
   update({ path, params }) {
     if (path !== "/" && path !== "") return false;
-    const next = { state: params.get("state") ?? "", tag: params.get("tag") ?? "", q: params.get("q") ?? "" };
-    if (JSON.stringify(next) === JSON.stringify(this.filter)) return true;
+    const next = filterOf(params);
+    const { sort, ...asked } = this.filter;
+    const same = Object.entries(asked).every(([name, value]) => next[name] === value);
     this.filter = next;
+    if (same) {
+      if (sort !== next.sort) this.paint();
+      return true;
+    }
     if (document.activeElement !== this.search) this.search.value = next.q;
     FILTERS.forEach(([key], i) => this.segments[i].setAttribute("aria-pressed", String(key === next.state)));
     this.paintTag();
-    this.load(false);
+    this.load();
     return true;
   }
 
   apply(change) {
-    this.go(`/${query({ ...this.filter, ...change })}`, { replace: "q" in change });
+    this.go(`/${query({ ...this.filter, ...change })}`, { replace: "q" in change || "sort" in change });
   }
 
   paintTag() {
+    const { tag } = this.filter;
     fill(
       this.tag,
-      this.filter.tag
+      tag
         ? [
             h("span", { class: "muted" }, "Tag"),
             h(
               "button",
-              {
-                class: "small",
-                "aria-label": `Stop filtering by tag ${this.filter.tag}`,
-                onclick: () => this.apply({ tag: "" }),
-              },
-              this.filter.tag,
+              { class: "small", "aria-label": `Stop filtering by tag ${tag}`, onclick: () => this.apply({ tag: "" }) },
+              tag,
               icon("close"),
             ),
           ]
@@ -267,161 +198,279 @@ class JobsView {
     );
   }
 
-  async load(more) {
-    this.turn = (this.turn ?? 0) + 1;
+  /** Read the jobs of the filter: the newest at once, then all others. */
+  async load() {
+    this.turn += 1;
     const turn = this.turn;
     const { state, tag, q } = this.filter;
+    let cursor = null;
     try {
-      const [known, page] = await Promise.all([
-        descriptions(),
-        call(`jobs${query({ state: statesOf(state), tag, q, limit: PAGE, cursor: more ? this.cursor : null })}`, {
-          signal: this.signal,
-        }),
-      ]);
-      this.known = known;
-      if (turn !== this.turn) return;
-      this.loaded = true;
-      if (!more) {
-        this.rows.clear();
-        this.body.replaceChildren();
-      }
-      for (const job of page.items) this.put(job, "append");
-      this.cursor = page.next_cursor;
-      this.moreBox.hidden = !this.cursor;
-      this.paint();
+      do {
+        const limit = cursor ? PAGE : FIRST;
+        const params = query({ state: statesOf(state), tag, q, limit, cursor });
+        const [known, page] = await Promise.all([descriptions(), call(`jobs${params}`, { signal: this.signal })]);
+        if (turn !== this.turn) return;
+        this.known = known;
+        if (!cursor) {
+          this.jobs.clear();
+          this.rows.clear();
+          this.loaded = true;
+        }
+        for (const job of page.items) this.put(job);
+        cursor = page.next_cursor;
+        this.paint();
+      } while (cursor && this.jobs.size < MOST);
     } catch (error) {
       if (error.name === "AbortError" || turn !== this.turn) return;
       fill(
         this.box,
         problem(error, () => {
           fill(this.box, loading());
-          this.load(false);
+          this.load();
         }),
       );
     }
   }
 
+  put(given) {
+    const streamed = this.news.get(given.id);
+    const job = streamed && streamed.updated_at > given.updated_at ? streamed : given;
+    this.jobs.set(job.id, job);
+    this.rows.get(job.id)?.update(job);
+  }
+
+  /** All columns, those of metrics included. */
+  columns() {
+    const metrics = this.metrics.map((metric) => ({
+      key: `metric:${metric.name}`,
+      title: metric.title,
+      number: true,
+      value: (job) => shownMetric(job, metric).value,
+    }));
+    return COLUMNS.flatMap((column) => (column.key === "rate" ? [...metrics, column] : [column]));
+  }
+
   paint() {
-    if (!this.rows.size) {
-      const filtered = this.filter.state || this.filter.tag || this.filter.q;
-      fill(
-        this.box,
-        filtered
-          ? h(
-              "div",
-              { class: "empty" },
-              h("h2", null, "No matching jobs"),
-              h("p", null, "No job matches this filter."),
-              h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")),
-            )
-          : h(
-              "div",
-              { class: "empty" },
-              h("h2", null, "No jobs yet"),
-              h(
-                "p",
-                null,
-                "Submit one and watch a robot learn to run. With the preset “fast” it runs after some minutes on two cores.",
-              ),
-              h(
-                "div",
-                { class: "row" },
-                h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"),
-              ),
-              h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
-            ),
-      );
-      this.head = null;
-      this.paintBar();
+    if (!this.jobs.size) {
+      this.paintEmpty();
       return;
     }
-    const metrics = common([...this.rows.values()].map((row) => this.known.listed(row.job.spec))).slice(
-      0,
-      MOST_METRICS,
-    );
-    const names = metrics.map((m) => m.name).join();
-    if (names !== this.metrics.map((m) => m.name).join()) {
+    const metrics = common([...this.jobs.values()].map((job) => this.known.listed(job.spec))).slice(0, MOST_METRICS);
+    if (metrics.map((m) => m.name).join() !== this.metrics.map((m) => m.name).join()) {
       this.metrics = metrics;
+      this.rows.clear();
       this.head = null;
-      for (const row of this.rows.values()) row.setMetrics(metrics);
     }
     if (!this.head || !this.body.isConnected) {
-      const head = (text, cls) => h("th", { scope: "col", class: cls }, text);
-      this.head = h(
-        "thead",
-        null,
-        h(
-          "tr",
-          null,
-          h("th", { scope: "col" }, h("span", { class: "sr" }, "Select")),
-          head("Name"),
-          head("State"),
-          head("Progress"),
-          metrics.map((m) => head(m.title, "num")),
-          head("Steps/s", "num"),
-          head("Time left", "num"),
-          head("Owner"),
-          head("Submitted", "num"),
-          h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
-        ),
-      );
-      fill(this.box, h("table", { class: "jobs-table" }, this.head, this.body));
+      this.head = h("thead");
+      this.table = h("table", { class: "jobs-table" }, this.head, this.above, this.body, this.below);
+      fill(this.box, this.table);
+      this.paintColumns();
     }
+    this.sort();
+    this.paintHead();
+    this.body.replaceChildren();
+    this.drawn = null;
+    this.draw();
     this.paintBar();
   }
 
-  put(given, where) {
-    const streamed = this.news.get(given.id);
-    const job = streamed && streamed.updated_at > given.updated_at ? streamed : given;
-    const row = this.rows.get(job.id);
-    if (row) {
-      row.update(job);
-      return;
-    }
-    const fresh = new Row(job, this);
-    fresh.setMetrics(this.metrics);
-    fresh.check.checked = this.selected.has(job.id);
-    this.rows.set(job.id, fresh);
-    if (where === "append") this.body.append(fresh.element);
+  paintEmpty() {
+    const filtered = this.filter.state || this.filter.tag || this.filter.q;
+    fill(
+      this.box,
+      filtered
+        ? h(
+            "div",
+            { class: "empty" },
+            h("h2", null, "No matching jobs"),
+            h("p", null, "No job matches this filter."),
+            h("div", { class: "row" }, h("a", { class: "button", href: "#/" }, "Show all jobs")),
+          )
+        : h(
+            "div",
+            { class: "empty" },
+            h("h2", null, "No jobs yet"),
+            h(
+              "p",
+              null,
+              "Submit one and watch a robot learn to run. ",
+              "With the preset “fast” it runs after some minutes on two cores.",
+            ),
+            h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
+            h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
+          ),
+    );
+    this.head = null;
+    this.paintBar();
+  }
+
+  /** The head of the table, whose buttons sort; rebuilt, it keeps the focus. */
+  paintHead() {
+    const sorted = this.filter.sort.replace(/^-/, "");
+    const down = this.filter.sort.startsWith("-");
+    const all = h("input", {
+      type: "checkbox",
+      "aria-label": "Select all jobs of this list",
+      checked: this.selected.size > 0 && this.order.every((id) => this.selected.has(id)),
+      onchange: () => this.selectAll(all.checked),
+    });
+    const cell = ({ key, title, number }) => {
+      const mine = sorted === key;
+      const next = mine ? (down ? "" : `-${key}`) : key;
+      return h(
+        "th",
+        {
+          scope: "col",
+          class: number ? "num" : null,
+          hidden: this.hidden.has(key),
+          "aria-sort": mine ? (down ? "descending" : "ascending") : null,
+        },
+        h(
+          "button",
+          { class: "sort", "data-sort": key, onclick: () => this.apply({ sort: next }) },
+          title,
+          h("span", { "aria-hidden": "true" }, mine ? (down ? " ↓" : " ↑") : ""),
+        ),
+      );
+    };
+    fill(
+      this.head,
+      h(
+        "tr",
+        null,
+        h("th", { scope: "col" }, all),
+        this.columns().map(cell),
+        h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
+      ),
+    );
+  }
+
+  /** The menu in which columns are chosen. */
+  paintColumns() {
+    fill(
+      this.columnList,
+      this.columns()
+        .filter((column) => !column.fixed)
+        .map(({ key, title }) => {
+          const box = h("input", {
+            type: "checkbox",
+            name: key,
+            checked: !this.hidden.has(key),
+            onchange: () => {
+              if (box.checked) this.hidden.delete(key);
+              else this.hidden.add(key);
+              writeHidden(this.hidden);
+              this.paintHead();
+              for (const row of this.rows.values()) row.hide(this.hidden);
+            },
+          });
+          return h("label", { class: "row" }, box, title);
+        }),
+    );
+  }
+
+  /** Set the order of the rows: by the chosen column, else newest first; jobs without a value come last. */
+  sort() {
+    const key = this.filter.sort.replace(/^-/, "");
+    const sign = this.filter.sort.startsWith("-") ? -1 : 1;
+    const column = this.columns().find((c) => c.key === key);
+    const newest = (a, b) => (a.id < b.id ? 1 : -1);
+    const jobs = [...this.jobs.values()];
+    if (!column) jobs.sort(newest);
     else {
-      fresh.element.classList.add("fresh");
-      this.body.prepend(fresh.element);
+      const values = new Map(jobs.map((job) => [job.id, column.value(job) ?? null]));
+      jobs.sort((a, b) => {
+        const [x, y] = [values.get(a.id), values.get(b.id)];
+        if (x === y) return newest(a, b);
+        if (x === null || y === null) return x === null ? 1 : -1;
+        return x < y ? -sign : sign;
+      });
     }
+    this.order = jobs.map((job) => job.id);
+  }
+
+  soon() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      this.draw();
+    });
+  }
+
+  /** Draw the rows near the view; two spacers stand for the others. */
+  draw() {
+    if (!this.table?.isConnected) return;
+    const count = this.order.length;
+    let [first, last] = [0, count];
+    if (count > WHOLE) {
+      const pitch = this.pitch ?? 64;
+      const top = -this.above.getBoundingClientRect().top;
+      first = Math.max(0, Math.min(count - 1, Math.floor(top / pitch) - MARGIN));
+      last = Math.min(count, Math.ceil((top + innerHeight) / pitch) + MARGIN);
+      last = Math.max(last, first + 1);
+    }
+    const key = `${first} ${last}`;
+    if (key === this.drawn) return;
+    this.drawn = key;
+    const wanted = this.order.slice(first, last).map((id) => this.row(id));
+    const kept = new Set(wanted.map((row) => row.element));
+    for (const element of [...this.body.children]) if (!kept.has(element)) element.remove();
+    wanted.forEach((row, i) => {
+      if (this.body.children[i] !== row.element) this.body.insertBefore(row.element, this.body.children[i] ?? null);
+    });
+    if (this.rows.size > 400) {
+      const near = new Set(this.order.slice(first, last));
+      for (const id of this.rows.keys()) if (!near.has(id)) this.rows.delete(id);
+    }
+    if (count > WHOLE) this.pitch ??= this.body.getBoundingClientRect().height / wanted.length;
+    const spacer = (part, rows) =>
+      fill(part, rows ? h("tr", { class: "spacer", style: { height: `${rows * (this.pitch ?? 64)}px` } }) : null);
+    spacer(this.above, first);
+    spacer(this.below, count - last);
+  }
+
+  /** The row of a job, made when it is first seen. */
+  row(id) {
+    let row = this.rows.get(id);
+    if (!row) {
+      row = new Row(this.jobs.get(id), this);
+      row.setMetrics(this.metrics);
+      row.hide(this.hidden);
+      this.rows.set(id, row);
+    }
+    row.check.checked = this.selected.has(id);
+    return row;
   }
 
   onEvent(type, data) {
-    if (type === "ready" && !this.loaded) this.load(false);
+    if (type === "ready" && !this.loaded) this.load();
     if (type === "gone") this.drop(data.id);
     if (type !== "job") return;
     this.news.set(data.id, data);
     if (!this.loaded) return;
-    const known = this.rows.has(data.id);
+    const known = this.jobs.has(data.id);
     if (!this.fits(data)) {
       if (known) this.drop(data.id);
       return;
     }
-    if (
-      !known &&
-      this.rows.size &&
-      new Date(data.created_at) < new Date([...this.rows.values()].at(-1).job.created_at) &&
-      this.cursor
-    )
-      return; // on a later page
-    this.put(data, "prepend");
-    if (!known) this.paint();
+    this.put(data);
+    if (known && !this.filter.sort) return;
+    this.paint();
+    if (!known) this.rows.get(data.id)?.element.classList.add("fresh");
   }
 
   fits(job) {
     const { state, tag, q } = this.filter;
+    const words = [job.name, job.id, ...job.tags].join(" ").toLowerCase();
     return (
       (!state || statesOf(state).includes(job.state)) &&
       (!tag || job.tags.includes(tag)) &&
-      (!q || `${job.name} ${job.id}`.toLowerCase().includes(q.toLowerCase()))
+      (!q || words.includes(q.toLowerCase()))
     );
   }
 
   drop(id) {
-    this.rows.get(id)?.element.remove();
+    if (!this.jobs.delete(id)) return;
     this.rows.delete(id);
     this.selected.delete(id);
     this.paint();
@@ -438,27 +487,86 @@ class JobsView {
     this.paintBar();
   }
 
+  selectAll(on) {
+    this.selected = new Set(on ? this.order : []);
+    for (const [id, row] of this.rows) row.check.checked = this.selected.has(id);
+    this.paintBar();
+  }
+
+  /** The selected jobs that allow an action. */
+  allowing(name) {
+    const jobs = [...this.selected].map((id) => this.jobs.get(id)).filter(Boolean);
+    return jobs.filter((job) =>
+      name === "delete" ? isEnded(job.state) : actionsFor(job).some((action) => action.name === name),
+    );
+  }
+
   paintBar() {
     const n = this.selected.size;
     this.bar.hidden = n === 0;
-    if (n)
-      fill(
-        this.bar,
-        h("span", null, `${n} selected`),
-        h("a", { class: "button primary small", href: `#/compare?jobs=${[...this.selected].join(",")}` }, "Compare"),
-        h(
-          "button",
-          {
-            class: "ghost small",
-            onclick: () => {
-              this.selected.clear();
-              for (const r of this.rows.values()) r.check.checked = false;
-              this.paintBar();
-            },
-          },
-          "Clear",
-        ),
+    if (!n) return;
+    const bulk = (name, label) => {
+      const count = this.allowing(name).length;
+      return h(
+        "button",
+        { class: "small danger", "data-bulk": name, disabled: !count, onclick: () => this.bulk(name) },
+        `${label} ${count}`,
       );
+    };
+    fill(
+      this.bar,
+      h("span", null, `${n} selected`),
+      h("a", { class: "button primary small", href: `#/compare?jobs=${[...this.selected].join(",")}` }, "Compare"),
+      bulk("cancel", "Cancel"),
+      bulk("delete", "Delete"),
+      h("button", { class: "ghost small", onclick: () => this.selectAll(false) }, "Clear"),
+    );
+  }
+
+  /** Cancel or delete the selected jobs that allow it, after one question. */
+  async bulk(name) {
+    const jobs = this.allowing(name);
+    const many = jobs.length === 1 ? "1 job" : `${jobs.length} jobs`;
+    const questions = {
+      cancel: `Their trainings stop. Checkpoints and metrics so far are kept.`,
+      delete: `Their metrics, logs, checkpoints and evaluations are deleted. This cannot be undone.`,
+    };
+    const verb = name === "cancel" ? "Cancel" : "Delete";
+    const sure = await confirmDialog({
+      title: `${verb} ${many}?`,
+      body: questions[name],
+      action: `${verb} ${many}`,
+      danger: true,
+    });
+    if (!sure) return;
+    const failed = [];
+    for (const job of jobs) {
+      const path = `jobs/${encodeURIComponent(job.id)}`;
+      try {
+        if (name === "delete") {
+          await call(path, { method: "DELETE" });
+          this.drop(job.id);
+        } else this.onEvent("job", await call(`${path}/${name}`, { method: "POST" }));
+        this.selected.delete(job.id);
+      } catch (error) {
+        failed.push(`${job.name}: ${error.message}`);
+      }
+    }
+    const done = jobs.length - failed.length;
+    if (done)
+      toast(`${done === 1 ? "1 job was" : `${done} jobs were`} ${name === "cancel" ? "cancelled" : "deleted"}.`);
+    for (const message of failed.slice(0, 3)) toast(message, "error");
+    this.paint();
+  }
+
+  /** Move the focus to the job at a position of the list, drawing it first. */
+  focus(position) {
+    const id = this.order[position];
+    if (!this.row(id).element.isConnected) {
+      scrollTo(0, scrollY + this.above.getBoundingClientRect().top + position * (this.pitch ?? 64) - innerHeight / 2);
+      this.draw();
+    }
+    this.row(id).link.focus();
   }
 
   onKey(event) {
@@ -468,18 +576,18 @@ class JobsView {
       return;
     }
     if (isTyping(event)) return;
-    const links = [...this.body.querySelectorAll(".name > a")];
-    const at = links.findIndex((a) => a.closest("tr").contains(document.activeElement));
+    const id = document.activeElement?.closest?.("tr[data-job]")?.dataset.job;
+    const at = this.order.indexOf(id);
     if (event.key === "/") {
       event.preventDefault();
       this.search.focus();
-    } else if ((event.key === "j" || event.key === "k") && links.length) {
+    } else if ((event.key === "j" || event.key === "k") && this.order.length) {
       event.preventDefault();
-      links[Math.max(0, Math.min(links.length - 1, at < 0 ? 0 : at + (event.key === "j" ? 1 : -1)))].focus();
+      const next = at < 0 ? 0 : at + (event.key === "j" ? 1 : -1);
+      this.focus(Math.max(0, Math.min(this.order.length - 1, next)));
     } else if (event.key === "x" && at >= 0) {
-      const box = links[at].closest("tr").querySelector("input");
-      box.checked = !box.checked;
-      this.select(links[at].closest("tr").dataset.job, box.checked);
+      this.select(id, !this.selected.has(id));
+      this.row(id);
     }
   }
 }
