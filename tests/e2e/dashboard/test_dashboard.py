@@ -509,7 +509,7 @@ def test_everything_works_with_the_keyboard_alone(browser: Browser, token: str, 
     browser.open("/")
     browser.until(lambda: len(browser.all("tbody tr")) == 3)
     reached = set()
-    for _ in range(40):
+    for _ in range(70):
         press(Keys.TAB)
         reached.add(browser.js("const a = document.activeElement; return a.textContent || a.ariaLabel || a.type"))
         assert browser.js(

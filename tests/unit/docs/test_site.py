@@ -42,6 +42,16 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
         assert not re.findall(r"url\([\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
 
+def test_the_search_works_from_the_disk(site: Path) -> None:
+    """Its index is a script, which a page from the disk may load, and so is what stands in for a worker."""
+    script = (site / "search" / "search_index.js").read_text(encoding="utf-8")
+    index = json.loads(script.removeprefix("var __index = "))
+    assert index["docs"]
+    for page in (site / "tutorial.html", site / "how-to" / "resume.html"):
+        (shim,) = re.findall(r'<script src="([^"]*iframe-worker[^"]*)"', page.read_text(encoding="utf-8"))
+        assert "EventTarget" in (page.parent / shim).read_text(encoding="utf-8")
+
+
 def test_a_search_finds_a_setting_and_a_command(site: Path) -> None:
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     texts = {entry["location"]: entry["text"] for entry in index["docs"]}

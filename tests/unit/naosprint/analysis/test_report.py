@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,9 +38,9 @@ def evaluation(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def metrics(tmp_path: Path) -> Path:
     """Return metrics of two updates, the second of which was repeated after a resume."""
     rows = [
-        {"step": 256, "time_s": 1.0, "policy_loss": 0.1},
+        {"step": 256, "time_s": 1.0, "policy_loss": 0.1, "reward": 1.0},
         {"step": 512, "time_s": 2.0, "speed_mps": 0.1, "distance_m": 0.3, "fall_rate": 1.0},
-        {"step": 512, "time_s": 3.0, "speed_mps": 0.2, "distance_m": 0.4, "fall_rate": 1.0},
+        {"step": 512, "time_s": 3.0, "speed_mps": 0.2, "distance_m": 0.4, "fall_rate": 1.0, "reward": 2.0},
     ]
     path = tmp_path / "metrics.jsonl"
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
@@ -100,6 +101,27 @@ def test_films_play(evaluation: Path, tmp_path: Path) -> None:
         assert film.size == (WIDTH_PX // 2, HEIGHT_PX // 2)
         assert film.info["duration"] == 40
         assert 1 < film.n_frames <= 5  # type: ignore[attr-defined]
+
+
+def test_a_film_of_25_seconds_is_drawn_in_less(evaluation: Path) -> None:
+    """A picture takes few milliseconds of processor time, so that a report takes less than 30 s."""
+    film = Film(load_replay(evaluation / "replay.json"))
+    film.picture(0)
+    began = time.process_time()
+    for frame in range(20):
+        film.picture(frame)
+    assert (time.process_time() - began) / 20 * FILM_STEPS < 25.0
+
+
+def test_the_page_shows_the_reward_and_fits_dark_and_narrow_screens(
+    evaluation: Path, metrics: Path, tmp_path: Path
+) -> None:
+    page = write_report(tmp_path / "out", evaluation=evaluation, metrics=metrics, film=False).read_text()
+    learning = page[page.index("Learning curves") : page.index("Means of the latest")]
+    assert "<!-- Reward -->" in learning, "the axes have no such title"
+    assert "prefers-color-scheme: dark" in page
+    assert "max-width: 40rem" in page
+    assert "color-scheme: light dark" in page
 
 
 def test_film_follows_the_robot(evaluation: Path) -> None:
@@ -173,9 +195,7 @@ def test_film_and_caption_agree(evaluation: Path) -> None:
     """The numbers below the film are those of its last picture; the caption states if the episode is longer."""
     replay = load_replay(evaluation / "replay.json")
     short = replace(replay, positions=replay.positions[:80], rotations=replay.rotations[:80], end="Fall", failed=True)
-    film = Film(short)
-    film.picture(79)
-    (text,) = [t.get_text() for t in film._axes.texts if " s " in t.get_text()]
+    text = Film(short).caption(79)
     seconds, distance = text.split()[0], text.split()[2]
     assert f"{distance} m from the start in {seconds} s, fall. Lines" in film_caption(short)
     assert len(replay.positions) > FILM_STEPS
@@ -203,9 +223,7 @@ def test_the_gait_of_a_fallen_episode_says_so(evaluation: Path, metrics: Path, t
 
 
 def _shown_distance(film: Film, frame: int) -> float:
-    film.picture(frame)
-    (text,) = [t.get_text() for t in film._axes.texts if " s " in t.get_text()]
-    return float(text.split()[2])
+    return float(film.caption(frame).split()[2])
 
 
 def test_values_and_intervals_have_units(evaluation: Path) -> None:

@@ -6,17 +6,15 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont
 from naosim.simulator import STEP_S
+from PIL import Image, ImageDraw, ImageFont
 
-from naosprint.analysis.scene import Camera, robot_collection, scale
+from naosprint.analysis.scene import Camera, robot_polygons, scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-
-    from matplotlib.axes import Axes
 
     from naosprint.analysis.replay import Replay
     from naosprint.arrays import ByteArray, FloatArray
@@ -27,10 +25,11 @@ WIDTH_PX, HEIGHT_PX = 960, 400
 SPEED_STEPS = 25
 """Steps over which the displayed speed is averaged: half a second."""
 
-_DPI = 100
+_SAMPLES = 2  # drawn so many times larger and reduced, which smooths edges
 _SPAN_M = 2.6  # width of the picture for a robot of unit size
 _GROUND = "#eef1ea"
 _LINE = "#c3cab9"
+_LABEL = "#7c8573"
 
 
 class Film:
@@ -45,59 +44,64 @@ class Film:
         self._replay = replay
         self._span = _SPAN_M * scale(replay)
         self._camera = camera or Camera(azimuth_deg=-14.0, elevation_deg=9.0)
-        self._figure = Figure(figsize=(WIDTH_PX / _DPI, HEIGHT_PX / _DPI), dpi=_DPI)
-        self._canvas = FigureCanvasAgg(self._figure)
-        self._axes: Axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self._pixels_per_m = _SAMPLES * WIDTH_PX / self._span
+        mono, sans = findfont("DejaVu Sans Mono"), findfont("DejaVu Sans")
+        self._caption_font = ImageFont.truetype(mono, 18 * _SAMPLES)
+        self._label_font = ImageFont.truetype(sans, 12 * _SAMPLES)
+
+    def caption(self, frame: int) -> str:
+        """Return what a picture shows: time, distance from the start, speed of the last half second."""
+        recent = max(0, frame - SPEED_STEPS)
+        speed = self._replay.moved_m(recent, frame) / max(frame - recent, 1) / STEP_S
+        return f"{frame * STEP_S:5.2f} s    {self._replay.moved_m(0, frame):5.2f} m    {speed:4.2f} m/s"
 
     def picture(self, frame: int) -> ByteArray:
-        """Return the (HEIGHT_PX, WIDTH_PX, 3) picture of one step.
+        """Return the (HEIGHT_PX, WIDTH_PX, 3) picture of one step, with its caption."""
+        image = Image.new("RGB", (WIDTH_PX * _SAMPLES, HEIGHT_PX * _SAMPLES), "white")
+        draw = ImageDraw.Draw(image)
+        self._ground(draw, frame)
+        for polygon in robot_polygons(self._replay, frame, self._camera):
+            draw.polygon(self._places(polygon.points), _rgb(polygon.fill), _rgb(polygon.edge))
+        at = (0.02 * image.width, 0.07 * image.height)
+        draw.text(at, self.caption(frame), fill="#22262b", font=self._caption_font)
+        return np.asarray(image.reduce(_SAMPLES))
 
-        It shows the time, the distance from the start, and the speed of the last half second.
-        """
-        replay, axes = self._replay, self._axes
-        axes.clear()
-        axes.axis("off")
-        height = self._span * HEIGHT_PX / WIDTH_PX
-        axes.set_xlim(-0.5 * self._span, 0.5 * self._span)
-        axes.set_ylim(-0.28 * height, 0.72 * height)
-        self._ground(frame)
-        axes.add_collection(robot_collection(replay, frame, self._camera))
-        recent = max(0, frame - SPEED_STEPS)
-        speed = replay.moved_m(recent, frame) / max(frame - recent, 1) / STEP_S
-        text = f"{frame * STEP_S:5.2f} s    {replay.moved_m(0, frame):5.2f} m    {speed:4.2f} m/s"
-        axes.text(0.02, 0.93, text, transform=axes.transAxes, fontsize=13, family="DejaVu Sans Mono", va="top")
-        self._canvas.draw()  # type: ignore[no-untyped-call]
-        return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()  # type: ignore[no-untyped-call]
+    def _places(self, points: FloatArray) -> list[tuple[float, float]]:
+        """Return pixels of (k, 2) points in metres: the origin is in the middle, 28 % of the height from the bottom."""
+        x = _SAMPLES * WIDTH_PX / 2.0 + points[:, 0] * self._pixels_per_m
+        y = 0.72 * _SAMPLES * HEIGHT_PX - points[:, 1] * self._pixels_per_m
+        return list(zip(x.tolist(), y.tolist(), strict=True))
 
-    def _ground(self, frame: int) -> None:
+    def _ground(self, draw: ImageDraw.ImageDraw, frame: int) -> None:
         """Draw the ground below the robot: cross lines every half metre, with their distance in x every metre."""
-        axes, view = self._axes, self._camera.axes()
+        view = self._camera.axes()
         torso = self._replay.positions[frame, 0]
-        begin_x = float(self._replay.positions[0, 0, 0])
+        begin_x, begin_y = (float(value) for value in self._replay.positions[0, 0, :2])
 
-        def seen(x: float, y: float) -> FloatArray:
-            return np.asarray((view @ np.array([x - float(torso[0]), y - float(torso[1]), 0.0]))[:2])
+        def seen(*points: tuple[float, float]) -> list[tuple[float, float]]:
+            ground = np.array([[x - float(torso[0]), y - float(torso[1]), 0.0] for x, y in points])
+            return self._places((ground @ view.T)[:, :2])
 
         size = self._span / _SPAN_M
         lane, reach = 1.6 * size, 4.0 * size
-        # the lane stays in place while the robot drifts within it
-        begin_y = float(self._replay.positions[0, 0, 1])
+        # it stays where it is while the robot drifts, unless it drifts out of it
         middle = begin_y + lane * round((float(torso[1]) - begin_y) / lane)
         near, far = middle - lane, middle + lane
-        corners = [seen(torso[0] + dx, y) for dx, y in ((-reach, near), (reach, near), (reach, far), (-reach, far))]
-        axes.fill(*np.transpose(corners), color=_GROUND, lw=0, zorder=0)
+        left, right = float(torso[0]) - reach, float(torso[0]) + reach
+        draw.polygon(seen((left, near), (right, near), (right, far), (left, far)), fill=_GROUND)
         first = math.floor((float(torso[0]) - begin_x - 3.0 * size) * 2.0)
         for half in range(first, first + math.ceil(13 * size)):
             x = begin_x + half / 2.0
-            axes.plot(
-                *np.transpose([seen(x, near), seen(x, far)]),
-                color=_LINE,
-                lw=2.0 if half % 2 == 0 else 0.8,
-                zorder=0.5,
-            )
-            if half % 2 == 0:
-                right, up = seen(x + 0.06, middle - 0.75 * size)
-                axes.text(right, up, f"{half // 2} m", fontsize=9, color="#7c8573", zorder=0.6, clip_on=True)
+            whole = half % 2 == 0
+            draw.line(seen((x, near), (x, far)), fill=_LINE, width=_SAMPLES * (3 if whole else 1))
+            if whole:
+                (place,) = seen((x + 0.06, middle - 0.75 * size))
+                draw.text(place, f"{half // 2} m", fill=_LABEL, font=self._label_font, anchor="ls")
+
+
+def _rgb(colour: tuple[float, float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * value) for value in colour[:3])
+    return red, green, blue
 
 
 def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None) -> None:
@@ -132,8 +136,6 @@ def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None
 
 def write_gif(replay: Replay, path: Path, *, frames: Sequence[int]) -> None:
     """Write every other of the chosen steps as an endless GIF of half the size, in real time."""
-    from PIL import Image
-
     images = [
         Image.fromarray(picture).resize((WIDTH_PX // 2, HEIGHT_PX // 2), Image.Resampling.LANCZOS)
         for picture in _pictures(replay, list(frames)[::2])

@@ -26,6 +26,7 @@ from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay, load_replay
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
 from naosprint.rl.columns import columns
+from naosprint.tasks.metrics import Chart
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,6 +47,8 @@ FILM_STEPS = 1250
 
 GIF_STEPS = 150
 """Length of the GIF, steps."""
+
+_REWARD = Chart("Reward", ("reward",))
 
 _REQUIRED = ("training", "evaluation", "checkpoint", "task", "episodes", "results", "headline", "tables")
 _PATH_COLUMNS = ("x", "y", "height", "left_foot_force", "right_foot_force")
@@ -194,11 +197,12 @@ def _plots(
     presentation = spec.task_class.presentation
     references, confidence = presentation.references, summary["evaluation"]["confidence"]
     found = []
-    if figures.has_curves(rows, presentation.charts):
+    charts = (*presentation.charts[: figures.MAX_CHARTS - 1], _REWARD)
+    if figures.has_curves(rows, charts):
         values = {name: result["value"] for name, result in by_name(summary).items() if result["value"] is not None}
         curves = figures.learning_curves(
             rows,
-            presentation.charts,
+            charts,
             {metric.name: metric for metric in columns(spec)},
             references,
             (summary["checkpoint"]["step"], values),

@@ -71,10 +71,35 @@ def scale(replay: Replay) -> float:
     return max(replay.robot.standing_height_m / UNIT_TORSO_M, top / UNIT_TOP_M)
 
 
+@dataclass(frozen=True)
+class Polygon:
+    """Polygon of a drawing.
+
+    Attributes:
+        points: (k, 2) corners, metres of the picture.
+        fill: red, green, blue, alpha, each 0 to 1.
+        edge: colour of the outline.
+    """
+
+    points: FloatArray
+    fill: tuple[float, float, float, float]
+    edge: tuple[float, float, float, float]
+
+
 def robot_collection(
     replay: Replay, frame: int, camera: Camera, *, shift: tuple[float, float] = (0.0, 0.0)
 ) -> PolyCollection:
-    """Return the polygons of the robot of one frame, and of its shadow, in metres of the picture.
+    """Return the polygons of :func:`robot_polygons` for matplotlib."""
+    polygons = robot_polygons(replay, frame, camera, shift=shift)
+    fills, edges = [polygon.fill for polygon in polygons], [polygon.edge for polygon in polygons]
+    points = [polygon.points for polygon in polygons]
+    return PolyCollection(points, facecolors=fills, edgecolors=edges, linewidths=0.5, joinstyle="round")
+
+
+def robot_polygons(
+    replay: Replay, frame: int, camera: Camera, *, shift: tuple[float, float] = (0.0, 0.0)
+) -> list[Polygon]:
+    """Return the polygons of the robot of one frame, and of its shadow, in metres of the picture, back to front.
 
     Args:
         replay: the episode.
@@ -107,10 +132,11 @@ def robot_collection(
         else:
             faces += _round(shape, outline, position, rotation, view, base)
     faces.sort(key=lambda face: face.depth)
-    polygons = [points + shift for points in [*shadows, *(face.points for face in faces)]]
-    colours = [_SHADOW] * len(shadows) + [(*face.colour, 1.0) for face in faces]
-    edges = [(0.0, 0.0, 0.0, 0.0)] * len(shadows) + [(*(0.55 * np.array(face.colour)), 1.0) for face in faces]
-    return PolyCollection(polygons, facecolors=colours, edgecolors=edges, linewidths=0.5, joinstyle="round")
+    found = [Polygon(points + shift, _SHADOW, _SHADOW) for points in shadows]
+    for face in faces:
+        red, green, blue = face.colour
+        found.append(Polygon(face.points + shift, (*face.colour, 1.0), (0.55 * red, 0.55 * green, 0.55 * blue, 1.0)))
+    return found
 
 
 def _rotation(quaternion: FloatArray) -> FloatArray:

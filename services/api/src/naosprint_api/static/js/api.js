@@ -77,6 +77,15 @@ export function borrowToken() {
   });
 }
 
+let scopes = null;
+/** Set what the token allows; without a list, everything is offered and the service refuses. */
+export function setScopes(found) {
+  scopes = found ?? null;
+}
+
+/** Whether the token has a scope. */
+export const may = (scope) => scopes === null || scopes.includes(scope);
+
 /** An answer that is no success. `fields` maps field names to messages. */
 export class ApiError extends Error {
   constructor(status, problem, requestId) {

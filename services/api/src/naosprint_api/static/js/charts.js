@@ -164,6 +164,7 @@ export class Chart {
       ),
       this.plot,
     );
+    this.vertical = { log: false, range: [null, null] };
     this.source = null;
     this.data = null; // all columns
     this.shown = null; // what is left of them for the width and zoom
@@ -194,6 +195,17 @@ export class Chart {
   setData(columns) {
     this.source = typeof columns === "function" ? columns : () => columns;
     schedule(this);
+  }
+
+  /** Set the vertical axis: logarithmic or not, and its ends; null for one that follows the data. */
+  setVertical({ log, range }) {
+    const key = `${log} ${range}`;
+    if (key === this.verticalKey) return;
+    this.verticalKey = key;
+    this.vertical = { log, range };
+    this.u?.destroy();
+    this.u = null;
+    if (this.source) schedule(this);
   }
 
   /** Show a part of x only, [from, to], or all of it, in every linked chart; this one is drawn first. */
@@ -239,7 +251,9 @@ export class Chart {
   draw() {
     this.late = Boolean(this.u) && !this.visible;
     if (this.late || !this.source) return;
-    const columns = this.source();
+    const positive = (column) => column.map((v) => (v > 0 ? v : null));
+    const given = this.source();
+    const columns = this.vertical.log ? [given[0], ...given.slice(1).map(positive)] : given;
     this.data = columns;
     const any = columns[0].length > 0 && columns.slice(1).some((c) => c.some((v) => v !== null && v !== undefined));
     this.none.hidden = any;
@@ -295,7 +309,13 @@ export class Chart {
 
   #range(_u, low, high) {
     const { min, max, refs } = this.options;
-    if (low === null || high === null || low === undefined) return [min ?? 0, max ?? 1];
+    const { log, range } = this.vertical;
+    const [least, most] = range;
+    if (low === null || high === null || low === undefined) return log ? [1, 10] : [min ?? 0, max ?? 1];
+    if (log) {
+      const [from, to] = uPlot.rangeLog(low, high, 10, false);
+      return [least > 0 ? least : from, most > 0 ? most : to];
+    }
     for (const ref of refs)
       if (ref.keep !== false) {
         low = Math.min(low, ref.y);
@@ -307,10 +327,9 @@ export class Chart {
       high += d;
     }
     const padding = (high - low) * 0.07;
-    return [
-      min !== undefined ? Math.min(min, low) : low - padding,
-      max !== undefined ? Math.max(max, high) : high + padding,
-    ];
+    const from = least ?? (min !== undefined ? Math.min(min, low) : low - padding);
+    const to = most ?? (max !== undefined ? Math.max(max, high) : high + padding);
+    return from < to ? [from, to] : [from, from + 1];
   }
 
   #config(width, height) {
@@ -343,7 +362,7 @@ export class Chart {
             }
           : {}),
       },
-      scales: { x: { time: false }, y: { range: (u, a, b) => this.#range(u, a, b) } },
+      scales: { x: { time: false }, y: { distr: this.vertical.log ? 3 : 1, range: (u, a, b) => this.#range(u, a, b) } },
       axes: [
         { ...axis, size: 26, values: (_u, ticks) => ticks.map((v) => o.xFormat(v)) },
         {

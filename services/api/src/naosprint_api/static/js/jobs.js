@@ -29,6 +29,29 @@ export function elapsed(job) {
   return Math.max(0, (end - new Date(job.started_at)) / 1000);
 }
 
+/**
+ * Seconds that workers had the job, from its events: time in the queue and pauses do not count. Null before its start.
+ *
+ * @param {object} job
+ * @param {{kind: string, at: string}[]} events oldest first
+ */
+export function worked(job, events) {
+  const busy = new Set(["claimed", "starting", "running", "pausing", "evaluating"]);
+  const idle = new Set(["queued", "paused", "succeeded", "failed", "cancelled"]);
+  let total = 0;
+  let since = null;
+  for (const { kind, at } of events) {
+    const time = new Date(at).getTime() / 1000;
+    if (busy.has(kind)) since ??= time;
+    else if (idle.has(kind) && since !== null) {
+      total += time - since;
+      since = null;
+    }
+  }
+  if (since !== null) total += Math.max(0, (job.finished_at ? new Date(job.finished_at) : Date.now()) / 1000 - since);
+  return events.some((e) => busy.has(e.kind)) ? total : elapsed(job);
+}
+
 /** Seconds until the training ends as the trainer sees it; null when not training. */
 export const remaining = (job) => (job.state === "running" ? (latest(job).eta_s ?? null) : null);
 

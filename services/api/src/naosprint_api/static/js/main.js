@@ -1,6 +1,18 @@
 /** Start the dashboard: frame, sign-in, routes, keyboard. */
 
-import { borrowToken, call, clearToken, OfflineError, onSignOut, onUnauthorised, setToken, token, url } from "./api.js";
+import {
+  borrowToken,
+  call,
+  clearToken,
+  may,
+  OfflineError,
+  onSignOut,
+  onUnauthorised,
+  setScopes,
+  setToken,
+  token,
+  url,
+} from "./api.js";
 import { fill, h, icon, isTyping, toast } from "./dom.js";
 import { PAGES, pageAt, SHORTCUTS, shortcut } from "./pages.js";
 import { onConnection } from "./stream.js";
@@ -36,6 +48,8 @@ async function show() {
     return show();
   }
   if (!token() && !(await borrowToken())) return mine === turn ? signIn() : undefined;
+  await identify();
+  if (mine !== turn) return;
   top.hidden = false;
   const found = pageAt(path);
   // A view may take over a change of place within itself (another tab, another filter) without being built anew.
@@ -139,19 +153,18 @@ let identity = null;
 async function identify() {
   const mine = token();
   if (identity?.token === mine) return;
-  identity = { token: mine };
+  identity = null;
   try {
-    identity = { token: mine, ...(await call("whoami")) };
-    if (token() === mine) frame(current?.page);
+    identity = { token: mine, ...(await call("whoami", { quiet401: true })) };
   } catch {
-    identity = null; // the page itself says what is wrong
+    /* the page itself says what is wrong */
   }
+  setScopes(identity?.scopes);
 }
 
 function frame(page) {
   const documents = identity?.docs_url;
   const logo = new URL("../favicon.svg", import.meta.url).href;
-  const maySubmit = !identity?.scopes || identity.scopes.includes("submit");
   fill(
     top,
     h(
@@ -206,9 +219,10 @@ function frame(page) {
       },
       icon("out"),
     ),
-    maySubmit ? h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job")) : null,
+    may("submit")
+      ? h("a", { class: "button primary", href: "#/submit" }, icon("plus"), h("span", null, "New job"))
+      : null,
   );
-  identify();
 }
 
 /** Show the sign-in form; the place stays in the address and is opened afterwards. */

@@ -1,5 +1,6 @@
 /** What each job state looks like and which actions it allows; mirrors the service's transition table. */
 
+import { may } from "./api.js";
 import { h, icon } from "./dom.js";
 
 /** tone, glyph and label of each state. */
@@ -23,6 +24,7 @@ export const tone = (state) => STATES[state]?.tone ?? "grey";
 /** Name, icon and label of what a user may ask of a job now. */
 export function actionsFor(job) {
   const actions = [];
+  if (!may("submit")) return actions;
   if (["queued", "starting", "running"].includes(job.state) && !job.pause_requested && !job.cancel_requested)
     actions.push({ name: "pause", icon: "pause", label: "Pause" });
   if (job.state === "paused") actions.push({ name: "resume", icon: "play", label: "Resume" });

@@ -1,39 +1,92 @@
-/** The curves of a job: linked cursors, zoom by dragging, smoothing, steps or time. */
+/** The curves of a job: linked cursors, zoom, smoothing, axes, a choice of charts, and views that are kept by name. */
 
 import { save } from "../api.js";
 import { Chart, smooth } from "../charts.js";
-import { chartOptions, GROUPS, X_AXES } from "../curves.js";
-import { fill, h, icon } from "../dom.js";
+import { chartOptions, GROUPS, wallClock, X_AXES } from "../curves.js";
+import { fill, h, icon, toast } from "../dom.js";
+import { clock } from "../format.js";
 import { isEnded } from "../states.js";
+
+const AXES = {
+  ...X_AXES,
+  clock: { label: "Wall clock", column: (m, events) => wallClock(m, events), format: (v) => clock(v * 1000) },
+};
+
+const VIEWS_KEY = "naosprint.curve-views";
+const NO_VIEW = { x: "step", weight: 0.6, log: false, hidden: [], ranges: {} };
+
+function readViews() {
+  try {
+    return JSON.parse(localStorage.getItem(VIEWS_KEY) ?? "{}");
+  } catch {
+    return {};
+  }
+}
+
+function writeViews(views) {
+  try {
+    localStorage.setItem(VIEWS_KEY, JSON.stringify(views));
+  } catch {
+    toast("The browser keeps no views: storage is refused.", "error");
+  }
+}
 
 export class CurvesTab {
   constructor(root, store) {
     this.store = store;
-    this.x = "step";
-    this.weight = 0.6;
+    this.view = structuredClone(NO_VIEW);
     this.grid = h("div");
-    this.buttons = Object.entries(X_AXES).map(([key, axis]) =>
-      h("button", { "aria-pressed": String(key === this.x), onclick: () => this.setX(key) }, axis.label),
+    this.buttons = Object.entries(AXES).map(([key, axis]) =>
+      h("button", { "data-x": key, onclick: () => this.change({ x: key }) }, axis.label),
     );
-    const range = h("input", {
+    this.smoothing = h("input", {
       type: "range",
       min: 0,
       max: 0.98,
       step: 0.02,
-      value: this.weight,
       "aria-label": "Smoothing",
       oninput: () => {
-        this.weight = Number(range.value);
+        this.view.weight = Number(this.smoothing.value);
         this.draw();
       },
     });
+    this.log = h("input", {
+      type: "checkbox",
+      name: "log",
+      onchange: () => this.change({ log: this.log.checked }),
+    });
+    this.picker = h("div", { class: "menu-list chart-list" });
+    this.named = h("select", {
+      "aria-label": "Saved view",
+      onchange: () => this.show({ ...NO_VIEW, ...readViews()[this.named.value] }),
+    });
+    this.viewName = h("input", { type: "text", placeholder: "Name of the view", "aria-label": "Name of the view" });
     fill(
       root,
       h(
         "div",
         { class: "chart-tools" },
         h("div", { class: "segments", role: "group", "aria-label": "Horizontal axis" }, this.buttons),
-        h("label", null, "Smoothing", range),
+        h("label", null, "Smoothing", this.smoothing),
+        h("label", null, this.log, "Log scale"),
+        h("details", { class: "menu" }, h("summary", { class: "button small" }, "Charts"), this.picker),
+        h(
+          "details",
+          { class: "menu" },
+          h("summary", { class: "button small" }, "Views"),
+          h(
+            "div",
+            { class: "menu-list" },
+            this.named,
+            this.viewName,
+            h(
+              "div",
+              { class: "row" },
+              h("button", { class: "small", "data-action": "save-view", onclick: () => this.saveView() }, "Save"),
+              h("button", { class: "small danger", onclick: () => this.deleteView() }, "Delete"),
+            ),
+          ),
+        ),
         h("span", { class: "muted hide-tiny" }, "Drag to zoom, double-click to reset"),
         h(
           "button",
@@ -49,11 +102,12 @@ export class CurvesTab {
       this.grid,
     );
     this.build();
+    this.paintViews("");
+    this.show(this.view);
     store.on("metrics", () => this.draw());
     store.on("job", () => {
       for (const { chart } of this.charts) if (!store.metrics.length) chart.none.textContent = this.emptyText();
     });
-    this.draw();
   }
 
   /** Make the charts that the task, the algorithm and the columns ask for; a new column may ask for another one. */
@@ -75,7 +129,7 @@ export class CurvesTab {
           ...options,
           sync: `job-${store.id}`,
           mainSeries: options.lines ? 1 : 2,
-          xFormat: (v) => X_AXES[this.x].format(v),
+          xFormat: (v) => AXES[this.view.x].format(v),
           series: options.lines
             ? options.lines.map(([, label, token]) => ({ label, token }))
             : [
@@ -97,6 +151,7 @@ export class CurvesTab {
         ),
       ]),
     );
+    this.applyView();
   }
 
   emptyText() {
@@ -106,23 +161,106 @@ export class CurvesTab {
     return "Metrics appear after the first update.";
   }
 
-  setX(key) {
-    this.x = key;
-    Object.keys(X_AXES).forEach((k, i) => this.buttons[i].setAttribute("aria-pressed", String(k === key)));
-    this.charts[0].chart.zoom(null);
+  /** Change some settings of what is shown. */
+  change(settings) {
+    this.show({ ...this.view, ...settings });
+  }
+
+  /** Show the charts with other settings. */
+  show(view) {
+    if (view.x !== this.view.x) this.charts[0]?.chart.zoom(null);
+    this.view = structuredClone(view);
+    this.smoothing.value = String(view.weight);
+    this.log.checked = view.log;
+    Object.keys(AXES).forEach((key, i) => this.buttons[i].setAttribute("aria-pressed", String(key === view.x)));
+    this.applyView();
     this.draw();
+  }
+
+  applyView() {
+    for (const { curve, chart } of this.charts) {
+      chart.element.hidden = this.view.hidden.includes(curve.key);
+      chart.setVertical({ log: this.view.log, range: this.view.ranges[curve.key] ?? [null, null] });
+    }
+    this.paintPicker();
+  }
+
+  /** The list of charts: which are shown, and between which values. */
+  paintPicker() {
+    fill(
+      this.picker,
+      this.charts.map(({ curve }) => {
+        const box = h("input", {
+          type: "checkbox",
+          name: `show:${curve.key}`,
+          checked: !this.view.hidden.includes(curve.key),
+          onchange: () => {
+            const others = this.view.hidden.filter((key) => key !== curve.key);
+            this.change({ hidden: box.checked ? others : [...others, curve.key] });
+          },
+        });
+        const [low, high] = this.view.ranges[curve.key] ?? [null, null];
+        const end = (label, value) =>
+          h("input", {
+            type: "number",
+            step: "any",
+            placeholder: label,
+            "aria-label": `${curve.title}: ${label} of the vertical axis`,
+            name: `${label}:${curve.key}`,
+            value: value ?? "",
+            onchange: () => this.setRange(curve.key, from.value, to.value),
+          });
+        const from = end("min", low);
+        const to = end("max", high);
+        return h("div", { class: "row" }, h("label", { class: "row grow" }, box, curve.title), from, to);
+      }),
+    );
+  }
+
+  setRange(key, low, high) {
+    const number = (text) => (text.trim() === "" || Number.isNaN(Number(text)) ? null : Number(text));
+    this.change({ ranges: { ...this.view.ranges, [key]: [number(low), number(high)] } });
+  }
+
+  paintViews(chosen) {
+    const names = Object.keys(readViews()).sort();
+    fill(
+      this.named,
+      h("option", { value: "" }, "Default view"),
+      names.map((name) => h("option", { value: name }, name)),
+    );
+    this.named.value = chosen;
+  }
+
+  saveView() {
+    const name = this.viewName.value.trim() || this.named.value;
+    if (!name) {
+      toast("Give the view a name first.", "error");
+      return;
+    }
+    writeViews({ ...readViews(), [name]: this.view });
+    this.viewName.value = "";
+    this.paintViews(name);
+    toast(`View ${name} was saved in this browser.`);
+  }
+
+  deleteView() {
+    const { [this.named.value]: _, ...others } = readViews();
+    writeViews(others);
+    this.paintViews("");
+    this.show(NO_VIEW);
   }
 
   draw() {
     if (this.gone) return;
     this.build();
     const m = this.store.metrics;
-    const axis = X_AXES[this.x];
+    const x = AXES[this.view.x].column(m, this.store.events);
     for (const { curve, options, chart } of this.charts) {
       chart.setData(() => {
         const lines = curve.metrics.map(({ name }) => m.get(name));
-        const smoothed = lines.map((y) => smooth(y, this.weight));
-        return options.lines ? [axis.column(m), ...smoothed] : [axis.column(m), ...lines, ...smoothed];
+        const smoothed = lines.map((y) => smooth(y, this.view.weight));
+        return options.lines ? [x, ...smoothed] : [x, ...lines, ...smoothed];
       });
     }
   }

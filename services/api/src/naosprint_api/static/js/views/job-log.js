@@ -1,7 +1,7 @@
 /** The log of a job, following its end unless the reader has scrolled up. */
 
 import { save } from "../api.js";
-import { fill, h, icon } from "../dom.js";
+import { fill, h, icon, toast } from "../dom.js";
 import { clock, stamp } from "../format.js";
 
 const LEVELS = { debug: 10, info: 20, warning: 30, error: 40, critical: 50 };
@@ -92,9 +92,31 @@ export class LogTab {
     this.last = 0;
     this.attempt = null;
     this.box.replaceChildren();
-    if (this.store.logsBefore)
-      this.box.append(h("div", { class: "mark" }, "Earlier lines are not shown; naoctl logs shows all lines."));
+    if (this.store.logsBefore) {
+      const more = h(
+        "button",
+        { class: "small", "data-action": "earlier", onclick: () => this.earlier(more) },
+        "Show earlier lines",
+      );
+      this.box.append(h("div", { class: "mark" }, more));
+    }
     this.append();
+  }
+
+  /** Show the page of lines before the first one; what is in view stays where it is. */
+  async earlier(button) {
+    button.disabled = true;
+    try {
+      await this.store.earlierLogs();
+    } catch (error) {
+      toast(error.message, "error");
+      button.disabled = false;
+      return;
+    }
+    const below = this.box.scrollHeight - this.box.scrollTop;
+    this.follow = false;
+    this.rebuild();
+    this.box.scrollTop = this.box.scrollHeight - below;
   }
 
   append() {
@@ -124,7 +146,6 @@ export class LogTab {
     }
     this.box.querySelector(".nothing")?.remove();
     this.box.append(rows);
-    while (this.box.childElementCount > 6000) this.box.firstElementChild.remove();
     if (!this.shown)
       this.box.append(
         h(

@@ -2,7 +2,7 @@
 
 import { fill, h, icon, setText } from "../dom.js";
 import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
-import { elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
+import { latest, progress, remaining, shownMetric, summary } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 
 /** One table row that is updated in place. */
@@ -134,7 +134,7 @@ export class Row {
   tick() {
     setText(this.eta, isEnded(this.job.state) ? "–" : duration(remaining(this.job)));
     setText(this.age, ago(this.job.created_at));
-    this.age.title = `Submitted ${stamp(this.job.created_at)}${this.job.started_at ? `, ran ${duration(elapsed(this.job))}` : ""}`;
+    this.age.title = `Submitted ${stamp(this.job.created_at)}${this.job.started_at ? `, trained ${duration(latest(this.job).time_s)}` : ""}`;
   }
 }
 

@@ -1,6 +1,6 @@
 /** One job: metrics, curves, log, checkpoints, timeline, evaluations and specification, all live. */
 
-import { call, query } from "../api.js";
+import { call, may, query } from "../api.js";
 import { Columns } from "../columns.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
@@ -16,20 +16,24 @@ import {
   stamp,
   withUnit,
 } from "../format.js";
-import { act, elapsed, latest, progress, remaining, shownMetric, summary } from "../jobs.js";
+import { act, latest, progress, remaining, shownMetric, summary, worked } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 import { follow } from "../stream.js";
 import { CheckpointsTab } from "./job-checkpoints.js";
 import { CurvesTab } from "./job-curves.js";
+import { editJob, shareJob } from "./job-edit.js";
 import { EvaluationTab } from "./job-evaluation.js";
 import { HistoryTab } from "./job-history.js";
 import { LogTab } from "./job-log.js";
 import { ReplayTab } from "./job-replay.js";
+import { ReportTab } from "./job-report.js";
 import { SpecTab } from "./job-spec.js";
 import { loading, notice } from "./messages.js";
 
 const MAX_POINTS = 4000;
 const TAIL = 1000;
+/** Most lines of the log that the page keeps while a job writes more. */
+const MOST_LINES = 20_000;
 const POLL_MS = 4000;
 /** Metrics that stand above the tabs. */
 const MOST_STATS = 3;
@@ -97,6 +101,13 @@ class JobStore extends EventTarget {
     return page.items;
   }
 
+  /** The log lines before the ones that are known. */
+  async earlierLogs() {
+    const page = await this.get(`${this.path}/logs`, { before: this.logs[0]?.id, limit: TAIL });
+    this.logs.unshift(...page.items);
+    this.logsBefore = page.items.length >= TAIL;
+  }
+
   setJob(job) {
     this.job = job;
     this.tell("job");
@@ -148,8 +159,8 @@ class JobStore extends EventTarget {
     } else if (type === "log") {
       if (this.logs.length && data.id <= this.logs.at(-1).id) return;
       this.logs.push(data);
-      if (this.logs.length > 6000) {
-        this.logs.splice(0, 1000);
+      if (this.logs.length > MOST_LINES) {
+        this.logs.splice(0, TAIL);
         this.logsBefore = true;
       }
       this.tell("logs");
@@ -169,6 +180,7 @@ const TABS = [
   ["curves", "Curves", CurvesTab],
   ["evaluation", "Evaluation", EvaluationTab],
   ["replay", "Replay", ReplayTab],
+  ["report", "Report", ReportTab],
   ["checkpoints", "Checkpoints", CheckpointsTab],
   ["log", "Log", LogTab],
   ["history", "History", HistoryTab],
@@ -216,6 +228,7 @@ class JobView {
     this.badge = h("span");
     this.actions = h("div", { class: "row wrap" });
     this.sub = h("div", { class: "row wrap muted" });
+    this.notes = h("p", { class: "notes", "data-part": "notes" });
     this.trouble = h("div");
     const stat = (key, label, cls) => {
       const cell = { v: h("div", { class: "v" }), d: h("div", { class: "d" }), bar: null };
@@ -238,6 +251,7 @@ class JobView {
       h("div", { class: "crumbs" }, h("a", { href: "#/" }, "Jobs"), " / ", h("span", { class: "mono" }, job.id)),
       h("div", { class: "page-head" }, h("div", { class: "grow row wrap" }, this.title, this.badge), this.actions),
       this.sub,
+      this.notes,
       this.trouble,
       h(
         "div",
@@ -245,7 +259,7 @@ class JobView {
         done,
         this.listed.map((m) => stat(`metric:${m.name}`, m.title)),
         stat("rate", "Steps per second"),
-        stat("elapsed", "Time"),
+        stat("elapsed", "Running for"),
       ),
       this.tabBar,
       this.panel,
@@ -274,7 +288,7 @@ class JobView {
           a.label,
         ),
       );
-      if (isEnded(job.state))
+      if (isEnded(job.state) && may("submit"))
         buttons.push(
           h(
             "button",
@@ -285,12 +299,15 @@ class JobView {
         );
       fill(
         this.actions,
-        h(
-          "a",
-          { class: "button", href: `#/submit?from=${job.id}` },
-          icon("copy"),
-          h("span", { class: "fold-tiny" }, "Submit again"),
-        ),
+        may("submit") &&
+          h(
+            "a",
+            { class: "button", href: `#/submit?from=${job.id}` },
+            icon("copy"),
+            h("span", { class: "fold-tiny" }, "Submit again"),
+          ),
+        may("submit") && h("button", { "data-action": "edit", onclick: () => this.edit() }, "Edit"),
+        may("submit") && h("button", { "data-action": "share", onclick: () => shareJob(this.store.job) }, "Share"),
         h("a", { class: "button", href: `#/compare?jobs=${job.id}` }, "Compare"),
         buttons,
       );
@@ -325,7 +342,7 @@ class JobView {
               : null,
       );
     }
-    const about = JSON.stringify([job.worker, job.owner, job.tags, job.parent_job_id]);
+    const about = JSON.stringify([job.worker, job.owner, job.tags, job.notes, job.parent_job_id]);
     if (about !== this.about) {
       this.about = about;
       this.paintAbout(job);
@@ -336,6 +353,8 @@ class JobView {
 
   paintAbout(job) {
     const worker = job.worker ? [" · on ", h("span", { class: "mono" }, job.worker)] : null;
+    setText(this.notes, job.notes);
+    this.notes.hidden = !job.notes;
     fill(
       this.sub,
       h("span", null, summary(job), ` · seed ${job.spec.seed} · by ${job.owner}`, worker),
@@ -383,7 +402,7 @@ class JobView {
     const left = remaining(job);
     show(
       s.elapsed,
-      duration(elapsed(job)),
+      duration(worked(job, this.store.events)),
       null,
       job.state === "queued"
         ? "waiting for a worker"
@@ -448,6 +467,11 @@ class JobView {
     this.panel.replaceChildren();
     this.tab = new Tab(this.panel, this.store, { sub, params, go: this.go });
     return true;
+  }
+
+  async edit() {
+    const changed = await editJob(this.store.job);
+    if (changed) this.store.setJob(changed);
   }
 
   async act(name) {

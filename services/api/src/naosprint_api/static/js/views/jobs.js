@@ -1,7 +1,7 @@
 /** All jobs, live: filter, search, sort, choose columns, act on one or on several, choose some to compare. */
 
 import { call, query } from "../api.js";
-import { common, Descriptions, descriptions } from "../descriptions.js";
+import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, toast } from "../dom.js";
 import { act, latest, progress, remaining, shownMetric } from "../jobs.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
@@ -87,6 +87,7 @@ class JobsView {
     this.hidden = readHidden();
     this.filter = filterOf(params);
     this.turn = 0;
+    this.fresh = new Set();
   }
 
   async start() {
@@ -153,6 +154,7 @@ class JobsView {
     removeEventListener("scroll", this.scrolled);
     removeEventListener("resize", this.scrolled);
     cancelAnimationFrame(this.frame);
+    cancelAnimationFrame(this.painting);
     clearInterval(this.timer);
     clearTimeout(this.typing);
     clearTimeout(this.fallback);
@@ -255,7 +257,9 @@ class JobsView {
       this.paintEmpty();
       return;
     }
-    const metrics = common([...this.jobs.values()].map((job) => this.known.listed(job.spec))).slice(0, MOST_METRICS);
+    // Jobs of one task list the same metrics.
+    const tasks = new Map([...this.jobs.values()].map((job) => [nameOf(job.spec, "task"), job.spec]));
+    const metrics = common([...tasks.values()].map((spec) => this.known.listed(spec))).slice(0, MOST_METRICS);
     if (metrics.map((m) => m.name).join() !== this.metrics.map((m) => m.name).join()) {
       this.metrics = metrics;
       this.rows.clear();
@@ -263,16 +267,25 @@ class JobsView {
     }
     if (!this.head || !this.body.isConnected) {
       this.head = h("thead");
-      this.table = h("table", { class: "jobs-table" }, this.head, this.above, this.body, this.below);
+      this.table = h("table", { class: "jobs-table" }, this.head, this.body);
       fill(this.box, this.table);
       this.paintColumns();
     }
     this.sort();
     this.paintHead();
-    this.body.replaceChildren();
     this.drawn = null;
     this.draw();
     this.paintBar();
+  }
+
+  /** Paint once for all changes that arrive before the next frame. */
+  paintSoon() {
+    this.painting ??= requestAnimationFrame(() => {
+      this.painting = null;
+      this.paint();
+      for (const id of this.fresh) this.rows.get(id)?.element.classList.add("fresh");
+      this.fresh.clear();
+    });
   }
 
   paintEmpty() {
@@ -402,7 +415,14 @@ class JobsView {
     if (!this.table?.isConnected) return;
     const count = this.order.length;
     let [first, last] = [0, count];
-    if (count > WHOLE) {
+    if (count <= WHOLE) {
+      this.above.remove();
+      this.below.remove();
+    } else {
+      if (!this.above.isConnected) {
+        this.body.before(this.above);
+        this.body.after(this.below);
+      }
       const pitch = this.pitch ?? 64;
       const top = -this.above.getBoundingClientRect().top;
       first = Math.max(0, Math.min(count - 1, Math.floor(top / pitch) - MARGIN));
@@ -412,6 +432,7 @@ class JobsView {
     const key = `${first} ${last}`;
     if (key === this.drawn) return;
     this.drawn = key;
+    const began = performance.now();
     const wanted = this.order.slice(first, last).map((id) => this.row(id));
     const kept = new Set(wanted.map((row) => row.element));
     for (const element of [...this.body.children]) if (!kept.has(element)) element.remove();
@@ -427,6 +448,7 @@ class JobsView {
       fill(part, rows ? h("tr", { class: "spacer", style: { height: `${rows * (this.pitch ?? 64)}px` } }) : null);
     spacer(this.above, first);
     spacer(this.below, count - last);
+    if (count > WHOLE) performance.measure("jobs.draw", { start: began });
   }
 
   /** The row of a job, made when it is first seen. */
@@ -455,8 +477,8 @@ class JobsView {
     }
     this.put(data);
     if (known && !this.filter.sort) return;
-    this.paint();
-    if (!known) this.rows.get(data.id)?.element.classList.add("fresh");
+    if (!known) this.fresh.add(data.id);
+    this.paintSoon();
   }
 
   fits(job) {
@@ -473,7 +495,7 @@ class JobsView {
     if (!this.jobs.delete(id)) return;
     this.rows.delete(id);
     this.selected.delete(id);
-    this.paint();
+    this.paintSoon();
   }
 
   async act(job, name) {

@@ -1,0 +1,159 @@
+"""One job's page: what can be changed, shared, chosen and read there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from naojobs.database import notify
+from naojobs.models import Log, Metric
+
+if TYPE_CHECKING:
+    import httpx
+    from conftest import Browser, Stack
+
+WAITING: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+
+
+@pytest.fixture
+def job_id(client: httpx.Client) -> str:
+    """A job that waits: no worker of the tests runs servers."""
+    found: str = client.post("/jobs", json={"name": "page", **WAITING}).json()["id"]
+    return found
+
+
+def test_name_tags_and_notes_are_edited(browser: Browser, token: str, client: httpx.Client, job_id: str) -> None:
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.find("[data-action=edit]").click()
+    browser.set("#edit-name", "renamed <b>")
+    browser.set("#edit-tags", "one, two")
+    browser.set("#edit-notes", "Slips\non the left foot.")
+    browser.find("dialog button[type=submit]").click()
+    browser.shows("renamed <b>", "h1")
+    browser.shows("Slips\non the left foot.", "[data-part=notes]")
+    job = client.get(f"/jobs/{job_id}").json()
+    assert (job["name"], job["tags"], job["notes"]) == ("renamed <b>", ["one", "two"], "Slips\non the left foot.")
+    browser.allowed.append("422")
+    browser.find("[data-action=edit]").click()
+    browser.set("#edit-tags", "not/ok?")
+    browser.find("dialog button[type=submit]").click()
+    browser.shows("expected a letter or digit", "dialog")
+
+
+def test_a_link_shows_the_job_and_offers_no_change(
+    browser: Browser, token: str, client: httpx.Client, job_id: str
+) -> None:
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    browser.find("[data-action=share]").click()
+    browser.find("[data-action=make-link]").click()
+    link = browser.find("dialog input[readonly]").get_attribute("value")
+    assert link is not None
+    assert job_id in link
+    browser.driver.get("about:blank")
+    browser.driver.get(f"{browser.base}/")
+    browser.js("sessionStorage.clear()")
+    browser.driver.get("about:blank")
+    browser.driver.get(link)
+    browser.shows("page", "h1")
+    assert "token" not in browser.driver.current_url
+    assert not browser.all("[data-action=cancel], [data-action=edit], [data-action=share], a[href='#/submit']")
+    client.delete(f"/jobs/{job_id}/share")
+    browser.allowed.append("401")
+    browser.open("/")
+    browser.shows("no longer valid")
+
+
+def test_curves_have_axes_a_choice_and_saved_views(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    with stack.sessions.begin() as session:
+        for i in range(1, 60):
+            values = {"reward": 10.0 ** (i % 4), "episode_steps": 5.0, "time_s": float(i)}
+            session.add(Metric(job_id=job_id, attempt=1, step=i * 1000, time_s=float(i), values=values))
+        notify(session, job_id)
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}")
+    chart = "[data-chart=reward]"
+    browser.find(f"{chart} canvas")
+    linear = browser.find(f"{chart} canvas").screenshot_as_png
+    browser.find("input[name=log]").click()
+    browser.until(lambda: browser.find(f"{chart} canvas").screenshot_as_png != linear, message="the scale is linear")
+    browser.find("button[data-x=clock]").click()
+    assert browser.find("button[data-x=clock]").get_attribute("aria-pressed") == "true"
+    browser.find(".menu:has(.chart-list) summary").click()
+    other = browser.find(".chart-list input[type=checkbox]:not([name='show:reward'])").get_attribute("name") or ""
+    hidden = other.removeprefix("show:")
+    browser.find(f"[name='{other}']").click()
+    browser.until(lambda: not browser.driver.find_element("css selector", f"[data-chart={hidden}]").is_displayed())
+    before = browser.find(f"{chart} canvas").screenshot_as_png
+    browser.js(
+        "arguments[0].value = '20000'; arguments[0].dispatchEvent(new Event('change'))",
+        browser.find("[name='max:reward']"),
+    )
+    browser.until(lambda: browser.find(f"{chart} canvas").screenshot_as_png != before, message="the range is unchanged")
+    browser.js("for (const d of document.querySelectorAll('.menu')) d.open = true")
+    browser.set("[aria-label='Name of the view']", "mine")
+    browser.js("document.querySelector('[data-action=save-view]').click()")
+    browser.open(f"/jobs/{job_id}")
+    browser.find(f"{chart} canvas")
+    assert browser.find(f"[data-chart={hidden}]")
+    browser.js(
+        "const s = document.querySelector(arguments[0]); s.value = 'mine'; s.dispatchEvent(new Event('change'))",
+        "[aria-label='Saved view']",
+    )
+    browser.until(lambda: not browser.driver.find_element("css selector", f"[data-chart={hidden}]").is_displayed())
+    assert browser.find("input[name=log]").is_selected()
+    assert browser.find("button[data-x=clock]").get_attribute("aria-pressed") == "true"
+
+
+def test_earlier_lines_of_the_log_come_in_pages(
+    browser: Browser, stack: Stack, token: str, client: httpx.Client, job_id: str
+) -> None:
+    with stack.sessions.begin() as session:
+        session.add_all(Log(job_id=job_id, attempt=1, level="info", message=f"line {i}") for i in range(1500))
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job_id}/log")
+    browser.shows("line 1499", ".log")
+    assert len(browser.all(".log .msg")) == 1000
+    browser.js("document.querySelector('.log').scrollTop = 0")
+    browser.find("[data-action=earlier]").click()
+    browser.until(lambda: len(browser.all(".log .msg")) == 1500, message="not all lines came")
+    lines = browser.js("return [...document.querySelectorAll('.log .msg')].map((e) => e.textContent)")
+    assert lines == [f"line {i}" for i in range(1500)]
+    assert not browser.all("[data-action=earlier]")
+    assert browser.js("return document.querySelector('.log').scrollTop") > 0, "what was in view has moved away"
+
+
+def test_time_in_the_queue_and_in_pauses_does_not_count(browser: Browser) -> None:
+    browser.driver.get(f"{browser.base}/")
+    kinds = ["queued", "claimed", "running", "pause_requested", "paused", "queued", "claimed", "running", "succeeded"]
+    minutes = [0, 10, 11, 20, 21, 50, 60, 61, 80]
+    events = [
+        {"kind": kind, "at": f"2026-01-01T{minute // 60:02}:{minute % 60:02}:00Z", "data": {}}
+        for kind, minute in zip(kinds, minutes, strict=True)
+    ]
+    job = {"started_at": events[1]["at"], "finished_at": events[-1]["at"]}
+    worked = browser.module("return (await import('/ui/js/jobs.js')).worked(...args)", job, events)
+    assert worked == (21 - 10 + 80 - 60) * 60
+
+
+def test_wall_clock_of_metrics_has_the_gaps_of_pauses(browser: Browser) -> None:
+    browser.driver.get(f"{browser.base}/")
+    events = [
+        {"kind": "started", "at": "2026-01-01T00:00:00Z", "data": {"step": 0}},
+        {"kind": "resumed", "at": "2026-01-01T01:00:00Z", "data": {"step": 200}},
+    ]
+    clock = browser.module(
+        """
+        const { Columns } = await import('/ui/js/columns.js');
+        const { wallClock } = await import('/ui/js/curves.js');
+        const m = new Columns();
+        m.load({ step: [100, 200, 300], time_s: [10, 20, 32] });
+        return wallClock(m, args[0]);
+        """,
+        events,
+    )
+    start = 1_767_225_600
+    assert clock == [start + 10, start + 20, start + 3600 + 12]

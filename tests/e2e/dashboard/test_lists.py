@@ -1,0 +1,131 @@
+"""The list of jobs as a working tool: sign-in in several tabs, order, columns, bulk actions, a thousand rows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import httpx
+    from conftest import Browser
+
+#: A job that no worker of the tests takes: none runs servers.
+WAITING: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+
+
+def park(client: httpx.Client, name: str, tags: tuple[str, ...] = ()) -> str:
+    """Submit a job that waits; return its id."""
+    job_id: str = client.post("/jobs", json={"name": name, "tags": tags, **WAITING}).json()["id"]
+    return job_id
+
+
+def listed(browser: Browser) -> list[str]:
+    """Return the names of the jobs in the order of their rows."""
+    return [element.text for element in browser.all("tbody tr[data-job] .name > a")]
+
+
+def test_sign_in_extends_to_a_new_tab_and_sign_out_to_all(browser: Browser, token: str) -> None:
+    browser.sign_in(token)
+    driver = browser.driver
+    first = driver.current_window_handle
+    driver.switch_to.new_window("tab")
+    try:
+        browser.open("/workers")
+        browser.shows("Alive")
+        assert browser.js("return localStorage.getItem('naosprint.token')") is None, (
+            "it is kept by no storage of all tabs"
+        )
+        browser.find("button[aria-label='Sign out']").click()
+        browser.find("#token")
+    finally:
+        driver.close()
+        driver.switch_to.window(first)
+    browser.find("#token")
+
+
+def test_the_list_sorts_hides_columns_and_finds_tags(browser: Browser, token: str, client: httpx.Client) -> None:
+    for name, tags in (("beta", ("left",)), ("alpha", ("right-foot",)), ("gamma", ())):
+        park(client, name, tags=tags)
+    browser.sign_in(token)
+    browser.until(lambda: listed(browser) == ["gamma", "alpha", "beta"], message="not the newest first")
+    browser.find("button[data-sort=name]").click()
+    browser.until(lambda: listed(browser) == ["alpha", "beta", "gamma"], message="not sorted by name")
+    assert browser.find("th:has([data-sort=name])").get_attribute("aria-sort") == "ascending"
+    browser.find("button[data-sort=name]").click()
+    browser.until(lambda: listed(browser) == ["gamma", "beta", "alpha"], message="not in reverse")
+    assert "sort=-name" in browser.driver.current_url
+    browser.find(".menu summary").click()
+    browser.find(".menu input[name=owner]").click()
+    browser.until(lambda: not any(e.is_displayed() for e in browser.all("td.owner, [data-sort=owner]")))
+    browser.open("/")
+    browser.until(lambda: len(listed(browser)) == 3)
+    assert not any(e.is_displayed() for e in browser.all("td.owner")), "the choice of columns was forgotten"
+    browser.find("input[type=search]").send_keys("right-f")
+    browser.until(lambda: listed(browser) == ["alpha"], message="a tag is not found")
+
+
+def test_jobs_are_cancelled_and_deleted_together(browser: Browser, token: str, client: httpx.Client) -> None:
+    jobs = [park(client, f"bulk-{i}") for i in range(3)]
+    client.post(f"/jobs/{jobs[2]}/pause")
+    browser.sign_in(token)
+    browser.open("/?state=paused")
+    browser.until(lambda: listed(browser) == ["bulk-2"], message="the filter does not show the paused job alone")
+    browser.open("/")
+    browser.until(lambda: len(listed(browser)) == 3)
+    browser.find("thead input[type=checkbox]").click()
+    browser.find("[data-bulk=cancel]").click()
+    browser.find("dialog button[value=yes]").click()
+    browser.until(lambda: {j["state"] for j in client.get("/jobs").json()["items"]} == {"cancelled"})
+    browser.until(lambda: len(browser.all("tbody [data-state=cancelled]")) == 3)
+    browser.find("thead input[type=checkbox]").click()
+    browser.find(f"tr[data-job={jobs[0]}] .check input").click()
+    assert browser.text("[data-bulk=delete]") == "Delete 2"
+    browser.find("[data-bulk=delete]").click()
+    browser.find("dialog button[value=yes]").click()
+    browser.until(lambda: listed(browser) == ["bulk-0"], message="the others are still listed")
+    assert [job["id"] for job in client.get("/jobs").json()["items"]] == [jobs[0]]
+
+
+#: Scroll through the list as a wheel does, and return the milliseconds of script, style and layout of each step.
+SCROLL = """
+const times = [];
+for (let step = 0; step < 120; step++) {
+  await new Promise((resolve) => requestAnimationFrame(resolve));
+  const began = performance.now();
+  scrollBy(0, 240);
+  dispatchEvent(new Event("scroll"));
+  await new Promise((resolve) => requestAnimationFrame(resolve));
+  document.body.getBoundingClientRect();
+  const spent = performance.getEntriesByName("jobs.draw").at(-1)?.duration ?? 0;
+  performance.clearMeasures("jobs.draw");
+  times.push(spent);
+}
+return times;
+"""
+
+
+def test_a_thousand_jobs_stay_light(browser: Browser, token: str, client: httpx.Client) -> None:
+    for part in range(10):
+        body = {"job": {"name": f"part-{part}", **WAITING}, "seeds": list(range(100))}
+        assert client.post("/groups", json=body).status_code == 201
+    browser.sign_in(token)
+    browser.find("tbody tr[data-job]")
+    select_all = "thead input[type=checkbox]"
+
+    def held() -> int:
+        browser.find(select_all).click()
+        count = int(browser.text(".select-bar").split()[0])
+        browser.find(select_all).click()
+        return count
+
+    browser.until(lambda: held() == 1000, message="not all jobs were loaded")
+    rows = "return document.querySelectorAll('tbody tr[data-job]').length"
+    assert browser.js(rows) < 60
+    height = browser.js("return document.documentElement.scrollHeight")
+    assert height > 1000 * 40, "the scroll bar does not stand for all jobs"
+    times = sorted(browser.module(SCROLL))
+    print(f"a step of scrolling takes {times[60]:.1f} ms in the median, {times[114]:.1f} ms in 95 of 100")  # noqa: T201
+    assert 0 < times[60] < 16.7, "fewer than 60 frames a second"
+    assert browser.js(rows) < 60
+    browser.js("scrollTo(0, document.documentElement.scrollHeight)")
+    browser.shows("part-0-seed-0", "tbody:nth-of-type(2)")
+    assert browser.js("return document.documentElement.scrollWidth <= innerWidth")
