@@ -106,7 +106,7 @@ return times;
 def test_a_thousand_jobs_stay_light(browser: Browser, token: str, client: httpx.Client) -> None:
     for part in range(10):
         body = {"job": {"name": f"part-{part}", **WAITING}, "seeds": list(range(100))}
-        assert client.post("/groups", json=body).status_code == 201
+        assert client.post("/groups", json=body, timeout=120).status_code == 201
     browser.sign_in(token)
     browser.find("tbody tr[data-job]")
     select_all = "thead input[type=checkbox]"
