@@ -172,7 +172,7 @@ def list_studies(
 
 
 def evaluation(sessions: Sessions, evaluation_id: str) -> Evaluation:
-    """Return an evaluation, whoever owns it. Raises NotFoundError."""
+    """Return an evaluation of any owner. Raises NotFoundError."""
     with sessions.begin() as session:
         row = session.get(Evaluation, evaluation_id)
     if row is None:
