@@ -304,6 +304,11 @@ def test_an_evaluation_is_cancelled_by_its_owner(
     assert (asked["state"], asked["cancel_requested"], asked["worker"]) == ("starting", True, "worker-1")
     assert lifecycle.heartbeat(sessions, claim.lease).cancel
     lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="too late")
-    refused = client.post(f"/evaluations/{running['id']}/cancel")
+    assert client.get(f"/evaluations/{running['id']}").json()["state"] == "cancelled"
+    failing = client.post(f"/jobs/{lease.job_id}/evaluations", json=body).json()
+    claim = lifecycle.claim(sessions, Evaluation, failing["id"], "worker-1")
+    assert claim is not None
+    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="broken")
+    refused = client.post(f"/evaluations/{failing['id']}/cancel")
     assert refused.status_code == 409
     assert "has already failed" in refused.json()["detail"]

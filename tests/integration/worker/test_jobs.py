@@ -233,7 +233,7 @@ def test_only_the_checkpoints_that_are_worth_it_are_kept(service: Service) -> No
 
 def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> None:
     job_id = shared.submit(
-        total_steps=10**6, learning_rate=1.0, reward_scale=1e300, normalize_rewards=False, max_grad_norm=None
+        total_steps=10**6, preset="paper", learning_rate=0.1, entropy_coefficient=1.0, n_epochs=50, max_grad_norm=None
     )
     job = shared.until_state(job_id, WorkState.FAILED)
     assert job.attempt == 1

@@ -113,7 +113,7 @@ def test_spec_explains_one_setting() -> None:
     (described,) = json.loads(help_of("spec", "learning-rate", "--json"))
     assert described["path"] == "spec.algorithm.learning_rate"
     assert described["flag"] == "--learning-rate"
-    assert described["bounds"] == "above 0 and at most 1"
+    assert described["bounds"] == "above 0 and at most 0.1"
     assert described["defaults"]["fast"] == 0.0005
     assert described["defaults"]["paper"] == 0.0001
     text = help_of("spec", "algorithm.learning_rate")

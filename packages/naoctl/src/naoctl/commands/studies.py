@@ -308,12 +308,15 @@ def cancel_study(ctx: typer.Context, study: Reference, as_json: JsonFlag = False
 
 
 @app.command("delete")
-def delete_study(ctx: typer.Context, study: Reference) -> None:
+def delete_study(ctx: typer.Context, study: Reference, as_json: JsonFlag = False) -> None:
     """Delete a study that has ended; its jobs stay."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_study(client, study)
         client.request("DELETE", f"/studies/{found['id']}")
+    if as_json:
+        context.json({"deleted": found["id"]})
+        return
     context.out.print(f"Deleted {found['id']}; its jobs stay", markup=False)
 
 

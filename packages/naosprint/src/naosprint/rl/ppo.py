@@ -228,8 +228,11 @@ class PPO(Learner):
             self._n_passes += 1
             if target_kl is not None and kls[-1] > 1.5 * target_kl:
                 break
-        if not all(bool(torch.isfinite(parameter).all()) for parameter in parameters):
-            raise TrainingDivergedError(f"a weight is no longer finite after {self.steps} steps; lower learning_rate")
+        if not all(bool(torch.isfinite(array).all()) for array in (*parameters, policy.log_std.detach().exp())):
+            raise TrainingDivergedError(
+                f"a weight or the actions' standard deviation is no longer finite after {self.steps} steps; "
+                "lower learning_rate"
+            )
         self._update_average()
         kl = float(np.mean(kls))
         if settings.learning_rate_schedule == "adaptive":
