@@ -36,6 +36,10 @@ class PolicyCard(BaseModel):
     tables: list[dict[str, Any]] = Field(description="Results that vary with a quantity.")
     evaluation: dict[str, Any] = Field(description="Specification of the evaluation.")
     lineage: list[dict[str, Any]] = Field(description="The jobs behind it, first to last, with their curves.")
+    motion: dict[str, dict[str, float]] = Field(
+        default={}, description="Peaks of joint speed, foot force and contact depth, running and standing."
+    )
+    robustness: list[dict[str, Any]] = Field(default=[], description="Headline results under each disturbance.")
 
 
 class Policy(PolicyCard):
