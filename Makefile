@@ -39,7 +39,7 @@ lint: $(INSTALLED) js  ## linters and formatters of Python and JavaScript
 # Biome checks the dashboard's scripts. It is the one thing that comes from npm, and only for development.
 BIOME := services/api/node_modules/.package-lock.json
 $(BIOME): services/api/package-lock.json
-	npm ci --prefix services/api --silent --no-audit --no-fund
+	npm install --prefix services/api --no-save --silent --no-audit --no-fund
 
 ifneq ($(shell command -v npm),)
 js: $(BIOME)
