@@ -220,13 +220,34 @@ def test_a_stage_with_another_robot_has_that_robots_own_settings() -> None:
     assert [stage.task.min_height_m for stage in chosen.stage_specs] == [0.3, 0.3]
 
 
+def test_a_stage_with_another_task_has_that_tasks_own_settings() -> None:
+    """The preset's values for that task hold; settings of the training's task do not."""
+    spec = TrainingSpec.model_validate(
+        {
+            "robot": "t1",
+            "task": {"name": "velocity", "torque_penalty": 0.5, "forward_max_mps": 2.2},
+            "algorithm": {"preset": "fast"},
+            "stages": [{"steps": 10, "task": {"name": "sprint1", "drift_penalty": 0.5}}, {"steps": 10}],
+        }
+    )
+    alone = TrainingSpec.model_validate(
+        {"robot": "t1", "task": {"name": "sprint1", "drift_penalty": 0.5}, "algorithm": {"preset": "fast"}}
+    )
+    first, second = spec.stage_specs
+    assert first.task == alone.task and first.algorithm == alone.algorithm
+    assert second.task == spec.task
+    assert TrainingSpec.model_validate_json(spec.model_dump_json()) == spec
+
+
 @pytest.mark.parametrize(
     ("stages", "words"),
     [
         ([{"steps": 0}], "stages.0.steps"),
         ([{"steps": 10}, {"steps": 10, "algorithm": {"clip_range": 7}}], "stages.1.algorithm.clip_range"),
         ([{"steps": 10, "algorithm": {"preset": "paper"}}], "stages.0.algorithm.preset: cannot differ between stages"),
-        ([{"steps": 10, "task": {"name": "sprint2"}}], "stages.0.task.name: cannot differ between stages"),
+        ([{"steps": 10, "task": {"name": "sprint9"}}], "stages.0.task: unknown task"),
+        ([{"steps": 10, "task": {"version": 2}}], "stages.0.task.version: cannot differ between stages"),
+        ([{"steps": 10, "algorithm": {"name": "ppo"}}], "stages.0.algorithm.name: cannot differ between stages"),
         ([{"steps": 10}, {"steps": 10, "algorithm": {"hidden_sizes": [8]}}], "stages.1.algorithm: all stages train"),
         ([{"steps": 10, "robot": "nao-9"}], "stages.0.robot: unknown robot"),
         ([{"steps": 10, "task": {"min_height_m": 0.385}}], "stages.0: task.min_height_m: 0.385"),

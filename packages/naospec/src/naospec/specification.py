@@ -185,7 +185,10 @@ class Stage(BaseModel):
         default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
     )
     task: dict[str, Any] = Field(
-        default_factory=dict, title="Task", description="Task settings that differ in this stage."
+        default_factory=dict,
+        title="Task",
+        description="Task settings that differ in this stage; with a name of its own, another task with its default "
+        "settings.",
     )
 
 
@@ -340,11 +343,13 @@ class TrainingSpec(_Specification):
             if stage.robot is not None:
                 # this robot decides what the training's own robot decided
                 content = {**self.without_preset(), "stages": (), "robot": {"name": stage.robot}}
+            if stage.task.get("name", self.task.name) != self.task.name:
+                content["task"] = {}
             content["total_steps"] = stage.steps
             content["seed"] = self.seed if stage.seed is None else stage.seed
             for section in ("algorithm", "task"):
                 changes = getattr(stage, section)
-                fixed = {"name", "preset", "version"} & changes.keys()
+                fixed = {"preset", "version", *(["name"] if section == "algorithm" else [])} & changes.keys()
                 if fixed:
                     raise PydanticCustomError(
                         "stage_field",

@@ -60,6 +60,20 @@ def test_metrics_continue_over_the_border(make_spec: Make, tmp_path: Path, recor
     assert [step for _, step in recorder.checkpoints] == [0, 256, 512, 768, 1024]
 
 
+def test_a_stage_can_train_another_task(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+    """It starts from the policy before it: equal observations are found by name."""
+    few: dict[str, Any] = {"task": "velocity", "robot": "t1", "n_envs": 2, "seed": 4}
+    spec = make_spec(**few, stages=[{"steps": 64, "task": {"name": "sprint1"}}, {"steps": 64}])
+    whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)
+    first = tmp_path / "whole" / "step-000000000064"
+    second = train(
+        make_spec(**few, total_steps=64), workdir=tmp_path / "2", reporter=recorder, initial_policy=first
+    ).checkpoint
+    assert_same(whole.checkpoint, second)
+    tasks = [read_manifest(checkpoint).stage_spec.task.name for checkpoint in (first, whole.checkpoint)]
+    assert tasks == ["sprint1", "velocity"]
+
+
 @pytest.mark.parametrize("stopped_at", [256, 512, 640, 768])
 def test_resuming_anywhere_equals_the_uninterrupted_training(
     make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int
