@@ -518,6 +518,43 @@ def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job
     ]
 
 
+def test_webhooks_are_created_listed_and_deleted(server: Any, naoctl: Callable[..., Ran]) -> None:
+    made = {
+        "id": "hook_1",
+        "url": "https://example.org/x",
+        "events": ["job.ended"],
+        "disabled_at": None,
+        "created_at": "2026-01-02T03:04:05Z",
+    }
+    delivery = {
+        "id": "msg_1",
+        "type": "job.ended",
+        "attempts": 2,
+        "next_at": "2026-01-02T03:05:05Z",
+        "delivered_at": None,
+        "error": "the receiver answered 500",
+        "created_at": "2026-01-02T03:04:05Z",
+    }
+    server.on("POST", "/webhooks")(lambda request: request.json({**made, "secret": "whsec_c2VjcmV0"}, 201))
+    server.on("GET", "/webhooks")(lambda request: request.json([made]))
+    page = {"items": [delivery], "next_cursor": None}
+    server.on("GET", "/webhooks/hook_1/deliveries")(lambda request: request.json(page))
+    server.on("DELETE", "/webhooks/hook_1")(lambda request: request.raw(b"", 204))
+    created = naoctl("webhook", "create", "https://example.org/x", "--event", "job.ended")
+    assert (created.code, created.out) == (0, "whsec_c2VjcmV0\n")
+    assert server.received[-1].body == {"url": "https://example.org/x", "events": ["job.ended"]}
+    naoctl("webhook", "create", "https://example.org/x")
+    assert server.received[-1].body == {"url": "https://example.org/x"}
+    assert "active" in naoctl("webhook", "list").out
+    listed = naoctl("webhook", "deliveries", "hook_1", "--json").out
+    assert json.loads(listed) == [delivery]
+    assert "attempt 3 follows" in naoctl("webhook", "deliveries", "hook_1").out
+    assert naoctl("webhook", "delete", "hook_1").out == "Deleted hook_1\n"
+    unknown = naoctl("webhook", "delete", "../jobs")
+    assert (unknown.code, server.received[-1].path) == (ExitCode.NOT_FOUND, "/webhooks/..%2Fjobs")
+    assert "naoctl webhook list" in unknown.err
+
+
 def test_login_keeps_a_token_that_works(
     server: Any, naoctl: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, home: Any
 ) -> None:
@@ -553,7 +590,7 @@ def test_every_command_has_help_and_json(naoctl: Callable[..., Ran]) -> None:
 
     group = get_command(build_app())
     commands = dict(group.commands)  # type: ignore[attr-defined]
-    for parent in ("token", "policies", "study"):
+    for parent in ("token", "policies", "study", "webhook"):
         commands |= {f"{parent} {name}": sub for name, sub in commands.pop(parent).commands.items()}
     for name, command in commands.items():
         assert command.help, name

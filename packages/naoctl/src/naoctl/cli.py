@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from naoctl import __version__
-from naoctl.commands import artifacts, jobs, policies, service, spec, studies, submit, watch
+from naoctl.commands import artifacts, jobs, policies, service, spec, studies, submit, watch, webhooks
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
@@ -58,7 +58,18 @@ def build_app() -> typer.Typer:
     ) -> None:
         ctx.obj = Context(url=url)
 
-    for module in (submit, studies, spec, jobs, watch, artifacts, policies, service, stack_commands):
+    for module in (
+        submit,
+        studies,
+        spec,
+        jobs,
+        watch,
+        artifacts,
+        policies,
+        service,
+        webhooks,
+        stack_commands,
+    ):
         module.register(app)
     return app
 

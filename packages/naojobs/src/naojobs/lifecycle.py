@@ -25,6 +25,7 @@ from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
 from naojobs.quotas import require_free_slot
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
+from naojobs.webhooks import MessageType, publish
 
 #: Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
 #: to the longest.
@@ -139,6 +140,24 @@ def add_event(
     event.job_id = work.job_id
     session.add(event)
     notify(session, work.job_id)
+    _publish(session, work, kind)
+
+
+def _publish(session: Session, work: Job | Evaluation, kind: str) -> None:
+    """Write the messages of an event to webhooks, if it is an end or the stall of a job."""
+    ended = work.state in ENDED and kind == str(work.state)
+    if not ended and (kind != "stalled" or isinstance(work, Evaluation)):
+        return
+    job = work if isinstance(work, Job) else session.get_one(Job, work.job_id)
+    data: dict[str, Any] = {"job_id": job.id, "name": job.name, "tags": job.tags, "group_id": job.group_id}
+    if isinstance(work, Evaluation):
+        message = MessageType.EVALUATION_FINISHED
+        results = {item["name"]: item["value"] for item in (work.summary or {}).get("results", ())}
+        data |= {"evaluation_id": work.id, "checkpoint_id": work.checkpoint_id, "results": results}
+    else:
+        message = MessageType.JOB_ENDED if ended else MessageType.JOB_STALLED
+        data |= {"step": job.progress_step, "total_steps": job.total_steps, "attempt": job.attempt}
+    publish(session, job.owner, message, {**data, "state": str(work.state), "error": work.error})
 
 
 def lock(
@@ -463,6 +482,7 @@ def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
         add_event(session, work, "failed", reason)
     else:
         notify(session, work.job_id)  # no event: the job's row is not locked
+        _publish(session, work, "failed")
 
 
 def _parent_policy(session: Session, job: Job) -> Checkpoint | None:

@@ -360,6 +360,47 @@ class Trial(Base):
     __table_args__ = (_known("state", TrialState),)
 
 
+class Webhook(Base):
+    """Address that receives messages about the jobs, evaluations and studies of its owner."""
+
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    owner: Mapped[str] = mapped_column(String(200), index=True)
+    url: Mapped[str]
+    #: Types of messages that it receives.
+    events: Mapped[list[str]]
+    #: Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once.
+    secret: Mapped[str]
+    #: When its receiver answered 410 Gone; nothing is sent to it any more.
+    disabled_at: Mapped[datetime | None]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class Delivery(Base):
+    """Message to a webhook, written in the transaction of the change that it reports."""
+
+    __tablename__ = "deliveries"
+
+    #: Id of the message, the same in every attempt.
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
+    type: Mapped[str] = mapped_column(String(40))
+    data: Mapped[dict[str, Any]]
+    attempts: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    #: When the next attempt is due; null once it is delivered or given up.
+    next_at: Mapped[datetime | None] = mapped_column(server_default=func.now())
+    delivered_at: Mapped[datetime | None]
+    #: Why the last attempt failed; null if it did not.
+    error: Mapped[str | None]
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    __table_args__ = (
+        Index("ix_deliveries_webhook_id_id", "webhook_id", "id"),
+        Index("ix_deliveries_due", "next_at", postgresql_where=text("next_at IS NOT NULL")),
+    )
+
+
 #: Models by kind.
 WORK: dict[WorkKind, type[Job] | type[Evaluation]] = {WorkKind.JOB: Job, WorkKind.EVALUATION: Evaluation}
 

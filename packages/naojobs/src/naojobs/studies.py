@@ -22,6 +22,7 @@ from naojobs.ids import new_id
 from naojobs.lifecycle import cancel_open
 from naojobs.models import Study, StudyState, Trial, TrialState
 from naojobs.submission import JobRequest, free_name, same_request
+from naojobs.webhooks import MessageType, publish
 
 #: Trials in a row that may fail before the study fails.
 MAX_FAILURES_IN_A_ROW = 5
@@ -179,6 +180,8 @@ def end(session: Session, study: Study, state: StudyState, why: str) -> None:
     for trial in trials:
         trial.state, trial.error = TrialState.FAILED, why
         trial.finished_at = func.now()
+    data = {"study_id": study.id, "name": study.name, "state": str(state), "error": study.error}
+    publish(session, study.owner, MessageType.STUDY_FINISHED, data)
 
 
 def cancel_study(sessions: Sessions, study_id: str) -> Study:

@@ -18,7 +18,7 @@ from naosprint_api import __version__, problems
 from naosprint_api.dependencies import storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
-from naosprint_api.routes import artifacts, catalog, jobs, policies, sharing, streams, studies, system, tokens
+from naosprint_api.routes import artifacts, catalog, jobs, policies, sharing, streams, studies, system, tokens, webhooks
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
@@ -66,6 +66,7 @@ def create_app(service: Service) -> FastAPI:
         policies.router,
         tokens.router,
         sharing.router,
+        webhooks.router,
     )
     problems.install(app, routers)
     for router in routers:

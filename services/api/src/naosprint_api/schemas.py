@@ -9,9 +9,10 @@ from naojobs.models import DEFAULT_TIME_LIMIT_S, StudyState, TrialState
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naojobs.webhooks import MessageType
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.search import SearchSpec
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, model_validator
 
 from naosprint_api.patterns import ID, NAME, PLAIN, TAG, TEXT
 
@@ -418,6 +419,65 @@ class TokenMade(TokenPublic):
     """New token with its secret."""
 
     token: str = Field(description="The secret. It is shown only here: the service stores only its SHA-256.")
+
+
+def _without_user(url: HttpUrl) -> HttpUrl:
+    if url.username or url.password:
+        raise ValueError("expected an address without user and password; the signature identifies the sender")
+    return url
+
+
+class WebhookCreate(_Request):
+    """Webhook to register."""
+
+    url: Annotated[HttpUrl, AfterValidator(_without_user)] = Field(
+        description="Where messages are sent by POST: http or https, without redirects."
+    )
+    events: list[MessageType] = Field(
+        default_factory=lambda: list(MessageType),
+        min_length=1,
+        max_length=len(MessageType),
+        description="Types of messages to receive; left out: all.",
+    )
+
+
+class WebhookPublic(_Public):
+    """Webhook without its secret."""
+
+    id: str
+    owner: str
+    url: str
+    events: list[MessageType]
+    disabled_at: datetime | None = Field(
+        description="When its receiver answered 410 Gone, after which nothing is sent; null if it did not."
+    )
+    created_at: datetime
+
+
+class WebhookMade(WebhookPublic):
+    """New webhook with its secret."""
+
+    secret: str = Field(description="Key of the Standard Webhooks signatures. It is shown only here.")
+
+
+class DeliveryPublic(_Public):
+    """Message to a webhook."""
+
+    id: str = Field(description="The header webhook-id, the same in every attempt.")
+    type: MessageType
+    data: dict[str, Any]
+    attempts: int
+    next_at: datetime | None = Field(description="When the next attempt is due; null once it is delivered or given up.")
+    delivered_at: datetime | None
+    error: str | None = Field(description="Why the last attempt failed; null if it did not.")
+    created_at: datetime
+
+
+class DeliveryPage(BaseModel):
+    """Page of messages to a webhook, newest first."""
+
+    items: list[DeliveryPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class WorkerPublic(_Public):

@@ -21,6 +21,7 @@ from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from naosprint_api.broadcast import Broadcaster
+from naosprint_api.deliveries import Deliverer
 from naosprint_api.feed import Feed
 from naosprint_api.limits import RateLimiter
 from naosprint_api.probes import Probe, Probes
@@ -54,6 +55,7 @@ class Service:
     telemetry: Telemetry
     feed: Feed
     probes: Probes
+    deliverer: Deliverer
     #: Threads for the store and for the broker: one that does not answer blocks these, but not those of requests.
     store_threads: CapacityLimiter
     broker_threads: CapacityLimiter
@@ -84,17 +86,20 @@ class Service:
             telemetry=Telemetry(reads),
             feed=Feed(reads, stale_s=settings.lease_s),
             probes=Probes(probes),
+            deliverer=Deliverer(sessions, networks=settings.api_webhook_networks, poll_s=settings.api_webhook_poll_s),
             store_threads=CapacityLimiter(STORE_THREADS),
             broker_threads=CapacityLimiter(BROKER_THREADS),
         )
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Listen to the database for as long as the context lasts, then close everything."""
+        """Listen to the database and deliver messages for as long as the context lasts, then close everything."""
         await self.broadcaster.start()
+        self.deliverer.start()
         try:
             yield
         finally:
+            await self.deliverer.stop()
             await self.broadcaster.stop()
             self.notifier.close()
             self.engine.dispose()

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from ipaddress import ip_network
+from typing import Annotated, Any
+
 from naojobs.settings import ServiceSettings
-from pydantic import Field
+from pydantic import Field, IPvAnyNetwork, field_validator
+from pydantic_settings import NoDecode
 
 
 class ApiSettings(ServiceSettings):
@@ -44,4 +48,23 @@ class ApiSettings(ServiceSettings):
         pattern=r"^(https?://.+/)?$",
         description="Address of the documentation's site, ending with a slash; the dashboard's pages link to it.",
     )
+    api_max_webhooks: int = Field(20, ge=0, description="Webhooks that one owner may have.")
+    api_webhook_networks: Annotated[tuple[IPvAnyNetwork, ...], NoDecode] = Field(
+        (),
+        description="Networks of private addresses that webhooks may point to, separated by commas, for example "
+        "10.20.0.0/16,127.0.0.1/32; public addresses are always allowed.",
+    )
+    api_webhook_poll_s: float = Field(
+        2.0, gt=0, le=60, description="Seconds between two checks for messages to send to webhooks."
+    )
     api_docs_public: bool = Field(True, description="Whether /openapi.json is served.")
+
+    @field_validator("api_webhook_networks", mode="before")
+    @classmethod
+    def _split(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
+        try:
+            return tuple(ip_network(part.strip()) for part in value.split(",") if part.strip())
+        except ValueError as error:
+            raise ValueError(f"api_webhook_networks: {error}; expected for example 10.20.0.0/16") from None

@@ -8,7 +8,7 @@ from datetime import timedelta
 from typing import cast
 
 from naojobs.database import Sessions
-from naojobs.models import Backup, Evaluation, Job, Worker
+from naojobs.models import Backup, Delivery, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
@@ -28,6 +28,7 @@ _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was unavailable.", ()),
     ("naosprint_stalled", "Trainings and evaluations that are running without making steps.", ()),
     ("naosprint_worker_disk_free_bytes", "Free space on the disk of a worker that is alive.", ("worker",)),
+    ("naosprint_webhook_messages_waiting", "Messages to webhooks that are not delivered yet.", ()),
     ("naosprint_backup_age_seconds", "Time since the last backup; missing if there has been none.", ()),
     ("naosprint_service_up", "Whether database, schema_revision, store and broker answer the API.", ("service",)),
 )
@@ -88,6 +89,8 @@ def _counts(session: Session) -> Iterator[tuple[str, float]]:
     yield "naosprint_jobs_postponed", jobs[2]
     yield "naosprint_stalled", jobs[3] + (session.scalar(evaluations) or 0)
     yield "naosprint_workers_alive", session.scalar(select(func.count()).select_from(Worker).where(_ALIVE)) or 0
+    waiting = select(func.count()).select_from(Delivery).where(Delivery.next_at.is_not(None))
+    yield "naosprint_webhook_messages_waiting", session.scalar(waiting) or 0
     age_s = session.scalar(select(func.extract("epoch", func.now() - func.max(Backup.finished_at))))
     if age_s is not None:
         yield "naosprint_backup_age_seconds", float(age_s)

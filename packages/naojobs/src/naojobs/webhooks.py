@@ -1,0 +1,196 @@
+"""Webhooks: their registration, and the outbox of messages to them.
+
+A message is written in the transaction of the change that it reports, one row for each webhook that wants it. A
+sender schedules the next attempt before it sends (`take_due`) and records the result afterwards (`settle`): if it
+dies in between, the message is sent again. So each message is delivered at least once. Times come from the
+database's clock.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import secrets
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, timedelta
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import case, delete, func, select, update
+from sqlalchemy.orm import Session
+
+from naojobs.database import Sessions
+from naojobs.errors import NotFoundError, QuotaError
+from naojobs.ids import new_id
+from naojobs.models import Delivery, Webhook
+
+#: Seconds until the second attempt, doubled with each further one up to the longest.
+FIRST_DELAY_S, LONGEST_DELAY_S = 5.0, 3600.0
+#: Age at which a message that could not be delivered is given up.
+GIVE_UP_AFTER = timedelta(days=3)
+#: Age at which messages are deleted that are delivered or given up.
+KEEP = timedelta(days=14)
+#: Seconds for which a sender has a message to itself; an attempt has to take less.
+TAKEN_S = 60.0
+#: Messages that one call of `take_due` returns, in all and to one webhook.
+BATCH, BATCH_OF_ONE = 64, 8
+
+
+class MessageType(StrEnum):
+    """Type of a message."""
+
+    #: A job has succeeded, failed or been cancelled.
+    JOB_ENDED = "job.ended"
+    #: A running job has made no step for a while.
+    JOB_STALLED = "job.stalled"
+    #: An evaluation has succeeded, failed or been cancelled.
+    EVALUATION_FINISHED = "evaluation.finished"
+    #: A study has finished, failed or been cancelled.
+    STUDY_FINISHED = "study.finished"
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Attempt to deliver a message."""
+
+    id: str
+    #: Number of this attempt, from 1.
+    attempt: int
+    webhook_id: str
+    url: str
+    secret: str
+    #: JSON, the same in every attempt.
+    body: str
+
+
+def create_webhook(sessions: Sessions, *, owner: str, url: str, events: Iterable[MessageType], most: int) -> Webhook:
+    """Register a webhook with a new secret and return it. Raises QuotaError if `owner` has `most` webhooks."""
+    secret = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()
+    webhook = Webhook(
+        id=new_id("hook"), owner=owner, url=url, events=sorted({str(event) for event in events}), secret=secret
+    )
+    with sessions.begin() as session:
+        # Two concurrent requests must not both see the last free place.
+        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"webhooks:{owner}", 0))))
+        count = session.scalar(select(func.count()).select_from(Webhook).where(Webhook.owner == owner)) or 0
+        if count >= most:
+            raise QuotaError(f"{owner} has {count} webhooks, of {most} that are allowed; delete some")
+        session.add(webhook)
+        session.flush()
+        session.refresh(webhook)
+    return webhook
+
+
+def get_webhook(sessions: Sessions, webhook_id: str) -> Webhook:
+    """Return a webhook. Raises NotFoundError."""
+    with sessions.begin() as session:
+        webhook = session.get(Webhook, webhook_id)
+    if webhook is None:
+        raise NotFoundError(f"no webhook {webhook_id}")
+    return webhook
+
+
+def list_webhooks(sessions: Sessions, owner: str | None = None) -> list[Webhook]:
+    """Return all webhooks, or those of an owner, oldest first."""
+    wanted = () if owner is None else (Webhook.owner == owner,)
+    with sessions.begin() as session:
+        return list(session.scalars(select(Webhook).where(*wanted).order_by(Webhook.id)))
+
+
+def delete_webhook(sessions: Sessions, webhook_id: str) -> None:
+    """Delete a webhook with its messages. Raises NotFoundError."""
+    with sessions.begin() as session:
+        if session.scalar(delete(Webhook).where(Webhook.id == webhook_id).returning(Webhook.id)) is None:
+            raise NotFoundError(f"no webhook {webhook_id}")
+
+
+def list_deliveries(sessions: Sessions, webhook_id: str, *, limit: int, before: str | None = None) -> list[Delivery]:
+    """Return the messages to a webhook, newest first, only those older than message `before` if it is given."""
+    wanted = [Delivery.webhook_id == webhook_id, *([] if before is None else [Delivery.id < before])]
+    with sessions.begin() as session:
+        return list(session.scalars(select(Delivery).where(*wanted).order_by(Delivery.id.desc()).limit(limit)))
+
+
+# --- outbox -----------------------------------------------------------------------------------------------------------
+
+
+def publish(session: Session, owner: str, kind: MessageType, data: Mapping[str, Any]) -> None:
+    """Write a message to each webhook of `owner` that wants this type, within the caller's transaction."""
+    wanted = (Webhook.owner == owner, Webhook.events.contains([str(kind)]), Webhook.disabled_at.is_(None))
+    # The lock keeps a webhook from being deleted until the message is committed: the change itself must not fail.
+    locked = select(Webhook.id).where(*wanted).order_by(Webhook.id).with_for_update(key_share=True, read=True)
+    session.add_all(
+        Delivery(id=new_id("msg"), webhook_id=webhook_id, type=str(kind), data=dict(data))
+        for webhook_id in session.scalars(locked)
+    )
+
+
+def take_due(sessions: Sessions) -> list[Message]:
+    """Return messages whose next attempt is due, for the caller to send; a few to each webhook.
+
+    Several processes may call it at once: each gets other messages.
+    """
+    due = Delivery.next_at <= func.now()
+    turn = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at).label("turn")
+    ranked = select(Delivery.id, turn, Delivery.next_at).where(due).subquery()
+    first = select(ranked.c.id).where(ranked.c.turn <= BATCH_OF_ONE).order_by(ranked.c.next_at).limit(BATCH)
+    with sessions.begin() as session:
+        rows = session.execute(
+            select(Delivery, Webhook)
+            .join(Webhook)
+            .where(Delivery.id.in_(first), due)
+            .with_for_update(of=Delivery, skip_locked=True)
+        ).all()
+        messages = []
+        for delivery, webhook in rows:
+            delivery.attempts += 1
+            delivery.next_at = func.now() + timedelta(seconds=TAKEN_S)
+            body = {
+                "type": delivery.type,
+                "timestamp": delivery.created_at.astimezone(UTC).isoformat().replace("+00:00", "Z"),
+                "data": delivery.data,
+            }
+            messages.append(
+                Message(delivery.id, delivery.attempts, webhook.id, webhook.url, webhook.secret, json.dumps(body))
+            )
+    return messages
+
+
+def settle(sessions: Sessions, message: Message, error: str | None, *, gone: bool = False) -> None:
+    """Record the result of an attempt: delivered, or why not and when the next one is due.
+
+    With `gone` the receiver wants no more messages: its webhook is disabled. An attempt that lasted so long that
+    another one has begun changes nothing.
+    """
+    same = (Delivery.id == message.id, Delivery.attempts == message.attempt)
+    delay_s = min(FIRST_DELAY_S * 2 ** min(message.attempt - 1, 30), LONGEST_DELAY_S)
+    age = func.now() - Delivery.created_at
+    retry = case((age < GIVE_UP_AFTER, func.now() + timedelta(seconds=delay_s)))
+    with sessions.begin() as session:
+        if gone:
+            _disable(session, message.webhook_id, error)
+        values = {
+            "error": error,
+            "delivered_at": func.now() if error is None else None,
+            "next_at": None if error is None or gone else retry,
+        }
+        session.execute(update(Delivery).where(*same).values(values).execution_options(synchronize_session=False))
+
+
+def _disable(session: Session, webhook_id: str, why: str | None) -> None:
+    """Disable a webhook and give up its messages."""
+    # The webhook's lock comes before those of several messages: two attempts may end in this way at once.
+    webhook = session.scalar(select(Webhook).where(Webhook.id == webhook_id).with_for_update(key_share=True))
+    if webhook is None or webhook.disabled_at is not None:
+        return
+    webhook.disabled_at = func.now()
+    waiting = (Delivery.webhook_id == webhook_id, Delivery.next_at.is_not(None))
+    session.execute(update(Delivery).where(*waiting).values(next_at=None, error=why))
+
+
+def forget(sessions: Sessions) -> int:
+    """Delete old messages that are delivered or given up; return how many."""
+    with sessions.begin() as session:
+        old = (Delivery.next_at.is_(None), Delivery.created_at < func.now() - KEEP)
+        return len(session.scalars(delete(Delivery).where(*old).returning(Delivery.id)).all())

@@ -1,0 +1,114 @@
+"""Delivery of messages to webhooks."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
+from http import HTTPStatus
+from typing import TypeVar
+
+import anyio
+from naojobs import webhooks
+from naojobs.database import Sessions
+from naojobs.webhooks import Message
+from sqlalchemy.exc import SQLAlchemyError
+from standardwebhooks import Webhook as Signer
+
+from naosprint_api import __version__
+from naosprint_api.outbound import Network, RefusedAddressError, Sender
+
+#: Seconds that one attempt may take.
+DEADLINE_S = 10.0
+#: Seconds between two deletions of old messages.
+FORGET_S = 3600.0
+#: Threads for the database, so that deliveries do not delay requests.
+THREADS = 2
+
+Result = TypeVar("Result")
+
+_log = logging.getLogger(__name__)
+
+
+class Deliverer:
+    """Sender of due messages; any number of processes may have one."""
+
+    def __init__(self, sessions: Sessions, *, networks: Sequence[Network], poll_s: float) -> None:
+        """Look for due messages every `poll_s` seconds; `networks` of private addresses are allowed."""
+        self._sessions = sessions
+        self._sender = Sender(networks, deadline_s=DEADLINE_S)
+        self._poll_s = poll_s
+        self._limiter = anyio.CapacityLimiter(THREADS)
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Start to deliver."""
+        self._task = asyncio.create_task(self._run(), name="deliveries")
+
+    async def stop(self) -> None:
+        """Stop; messages that are being sent are sent again later."""
+        if self._task is not None:
+            self._task.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._task
+
+    async def deliver(self) -> int:
+        """Send a batch of due messages and return their number; those that fail are due again later."""
+        messages = await self._in_thread(partial(webhooks.take_due, self._sessions))
+        async with anyio.create_task_group() as group:
+            for message in messages:
+                group.start_soon(self._attempt, message)
+        return len(messages)
+
+    async def _run(self) -> None:
+        forgotten_at = time.monotonic()
+        while True:
+            try:
+                while await self.deliver():
+                    pass
+                if time.monotonic() - forgotten_at > FORGET_S:
+                    forgotten_at = time.monotonic()
+                    await self._in_thread(partial(webhooks.forget, self._sessions))
+            except* SQLAlchemyError as group:
+                _log.warning("messages to webhooks wait for the database: %s", group.exceptions[0])
+            except* Exception:
+                _log.exception("delivering messages to webhooks failed")
+            await asyncio.sleep(self._poll_s)
+
+    async def _attempt(self, message: Message) -> None:
+        status, error = None, None
+        try:
+            status = await self._post(message)
+        except TimeoutError:
+            error = f"no answer within {DEADLINE_S:g} s"
+        except RefusedAddressError as refused:
+            error = str(refused)
+        except Exception as failure:  # of the connection, TLS or the protocol
+            error = f"{type(failure).__name__}: {failure}"[:500]
+        if status is not None and not 200 <= status < 300:
+            hint = "; redirects are not followed" if 300 <= status < 400 else ""
+            error = f"the receiver answered {status}{hint}"
+        if error is not None:
+            _log.info(
+                "message %s to webhook %s, attempt %d: %s", message.id, message.webhook_id, message.attempt, error
+            )
+        gone = status == HTTPStatus.GONE
+        await self._in_thread(partial(webhooks.settle, self._sessions, message, error, gone=gone))
+
+    async def _post(self, message: Message) -> int:
+        now = datetime.now(UTC)
+        headers = {
+            "Content-Type": "application/json",
+            "User-Agent": f"naosprint/{__version__}",
+            "webhook-id": message.id,
+            "webhook-timestamp": str(int(now.timestamp())),
+            "webhook-signature": Signer(message.secret).sign(message.id, now, message.body),
+        }
+        return await self._sender.post(message.url, headers, message.body.encode())
+
+    async def _in_thread(self, call: Callable[[], Result]) -> Result:
+        return await anyio.to_thread.run_sync(call, limiter=self._limiter)

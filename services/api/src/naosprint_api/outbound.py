@@ -1,0 +1,101 @@
+"""Requests to addresses that users choose: only to public addresses, or to networks that the operator allows."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from collections.abc import Iterable, Mapping, Sequence
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address
+from typing import Any, TypeAlias
+
+import anyio
+import httpcore
+
+Network: TypeAlias = IPv4Network | IPv6Network
+
+#: Addresses of hosts on the Internet; every other IPv6 address may stand for another one, such as a private one.
+_INTERNET_6 = IPv6Network("2000::/3")
+
+
+class RefusedAddressError(Exception):
+    """Address that requests may not be sent to."""
+
+
+def may_reach(address: str, allowed: Sequence[Network] = ()) -> bool:
+    """Return whether requests may be sent to an IP address: a public one, or one in an `allowed` network."""
+    ip: IPv4Address | IPv6Address = ip_address(address)
+    if isinstance(ip, IPv6Address):
+        ip = ip.ipv4_mapped or ip
+    if any(ip in network for network in allowed):
+        return True
+    if isinstance(ip, IPv6Address) and (ip not in _INTERNET_6 or ip.sixtofour or ip.teredo):
+        return False
+    return ip.is_global and not ip.is_multicast
+
+
+def is_refused_literal(host: str, allowed: Sequence[Network]) -> bool:
+    """Return whether the host of a URL is an IP address, or a name of this machine, that is refused in any case."""
+    name = host.strip("[]").rstrip(".").lower()
+    if name == "localhost" or name.endswith(".localhost"):
+        name = "127.0.0.1"
+    try:
+        return not may_reach(name, allowed)
+    except ValueError:
+        return False  # a name, which is looked up for each request
+
+
+class _Backend(httpcore.AnyIOBackend):
+    """Network backend that looks a name up once, and connects only to those of its addresses that are allowed."""
+
+    def __init__(self, allowed: Sequence[Network]) -> None:
+        super().__init__()
+        self._allowed = allowed
+
+    async def connect_tcp(
+        self,
+        host: str,
+        port: int,
+        timeout: float | None = None,
+        local_address: str | None = None,
+        socket_options: Iterable[Any] | None = None,
+    ) -> httpcore.AsyncNetworkStream:
+        """Connect to the first address that answers. Raises RefusedAddressError, httpcore.ConnectError."""
+        try:
+            found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        except (OSError, UnicodeError) as error:
+            raise httpcore.ConnectError(f"the name of the host cannot be looked up: {error}") from error
+        addresses = dict.fromkeys(str(item[4][0]) for item in found)
+        reachable = [address for address in addresses if may_reach(address, self._allowed)]
+        if not reachable:
+            raise RefusedAddressError("the host has no public address; the operator can allow private networks")
+        for address in reachable[:-1]:
+            try:
+                return await super().connect_tcp(address, port, timeout, local_address, socket_options)
+            except (httpcore.ConnectError, httpcore.ConnectTimeout):
+                continue
+        return await super().connect_tcp(reachable[-1], port, timeout, local_address, socket_options)
+
+
+class Sender:
+    """Sender of POST requests that follows no redirect and reads no body of an answer."""
+
+    def __init__(self, allowed: Sequence[Network], *, deadline_s: float) -> None:
+        self._deadline_s = deadline_s
+        self._backend = _Backend(allowed)
+        self._tls = ssl.create_default_context()
+
+    async def post(self, url: str, headers: Mapping[str, str], body: bytes) -> int:
+        """Send a request and return the status of its answer.
+
+        Raises:
+            RefusedAddressError: the host has no address that requests may be sent to.
+            TimeoutError: the answer did not begin within the deadline.
+            Exception: the connection or the protocol failed.
+        """
+        with anyio.fail_after(self._deadline_s):
+            # A connection of its own: each request looks its host up again.
+            async with (
+                httpcore.AsyncConnectionPool(ssl_context=self._tls, network_backend=self._backend) as pool,
+                pool.stream("POST", url, headers=list(headers.items()), content=body) as response,
+            ):
+                return response.status

@@ -1,0 +1,83 @@
+"""Webhooks: register, list, delete, look up deliveries."""
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query
+from naojobs import webhooks
+from naojobs.errors import InvalidError, NotFoundError
+from naojobs.ids import PATTERN
+from naojobs.models import Webhook
+from naojobs.tokens import Principal
+
+from naosprint_api.dependencies import ServiceDep, Submitter
+from naosprint_api.outbound import is_refused_literal
+from naosprint_api.problems import responses
+from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPublic
+from naosprint_api.service import Service
+
+router = APIRouter(tags=["webhooks"])
+
+_log = logging.getLogger(__name__)
+
+WebhookId = Annotated[str, Path(pattern=PATTERN, description="Id of the webhook.")]
+
+
+def _visible(service: Service, principal: Principal, webhook_id: str) -> Webhook:
+    webhook = webhooks.get_webhook(service.reads, webhook_id)
+    if not principal.is_admin and webhook.owner != principal.owner:
+        raise NotFoundError(f"no webhook {webhook_id}")
+    return webhook
+
+
+@router.post("/webhooks", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
+def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep) -> WebhookMade:
+    """Register an address that receives signed messages about one's own jobs, evaluations and studies.
+
+    The secret that verifies the signatures is only in this answer.
+    """
+    settings = service.settings
+    if is_refused_literal(str(body.url.host), settings.api_webhook_networks):
+        message = "expected a public address; the operator can allow private ones (NAOSPRINT_API_WEBHOOK_NETWORKS)"
+        raise InvalidError(message, "url")
+    webhook = webhooks.create_webhook(
+        service.sessions,
+        owner=principal.owner,
+        url=str(body.url),
+        events=body.events,
+        most=settings.api_max_webhooks,
+    )
+    _log.info("%s (%s) made webhook %s", principal.owner, principal.token_id, webhook.id)
+    return WebhookMade.model_validate(webhook)
+
+
+@router.get("/webhooks", responses=responses(401, 403, 429, 503))
+def show_webhooks(principal: Submitter, service: ServiceDep) -> list[WebhookPublic]:
+    """List one's own webhooks, or all with scope admin, oldest first, without their secrets."""
+    owner = None if principal.is_admin else principal.owner
+    return [WebhookPublic.model_validate(webhook) for webhook in webhooks.list_webhooks(service.reads, owner)]
+
+
+@router.get("/webhooks/{webhook_id}/deliveries", responses=responses(401, 403, 404, 422, 429, 503))
+def show_deliveries(
+    webhook_id: WebhookId,
+    principal: Submitter,
+    service: ServiceDep,
+    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
+    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
+) -> DeliveryPage:
+    """List the messages to a webhook, newest first, with the error of the last attempt."""
+    _visible(service, principal, webhook_id)
+    rows = webhooks.list_deliveries(service.reads, webhook_id, limit=limit + 1, before=cursor)
+    page = [DeliveryPublic.model_validate(delivery) for delivery in rows[:limit]]
+    return DeliveryPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+
+
+@router.delete("/webhooks/{webhook_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
+def delete_webhook(webhook_id: WebhookId, principal: Submitter, service: ServiceDep) -> None:
+    """Delete a webhook and its messages, also those that are not delivered yet."""
+    _visible(service, principal, webhook_id)
+    webhooks.delete_webhook(service.sessions, webhook_id)
+    _log.info("%s (%s) deleted webhook %s", principal.owner, principal.token_id, webhook_id)
