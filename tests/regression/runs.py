@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 EPISODES = 100
-TOTAL_STEPS = 300_000
+TOTAL_STEPS = 100_000
 TIMING_COLUMNS = ("time_s", "steps_per_s", "collect_s", "learn_s", "eta_s")
 
 _PINNED = {
