@@ -6,7 +6,7 @@ PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosp
 SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) $(wildcard packages/*/CMakeLists.txt packages/*/cpp/*)
 INSTALLED := $(VENV)/.installed
 
-.PHONY: help install demo up test check lint js format types e2e readme docs bench sanitize clean
+.PHONY: help install demo up test check lint js format types e2e soak readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -56,6 +56,9 @@ format: $(INSTALLED)  ## format Python and JavaScript
 
 types: $(INSTALLED)
 	$(BIN)/mypy $(foreach package,$(PACKAGES),$(package)/src)
+
+soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then check that nothing was lost (5 to 15 minutes)
+	$(BIN)/python benchmarks/service/soak.py --faults 30 --seed 30 --longest 3 --updates 150
 
 # E2E=tests/e2e/compose runs those of one folder, K="healthy" those whose names match.
 e2e: $(INSTALLED)  ## browser and container tests, where chromium or a container engine is at hand

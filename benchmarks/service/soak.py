@@ -1,11 +1,15 @@
 """Break a whole service again and again while it is used, then check that nothing was lost.
 
-    python benchmarks/service/soak.py --faults 30 --seed 1 [--longest 8] [--record FILE]
+    python benchmarks/service/soak.py --faults 100 --record benchmarks/service/soak-runs/rounds.jsonl
+    python benchmarks/service/soak.py --faults 30 --seed 1 [--longest 8]
 
 Starts Postgres, a broker, an S3 store, the API and two workers as real processes, with a TCP proxy in front of each
 service. Faults, alone and in pairs, are drawn from the seed, as are the requests of the user who submits, cancels,
 pauses, resumes, retries and deletes jobs meanwhile. When all faults are over, every job has to end. Exits with 1 if
-something was lost; prints what, and keeps the folder with all logs.
+something was lost; prints what, and keeps all logs and the history of each job.
+
+A long run is made of rounds, each with a new stack: `--record` appends the round to a file with one line each, and
+without `--seed` the next seed after those in the file is used.
 """
 
 from __future__ import annotations
@@ -54,6 +58,8 @@ ROLLOUT = 16
 SEEDS = (1, 2)
 #: Jobs that are open at a time, at most.
 OPEN_JOBS = 4
+#: Time that the jobs have to end after the last fault, in multiples of that of two undisturbed ones, and its minimum.
+PATIENCE, LEAST_PATIENCE_S = 12.0, 240.0
 
 
 @dataclass
@@ -324,6 +330,29 @@ def final_weights(stack: Stack, job_id: str) -> str:
     return entry.sha256
 
 
+def next_seed(record: Path | None) -> int:
+    """Return the seed after those of a record; 1 where there is none."""
+    rounds = record.read_text().splitlines() if record is not None and record.exists() else []
+    return 1 + max((json.loads(line)["options"]["seed"] for line in rounds), default=0)
+
+
+def keep_evidence(stack: Stack) -> Path:
+    """Copy all logs and write the history of each job; return the folder."""
+    kept = Path(tempfile.mkdtemp(prefix="naosoak-logs-"))
+    for log in stack.folder.glob("*.log"):
+        (kept / log.name).write_bytes(log.read_bytes())
+    with stack.sessions() as session, (kept / "jobs.txt").open("w") as file:
+        for job in session.scalars(select(Job).order_by(Job.id)):
+            print(f"{job.id} {job.state} step {job.progress_step} error {job.error}", file=file)
+            events = session.scalars(select(Event).where(Event.job_id == job.id).order_by(Event.id))
+            lines = [(event.at, f"{event.kind}: {event.message}") for event in events]
+            logs = session.scalars(select(Log).where(Log.job_id == job.id))
+            lines += [(log.at, f"{log.level}: {log.message}") for log in logs]
+            for at, text in sorted(lines):
+                print(f"  {at:%H:%M:%S} {text}", file=file)
+    return kept
+
+
 def say(text: str) -> None:
     """Print a line with the time."""
     print(f"{time.strftime('%H:%M:%S')} {text}", flush=True)
@@ -333,20 +362,30 @@ def main() -> int:
     """Run and report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--faults", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, help="left out: the one after those in the record")
     parser.add_argument("--longest", type=float, default=8.0, help="seconds that a fault lasts at most")
     parser.add_argument("--updates", type=int, default=300, help="updates of each training")
-    parser.add_argument("--patience", type=float, default=180.0, help="seconds after the last fault for jobs to end")
-    parser.add_argument("--record", type=Path, help="file to write the results to, as JSON")
+    parser.add_argument(
+        "--patience",
+        type=float,
+        help=f"seconds after the last fault for jobs to end; left out: {PATIENCE:g} times those that two jobs take "
+        f"undisturbed, at least {LEAST_PATIENCE_S:g}",
+    )
+    parser.add_argument("--record", type=Path, help="file to which the results are appended, as one line of JSON")
     options = parser.parse_args()
+    if options.seed is None:
+        options.seed = next_seed(options.record)
     random = Random(options.seed)
     steps = options.updates * ROLLOUT
     begun = time.monotonic()
     stack = Stack()
     try:
         user = User(stack, Random(options.seed + 1))
+        ready = time.monotonic()
         first = {seed: user.submit(seed, steps) for seed in SEEDS}
-        wrong = wait_until_ended(stack, user, options.patience)
+        wrong = wait_until_ended(stack, user, options.patience or LEAST_PATIENCE_S)
+        undisturbed_s = time.monotonic() - ready
+        patience_s = options.patience or max(LEAST_PATIENCE_S, PATIENCE * undisturbed_s)
         weights = {seed: final_weights(stack, str(job_id)) for seed, job_id in first.items()}
         say(f"undisturbed: {weights}")
         using = threading.Thread(target=user.run, args=(steps,), name="user", daemon=True)
@@ -357,7 +396,7 @@ def main() -> int:
         using.join()
         stack.wait_until_ready()
         healed = time.monotonic()
-        wrong += wait_until_ended(stack, user, options.patience)
+        wrong += wait_until_ended(stack, user, patience_s)
         settled_s = time.monotonic() - healed
         stack.stop_services()
         deadline = time.monotonic() + 60
@@ -370,7 +409,10 @@ def main() -> int:
             attempts = session.scalar(select(func.sum(Job.attempt)))
         results: dict[str, Any] = {
             "machine": {"cpus": os.cpu_count(), "python": platform.python_version(), "system": platform.platform()},
-            "options": {name: value for name, value in vars(options).items() if name != "record"},
+            "load": [round(load, 1) for load in os.getloadavg()],
+            "options": {name: value for name, value in vars(options).items() if name not in ("record", "patience")},
+            "patience_s": round(patience_s),
+            "undisturbed_s": round(undisturbed_s, 1),
             "faults": dict(sorted(nemesis.counts.items())),
             "fault_count": sum(nemesis.counts.values()),
             "jobs": dict(sorted(states.items())),
@@ -384,12 +426,10 @@ def main() -> int:
         }
         print(json.dumps(results, indent=1))
         if options.record:
-            options.record.write_text(json.dumps(results, indent=1) + "\n")
+            with options.record.open("a") as file:
+                file.write(json.dumps(results) + "\n")
         if wrong:
-            kept = Path(tempfile.mkdtemp(prefix="naosoak-logs-"))
-            for log in stack.folder.glob("*.log"):
-                (kept / log.name).write_bytes(log.read_bytes())
-            print(f"logs: {kept}", file=sys.stderr)
+            print(f"logs: {keep_evidence(stack)}", file=sys.stderr)
         return 1 if wrong else 0
     finally:
         stack.close()
