@@ -19,11 +19,12 @@ from naojobs.database import Sessions
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.history import states_of, violations
 from naojobs.lifecycle import JobClaim
-from naojobs.models import Event, Job
+from naojobs.models import Evaluation, Event, Job
 from naojobs.settings import ServiceSettings
 from naojobs.states import LEASED, WorkState
 from naojobs.submission import JobRequest
 from naosprint_worker.context import Context
+from naosprint_worker.memory import MemoryBudget
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
@@ -32,7 +33,7 @@ from sqlalchemy import func, select, update
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 #: How a child may end by itself, beside by a stop that it was asked for.
-ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "time_limit")
+ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
 #: What may happen next to a job; requests twice as often.
 ACTIONS = ("request", "request", "run", "evaluate", "checkpoint", "look", "shut down", "end", "expire")
 
@@ -40,7 +41,12 @@ ACTIONS = ("request", "request", "run", "evaluate", "checkpoint", "look", "shut 
 def ending(how: str, intent: Intent) -> Ending:
     """Return the end of a child whose supervisor had noted ``intent``."""
     codes = {"finished": ExitCode.FINISHED, "stopped": ExitCode.STOPPED, "failed": ExitCode.PERMANENT}
-    intents = {"stalled": Intent.STALLED, "memory": Intent.MEMORY, "time_limit": Intent.TIME_LIMIT}
+    intents = {
+        "stalled": Intent.STALLED,
+        "memory": Intent.MEMORY,
+        "crowded": Intent.CROWDED,
+        "time_limit": Intent.TIME_LIMIT,
+    }
     away = Outcome(SERVICE_UNAVAILABLE, "the store did not answer") if how == "unavailable" else None
     code = codes.get(how, ExitCode.TRANSIENT if away else -9)
     return Ending(max(intent, intents.get(how, intent)), code, away, False, 0, False, "")
@@ -146,7 +152,7 @@ def context(service_settings: ServiceSettings, sessions: Sessions, tmp_path: Pat
     """A worker's context."""
     everything = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
     settings = WorkerSettings.model_validate(service_settings.model_dump())
-    return Context(settings, sessions, "worker", everything, tmp_path)
+    return Context(settings, sessions, "worker", everything, tmp_path, MemoryBudget(1 << 40))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -206,6 +212,38 @@ def test_requests_within_milliseconds_of_each_other_follow_the_table(context: Co
     names = {name for plan in plans for _, name in plan}
     if cancelled.is_set() and state is not None and not names & {"resume", "retry"}:
         assert state is WorkState.CANCELLED
+
+
+def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(context: Context) -> None:
+    world = World(context)
+    attempt = world.claim()
+    assert attempt is not None
+    attempt.do("checkpoint", Random(0))
+    asked = submission.request_evaluation(context.sessions, world.job_id).id
+    claim = lifecycle.claim(context.sessions, Evaluation, asked, "worker")
+    assert claim is not None
+    run = Run(context, claim)
+    with context.memory.share(run.kind) as run._share:
+        run._share.crowded = True
+        run._settle(ending("crowded", Intent.NONE))
+    with context.sessions() as session:
+        row = session.get_one(Evaluation, asked)
+    assert (row.state, row.failures) == (WorkState.QUEUED, 0)
+    assert row.not_before is not None
+
+
+def test_attempt_that_the_database_outlived_counts_and_one_that_ended_with_it_does_not(context: Context) -> None:
+    world = World(context)
+    for restarted, failures in ((True, 0), (False, 1)):
+        assert world.claim() is not None
+        if restarted:
+            with world.sessions.begin() as session:
+                before = func.pg_postmaster_start_time() - timedelta(seconds=1)
+                session.execute(update(Job).where(Job.id == world.job_id).values(heartbeat_at=before))
+        world.expire()
+        with world.sessions() as session:
+            job = session.get_one(Job, world.job_id)
+        assert (job.state, job.failures) == (WorkState.QUEUED, failures), job.error
 
 
 @pytest.mark.parametrize("how", ENDS)

@@ -241,10 +241,12 @@ def test_training_that_diverges_fails_at_once_and_says_so(shared: Service) -> No
     assert shared.events(job_id)[-1].data["kind"] == "diverged"
 
 
-def test_training_that_needs_too_much_memory_fails_and_says_so(service: Service) -> None:
-    service.start_worker(NAOSPRINT_WORKER_MEMORY_MB="64")
+@pytest.mark.parametrize("limit", ["MEMORY_MB", "MEMORY_TOTAL_MB"])
+def test_training_that_needs_too_much_memory_fails_and_says_so(service: Service, limit: str) -> None:
+    service.start_worker(**{f"NAOSPRINT_WORKER_{limit}": "128"})
     job = service.until_state(service.submit(total_steps=10**9), WorkState.FAILED)
-    assert "more than the worker's limit of 64 MiB" in (job.error or "")
+    assert "more than the worker's limit of 128 MiB" in (job.error or "")
+    assert f"raise NAOSPRINT_WORKER_{limit}" in (job.error or "")
 
 
 def test_evaluations_on_request(shared: Service, finished: str) -> None:

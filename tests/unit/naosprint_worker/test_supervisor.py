@@ -11,12 +11,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import psutil
 import pytest
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Requests
+from naojobs.models import WorkKind
 from naojobs.states import WorkState
 from naosprint_worker.child import Child
+from naosprint_worker.memory import MemoryBudget
 from naosprint_worker.outcome import ExitCode
 from naosprint_worker.runs import describe_ending
 from naosprint_worker.settings import WorkerSettings
@@ -43,7 +47,14 @@ STUBBORN = """
 class Bench:
     """A supervisor, and the answers that its database gives."""
 
-    def __init__(self, folder: Path, program: str, time_limit_s: float = math.inf, **settings: float) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        program: str,
+        time_limit_s: float = math.inf,
+        must_end: Callable[[int], bool] = lambda _held: False,
+        **settings: float,
+    ) -> None:
         os.mkfifo(folder / "ready")
         self.answer: Requests | Exception = GO_ON
         self.beats = 0
@@ -58,6 +69,7 @@ class Bench:
             beat=self._beat,
             look=self._look,
             report_stall=self.stalls.append,
+            must_end=must_end,
             workdir=folder,
             log_path=folder / "output.log",
             time_limit_s=time_limit_s,
@@ -103,8 +115,10 @@ def bench(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
     """Build benches; what still runs at the end of the test is stopped."""
     benches: list[Bench] = []
 
-    def build(program: str, **settings: float) -> Bench:
-        benches.append(Bench(tmp_path, program, **settings))
+    def build(program: str, **settings: Any) -> Bench:
+        folder = tmp_path / str(len(benches))
+        folder.mkdir()
+        benches.append(Bench(folder, program, **settings))
         return benches[-1]
 
     yield build
@@ -192,10 +206,14 @@ def test_database_that_stays_away_ends_the_attempt(bench: Callable[..., Bench]) 
 
 
 FROZEN = """
-    import os, pathlib, signal
+    import faulthandler, os, pathlib, signal
+    faulthandler.register(signal.SIGUSR2)
     pathlib.Path("progress").touch()
     pathlib.Path("ready").write_text("")
-    os.kill(os.getpid(), signal.SIGSTOP)
+    def deadlock():
+        os.kill(os.getpid(), signal.SIGSTOP)
+        signal.pause()
+    deadlock()
 """
 BUSY = """
     import pathlib, signal, sys, threading
@@ -207,12 +225,13 @@ BUSY = """
 """
 
 
-def test_child_that_makes_no_step_is_killed(bench: Callable[..., Bench]) -> None:
+def test_child_that_makes_no_step_prints_where_it_is_and_is_killed(bench: Callable[..., Bench]) -> None:
     """A stopped process cannot be asked to stop."""
     each = bench(FROZEN, worker_stall_s=0.5)
     each.start()
     ending = each.join()
     assert (ending.intent, ending.returncode, ending.overstayed) == (Intent.STALLED, -signal.SIGKILL, False)
+    assert "in deadlock" in ending.last_output
 
 
 PAUSING = """
@@ -232,7 +251,7 @@ def test_stall_is_reported_once_and_so_is_its_end(bench: Callable[..., Bench], t
     each.start()
     for count in (1, 2):
         wait_for(lambda count=count: len(each.stalls) == count)
-        (tmp_path / "go").touch()
+        (tmp_path / "0" / "go").touch()
     idle_s, end = each.stalls
     assert idle_s is not None
     assert idle_s > 0.3
@@ -263,6 +282,31 @@ def test_child_over_the_memory_limit_is_killed(bench: Callable[..., Bench]) -> N
     ending = each.join()
     assert (ending.intent, ending.returncode) == (Intent.MEMORY, -signal.SIGKILL)
     assert ending.peak_bytes > 64 << 20
+
+
+def test_requested_evaluation_ends_before_a_training_when_both_hold_too_much(bench: Callable[..., Bench]) -> None:
+    """The training is larger: it is another user's, and has worked for longer."""
+    hungry = """
+        import pathlib, signal
+        x = bytearray(b"x") * ({} << 20)
+        pathlib.Path("ready").write_text("")
+        signal.pause()
+    """
+    budget = MemoryBudget(psutil.Process().memory_info().rss + (192 << 20))
+    with budget.share(WorkKind.JOB) as large, budget.share(WorkKind.EVALUATION) as small:
+        training = bench(hungry.format(128), must_end=large.must_end)
+        evaluation = bench(hungry.format(96), must_end=small.must_end)
+        training.start()
+        evaluation.start()
+        ending = evaluation.join()
+        assert (ending.intent, ending.returncode) == (Intent.CROWDED, -signal.SIGKILL)
+        assert small.crowded
+        beats = training.beats
+        wait_for(lambda: training.beats > beats + 5)
+        assert training.ending is None
+        assert not large.crowded
+        training.supervisor.shut_down()
+        training.join()
 
 
 def test_child_killed_from_outside_is_told_apart(bench: Callable[..., Bench]) -> None:

@@ -701,7 +701,8 @@ def shorten_leases(sessions: Sessions, longest_s: float) -> None:
 def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
     """Count a failed attempt for all work whose lease has expired, and queue it again or end it; return the new states.
 
-    Several workers may do so at once: each row is processed by one.
+    An attempt whose last heartbeat is older than the database's start counts as none: the machine, the container engine
+    or the service was restarted, with the worker. Several workers may do so at once: each row is processed by one.
     """
     done = []
     for model in WORK.values():
@@ -712,7 +713,12 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
             with sessions.begin() as session:
                 work = lock(session, cast("type[Job]", model), work_id, expired, skip_locked=True)
                 if work is not None:
-                    state = _lose(session, work, f"lease of worker {work.lease_owner} expired")
+                    reason, counts = f"lease of worker {work.lease_owner} expired", True
+                    if session.scalar(
+                        select(model.heartbeat_at < func.pg_postmaster_start_time()).where(model.id == work.id)
+                    ):
+                        reason, counts = f"the service was restarted, and with it worker {work.lease_owner}", False
+                    state = _lose(session, work, reason, counts=counts)
                     done.append(Requeued(work.kind, work.id, state))
     return done
 

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import psutil
 
+#: Signal on which a child prints the stacks of all its threads.
+TRACEBACK_SIGNAL = signal.SIGUSR2
+
 
 class Child:
     """A supervised process and its process group.
@@ -69,6 +72,13 @@ class Child:
         with self._lock:
             if not self._gone:
                 os.kill(self.pid, signal.SIGTERM)
+
+    def print_traceback(self) -> None:
+        """Make the leader print where each of its threads is, even if it is suspended (see `child_process`)."""
+        with self._lock:
+            if not self._gone:
+                for number in (TRACEBACK_SIGNAL, signal.SIGCONT):
+                    os.kill(self.pid, number)
 
     def kill(self) -> None:
         """End the whole group at once (SIGKILL)."""

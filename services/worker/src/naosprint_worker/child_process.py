@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import faulthandler
 import logging
 import os
 import shutil
@@ -25,6 +26,7 @@ from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, Missing
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 
+from naosprint_worker.child import TRACEBACK_SIGNAL
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
@@ -33,6 +35,9 @@ from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
+
+#: What the kernel adds to a process's thousandths of memory: it ends evaluations before trainings before the worker.
+TRAINER_OOM_SCORE, EVALUATOR_OOM_SCORE = 200, 1000
 
 #: Bytes below which a disk has no room for any file.
 _SMALLEST_BLOCK = 4096
@@ -144,16 +149,22 @@ class Services:
                 lifecycle.lose(self.sessions, lease, f"worker {lease.owner} died")
 
 
-def run_child(work: Callable[[Services], ExitCode], argv: Sequence[str] | None = None) -> int:
-    """Do ``work`` protected and connected; return the exit status and leave an `Outcome` in the working folder."""
+def run_child(
+    work: Callable[[Services], ExitCode], argv: Sequence[str] | None = None, *, oom_score: int = TRAINER_OOM_SCORE
+) -> int:
+    """Do ``work`` protected and connected; return the exit status and leave an `Outcome` in the working folder.
+
+    When memory runs out, the kernel ends processes of the highest ``oom_score`` first, then the largest.
+    """
     parser = argparse.ArgumentParser(description="Child process of a naosprint worker; started by the worker only.")
     parser.add_argument("--workdir", type=Path, required=True, help="folder with assignment.json")
     workdir: Path = parser.parse_args(argv).workdir
     settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+    faulthandler.register(TRACEBACK_SIGNAL)
     stop = StopRequest()
     stop.install()
     watch_parent(stop.worker_died, grace_s=settings.worker_orphan_grace_s)
-    prefer_as_oom_victim()
+    prefer_as_oom_victim(oom_score)
     with contextlib.suppress(OSError):
         os.nice(settings.worker_nice)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")

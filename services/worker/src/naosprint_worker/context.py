@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 
+from naosprint_worker.memory import MemoryBudget
 from naosprint_worker.settings import WorkerSettings
 
 
@@ -21,3 +22,4 @@ class Context:
     capabilities: Capabilities
     #: Folder of the working folders of this worker's attempts.
     folder: Path
+    memory: MemoryBudget = field(default_factory=MemoryBudget)

@@ -15,7 +15,7 @@ from naojobs.store import Manifest, StoreError, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import EvaluationAssignment
-from naosprint_worker.child_process import Services, StopRequestedError, run_child
+from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.outcome import ExitCode
@@ -64,4 +64,4 @@ def _database(services: Services, call: Callable[[], object]) -> None:
 
 if __name__ == "__main__":
     quiet_openmp()
-    sys.exit(run_child(work))
+    sys.exit(run_child(work, oom_score=EVALUATOR_OOM_SCORE))

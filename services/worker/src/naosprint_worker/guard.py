@@ -33,7 +33,7 @@ def watch_parent(on_lost: Callable[[], None], *, grace_s: float) -> threading.Th
     return thread
 
 
-def prefer_as_oom_victim(score: int = 500) -> None:
+def prefer_as_oom_victim(score: int) -> None:
     """Make the kernel end this process before others when memory runs out (Linux; no effect elsewhere)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")

@@ -24,10 +24,11 @@ from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
 from naosprint_worker.child import Child
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_ERRORS
+from naosprint_worker.memory import MIB, Share
 from naosprint_worker.orphans import OWNER_VARIABLE, Owner
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
-from naosprint_worker.supervisor import MIB, Ending, Intent, Supervisor
+from naosprint_worker.supervisor import Ending, Intent, Supervisor
 
 logger = logging.getLogger(__name__)
 
@@ -56,12 +57,14 @@ class Run:
         self._workdir = context.folder / f"{claim.lease.id}-{claim.lease.attempt}"
         sessions, lease_s = context.sessions, context.settings.lease_s
         self._closing = threading.Event()
+        self._share: Share | None = None
         self._supervisor = Supervisor(
             context.settings,
             start=self._start,
             beat=lambda: lifecycle.heartbeat(sessions, self._lease, lease_s=lease_s),
             look=lambda: lifecycle.read_requests(sessions, self._lease),
             report_stall=lambda idle_s: lifecycle.report_stall(sessions, self._lease, idle_s),
+            must_end=self._must_end,
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
             time_limit_s=self._time_limit_s,
@@ -85,7 +88,8 @@ class Run:
             try:
                 self._workdir.mkdir(parents=True)
                 self._assignment().write(self._workdir)
-                ending = self._supervisor.run()
+                with self._context.memory.share(self.kind) as self._share:
+                    ending = self._supervisor.run()
             except OSError as error:
                 reason = f"the {self._program} could not be started: {describe(error)}"
                 self._patiently(lambda: lifecycle.lose(self._context.sessions, self._lease, reason))
@@ -118,6 +122,9 @@ class Run:
             on_exit=on_exit,
         )
 
+    def _must_end(self, held_bytes: int) -> bool:
+        return self._share is not None and self._share.must_end(held_bytes)
+
     def _settle(self, ending: Ending) -> None:
         """Set the state according to how the child ended."""
         text = describe_ending(self._program, ending)
@@ -130,7 +137,9 @@ class Run:
             self._transition(WorkState.SUCCEEDED, "done")
         elif ending.intent is Intent.CANCEL:
             self._transition(WorkState.CANCELLED, f"cancelled as requested{where}")
-        elif ending.intent is Intent.MEMORY:
+        elif ending.intent is Intent.CROWDED and self._share is not None and self._share.crowded:
+            self._give_way()
+        elif ending.intent in (Intent.MEMORY, Intent.CROWDED):
             self._fail(ending, self._memory_message(ending))
         elif ending.intent is Intent.TIME_LIMIT:
             self._fail(ending, f"the {self._program} ran longer than its time limit of {self._time_limit_s:g} s")
@@ -180,11 +189,23 @@ class Run:
             self._context.sessions, self._lease, [LogLine("error", text) for text in lines if text.strip()]
         )
 
+    def _give_way(self) -> None:
+        """Queue the work again: together with the worker's other children it needed too much memory."""
+        limit = f"the {self._context.memory.limit_bytes // MIB:.0f} MiB of its worker"
+        if self.kind is WorkKind.EVALUATION:
+            reason = f"a training needs {limit}; the evaluation waits"
+            lifecycle.postpone(self._context.sessions, self._lease, reason)
+        else:
+            reason = f"the trainings of its worker need more than {limit}, this one the most"
+            lifecycle.lose(self._context.sessions, self._lease, reason)
+
     def _memory_message(self, ending: Ending) -> str:
+        settings, total = self._context.settings, ending.intent is Intent.CROWDED
+        limit = int(self._context.memory.limit_bytes // MIB) if total else settings.worker_memory_mb
         return (
             f"the {self._program} held {ending.peak_bytes // MIB} MiB of memory, more than the worker's limit of "
-            f"{self._context.settings.worker_memory_mb} MiB; lower n_envs or n_steps, or raise "
-            "NAOSPRINT_WORKER_MEMORY_MB"
+            f"{limit} MiB{' with the files of its attempts' if total else ''}; lower n_envs or n_steps, or raise "
+            f"NAOSPRINT_WORKER_MEMORY_{'TOTAL_' if total else ''}MB"
         )
 
     def _patiently(self, call: Callable[[], T]) -> T | None:

@@ -89,6 +89,13 @@ class WorkerSettings(ServiceSettings):
     worker_memory_mb: int | None = Field(
         None, ge=64, description="Resident memory in MiB above which a training is ended; left out: no limit."
     )
+    worker_memory_total_mb: int | None = Field(
+        None,
+        ge=128,
+        description="Memory in MiB that this worker, all its children and their files on a tmpfs may hold together; "
+        "beyond it a requested evaluation waits until there is more, and the largest training ends. "
+        "Left out: 90 % of the container's limit, if it has one.",
+    )
     worker_keep_last: int = Field(
         20,
         ge=0,

@@ -18,6 +18,7 @@ from naojobs.states import WorkState
 
 from naosprint_worker.child import Child
 from naosprint_worker.database import DATABASE_ERRORS
+from naosprint_worker.memory import MIB
 from naosprint_worker.outcome import ExitCode, Outcome, last_lines
 from naosprint_worker.progress import ProgressWatch
 from naosprint_worker.retry import describe
@@ -25,10 +26,11 @@ from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
-MIB = 1 << 20
-
 #: Seconds between two checks of a child's memory: finding all of its processes takes time.
 MEMORY_PERIOD_S = 1.0
+
+#: Seconds that a stalled child has to print where it is, and the lines of that which are kept.
+_TRACEBACK_S, _TRACEBACK_LINES = 0.5, 60
 
 
 class Intent(enum.IntEnum):
@@ -48,10 +50,12 @@ class Intent(enum.IntEnum):
     CANCEL = 5
     #: It has made no step for too long.
     STALLED = 6
+    #: All children of the worker together hold more memory than they may.
+    CROWDED = 7
     #: It holds more memory than it may.
-    MEMORY = 7
+    MEMORY = 8
     #: The lease is lost.
-    LEASE_LOST = 8
+    LEASE_LOST = 9
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,10 @@ class Supervisor:
 
     ``beat`` renews the lease and returns the users' requests; ``look`` only reads them; ``report_stall`` records the
     seconds without a step once they exceed ``worker_stall_warn_s``, and None when there is a step again. They may raise
-    `LeaseLostError` and database errors. A lost lease, or ``worker_stall_s`` seconds without a step, kill the child at
-    once; for every other reason, ``time_limit_s`` among them, it is asked to stop and has ``grace_s`` seconds
-    (``worker_stop_grace_s`` by default) before it is killed.
+    `LeaseLostError` and database errors. ``must_end`` takes the child's bytes of memory and returns whether it has to
+    end because all children of the worker hold too much. A lost lease, too much memory, or ``worker_stall_s`` seconds
+    without a step kill the child at once; for every other reason, ``time_limit_s`` among them, it is asked to stop and
+    has ``grace_s`` seconds (``worker_stop_grace_s`` by default) before it is killed.
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class Supervisor:
         report_stall: Callable[[float | None], None],
         workdir: Path,
         log_path: Path,
+        must_end: Callable[[int], bool] = lambda _held_bytes: False,
         time_limit_s: float = math.inf,
         grace_s: float | None = None,
     ) -> None:
@@ -98,6 +104,7 @@ class Supervisor:
         self._beat = beat
         self._look = look
         self._report_stall = report_stall
+        self._must_end = must_end
         self._stalled = False
         self._workdir = workdir
         self._log_path = log_path
@@ -136,7 +143,9 @@ class Supervisor:
             overstayed=self._overstayed,
             peak_bytes=self._peak_bytes,
             oom=_oom_kills() > oom_before,
-            last_output=last_lines(self._log_path),
+            last_output=last_lines(
+                self._log_path, **{"lines": _TRACEBACK_LINES} if self._intent is Intent.STALLED else {}
+            ),
         )
 
     def _watch(self, child: Child) -> None:
@@ -176,7 +185,9 @@ class Supervisor:
             self._check_memory(child)
             if progress.look() > settings.worker_stall_s and self._kill_at is None and self._intent < Intent.STALLED:
                 self._intent = Intent.STALLED
-                child.kill()  # a suspended process does not receive other signals
+                child.print_traceback()
+                child.wait(_TRACEBACK_S)
+                child.kill()
             if self._kill_at is not None and time.monotonic() >= self._kill_at and child.runs():
                 self._overstayed = True
                 child.kill()
@@ -210,6 +221,9 @@ class Supervisor:
         limit = self._settings.worker_memory_mb
         if limit is not None and held > limit * MIB and self._intent < Intent.MEMORY:
             self._intent = Intent.MEMORY
+            child.kill()
+        elif self._must_end(held) and self._intent < Intent.CROWDED:
+            self._intent = Intent.CROWDED
             child.kill()
 
 

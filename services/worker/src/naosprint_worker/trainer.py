@@ -28,13 +28,13 @@ from naosprint_worker.assignment import TrainingAssignment
 from naosprint_worker.child_process import CheckpointsUnusableError, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
+from naosprint_worker.memory import MIB
 from naosprint_worker.outcome import ExitCode, Outcome
 from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 from naosprint_worker.sink import JobSink
 from naosprint_worker.spool import Entry, Spool, link_or_copy
-from naosprint_worker.supervisor import MIB
 
 logger = logging.getLogger(__name__)
 

@@ -21,13 +21,13 @@ from naosprint_worker import __version__, spool
 from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
+from naosprint_worker.memory import MIB, MemoryBudget
 from naosprint_worker.orphans import Owner
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.studies import Conductor
-from naosprint_worker.supervisor import MIB
 
 logger = logging.getLogger(__name__)
 
@@ -56,6 +56,7 @@ class Worker:
             worker_id=self.id,
             capabilities=installed_capabilities(settings),
             folder=settings.worker_dir / self.id.replace(":", "-"),
+            memory=MemoryBudget.of_worker(settings),
         )
         self._store = ArtifactStore.from_settings(settings)
         self._reaper = Reaper(self._context)
@@ -146,7 +147,9 @@ class Worker:
             return ()
         if len(runs) < slots:
             return (Job, Evaluation)
-        return (Evaluation,) if all(run.kind is WorkKind.JOB for run in runs) else (Job,)
+        if any(run.kind is WorkKind.EVALUATION for run in runs):
+            return (Job,)
+        return (Evaluation,) if self._context.memory.has_room() else ()
 
     def _run(self, run: Run) -> None:
         try:
