@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import httpx
@@ -45,6 +48,45 @@ def test_a_folder_comes_back_as_it_was(store: ArtifactStore, tmp_path: Path) -> 
         store.get_directory("jobs/j/checkpoints/1-1", tmp_path / "again")
     assert store.delete_prefix("jobs/j") == 3
     assert store.list("jobs/j") == []
+
+
+def test_large_file_goes_in_one_request(tmp_path: Path) -> None:
+    """An upload in parts that is interrupted leaves parts that no listing shows and nobody deletes."""
+    requests: list[tuple[str, str, int]] = []
+
+    class Recorder(BaseHTTPRequestHandler):
+        def do_PUT(self) -> None:
+            left = size = int(self.headers["Content-Length"])
+            while left:
+                left -= len(self.rfile.read(min(left, 1 << 20)))
+            requests.append((self.command, self.path, size))
+            self.send_response(200)
+            self.send_header("ETag", '"1"')
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        do_POST = do_PUT
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    (tmp_path / "large.npz").touch()
+    os.truncate(tmp_path / "large.npz", 80 << 20)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Recorder) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        settings = {
+            "mode": "local",
+            "database_url": "postgresql:///x",
+            "broker_url": "redis://h",
+            "artifact_url": "s3://bucket",
+            "s3_endpoint": f"http://127.0.0.1:{server.server_port}",
+            "s3_access_key_id": "key",
+            "s3_secret_access_key": "secret",
+        }
+        ArtifactStore.from_settings(ServiceSettings.model_validate(settings)).put_directory("jobs/j/x", tmp_path)
+        server.shutdown()
+    assert requests[0] == ("PUT", "/bucket/jobs/j/x/large.npz", 80 << 20)
+    assert [path for _, path, _ in requests[1:]] == ["/bucket/jobs/j/x/manifest.json"]
 
 
 def test_a_signed_address_opens_one_file_and_only_that(store: ArtifactStore) -> None:

@@ -34,8 +34,6 @@ ARTIFACTS = "jobs"
 PROBES = "probes"
 #: Seconds for which a store may not answer, and for which a refused request is repeated.
 DEFAULT_DEADLINE_S = 60.0
-#: Larger files are uploaded in parts.
-LARGEST_PUT_BYTES = 64 << 20
 _CHUNK_BYTES = 1 << 20
 #: Names under which a local store writes files before they get their own.
 _UNFINISHED = re.compile(r".*#[0-9]+")
@@ -227,8 +225,8 @@ class ArtifactStore:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
                 size = file.tell()
             with _store_errors(f"put {target}"):
-                # A single request is atomic; an upload in parts may leave some that no listing shows.
-                obstore.put(self._store, target, path, use_multipart=size > LARGEST_PUT_BYTES)
+                # A single request is atomic; an upload in parts may leave some that no listing shows, and that cost.
+                obstore.put(self._store, target, path, use_multipart=False)
                 self._settle(target)
             entries.append(FileEntry(name=name, size=size, sha256=digest))
         manifest = Manifest(files=tuple(entries))
@@ -350,7 +348,7 @@ class ArtifactStore:
     def remove_unfinished(self, age_s: float) -> int:
         """Delete files of a local store whose writing was interrupted at least `age_s` ago; return how many.
 
-        No listing shows them. An S3 server has none, since files are uploaded in one request up to `LARGEST_PUT_BYTES`.
+        No listing shows them. An S3 server has none, since every file is uploaded in one request.
         """
         count = 0
         root = self.local_root
