@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from naosim.launchers import PortLease, ProcessLauncher, docker
 from naosim.launchers.docker import ContainerSettings, container_options, is_orphan, owner_labels
+from naosim.launchers.server import ServerProgram
 from naosim.simspark.program import RCSSSERVER3D, SERVER_SCRIPT
 
 
@@ -23,6 +26,35 @@ def test_leases_never_share_a_port() -> None:
 def test_a_missing_program_is_named() -> None:
     with pytest.raises(FileNotFoundError, match="no-such-server: no such program"):
         ProcessLauncher(RCSSSERVER3D, ("no-such-server",))
+
+
+LISTENER = """
+import socket, sys
+print("cannot load plug-in carbon", flush=True)
+if sys.argv[1] == "listen":
+    with socket.create_server(("127.0.0.1", int(sys.argv[2]))) as server:
+        server.accept()[0].recv(1)
+    print("cannot simulate", flush=True)
+"""
+
+
+@pytest.mark.parametrize("what", ["listen", "fail"])
+def test_log_of_a_lost_server_is_quoted_without_what_it_prints_at_every_start(what: str) -> None:
+    program = ServerProgram(sys.executable, ("-c", LISTENER, what, "{agent_port}"))
+    server = ProcessLauncher(program).start()
+    try:
+        port, until = server.address.agent_port, time.monotonic() + 30
+        while what == "listen" and not server.owns(port):
+            assert time.monotonic() < until
+        if what == "listen":
+            with socket.create_connection(("127.0.0.1", port)) as connection:
+                connection.send(b"x")
+        while server.alive():
+            assert time.monotonic() < until
+        assert ("cannot simulate" in server.describe()) is (what == "listen")
+        assert ("cannot load" in server.describe()) is (what == "fail")
+    finally:
+        server.stop()
 
 
 def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> None:

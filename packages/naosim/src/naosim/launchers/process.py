@@ -25,7 +25,7 @@ from naosim.launchers.server import Address, ServerHandle, ServerProgram
 _GUARD = Path(__file__).with_name("guard.py")
 _GRACE_S = 2.0
 _ENDING_S = 0.5
-_LOG_TAIL = 400
+_LOG, _LOG_TAIL = "server.log", 400
 _PASSED_VARIABLES = (
     *("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "PYTHONPATH"),
     *("RCSS_BUNDLE_PATH", "RCSS_FIND_SCRIPT_PATH"),
@@ -125,7 +125,7 @@ class ProcessLauncher:
             environment = {key: os.environ[key] for key in _PASSED_VARIABLES if key in os.environ}
             environment |= {"HOME": str(home), "SDL_VIDEODRIVER": "dummy", "OMP_NUM_THREADS": "1"} | self._environment
             guard = (sys.executable, "-I", "-S", str(_GUARD), str(home), str(int(self.program.stop_signal)))
-            with (home / "server.log").open("wb") as log:
+            with (home / _LOG).open("wb") as log:
                 process = subprocess.Popen(
                     [*guard, *self.command, *arguments],
                     stdin=subprocess.PIPE,
@@ -150,6 +150,8 @@ class _ServerProcess:
         self._process = process
         self._home = home
         self._lease = lease
+        #: Bytes of its log from the time before it listened: plug-ins that it looked for, mostly.
+        self._starting_bytes = 0
 
     @property
     def pid(self) -> int:
@@ -166,6 +168,7 @@ class _ServerProcess:
                 for fd in os.listdir(f"/proc/{pid}/fd"):
                     with contextlib.suppress(OSError):
                         if os.readlink(f"/proc/{pid}/fd/{fd}") in inodes:
+                            self._starting_bytes = self._starting_bytes or (self._home / _LOG).stat().st_size
                             return True
         return False
 
@@ -176,9 +179,9 @@ class _ServerProcess:
         code = self._process.returncode
         state = "runs" if code is None else f"exit code {code}"
         try:
-            with (self._home / "server.log").open("rb") as log:
+            with (self._home / _LOG).open("rb") as log:
                 log.seek(0, os.SEEK_END)
-                log.seek(max(0, log.tell() - _LOG_TAIL))
+                log.seek(max(self._starting_bytes, log.tell() - _LOG_TAIL))
                 words = " ".join(log.read().decode(errors="replace").split())
         except OSError:
             words = ""

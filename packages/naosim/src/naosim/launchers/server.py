@@ -71,7 +71,10 @@ class ServerHandle(Protocol):
         """Return whether it is this server that listens on a port."""
 
     def describe(self) -> str:
-        """Return its identity, how it ended and the end of its log."""
+        """Return its identity, how it ended and the end of its log.
+
+        What a process printed before it first listened is left out once it does.
+        """
 
     def stop(self) -> None:
         """Stop it and everything it started; release its ports."""
