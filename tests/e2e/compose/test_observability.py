@@ -1,4 +1,4 @@
-"""`docker compose --profile observability`: Prometheus reads the service, and every metric of the board exists."""
+"""Profile `observability`: Prometheus reads the service, and every metric of the board exists."""
 
 from __future__ import annotations
 
@@ -45,11 +45,10 @@ def prometheus(project: Any, wait_for: Callable[..., Any]) -> Iterator[Callable[
 
 
 def test_prometheus_reads_the_api_with_its_token(prometheus: Callable[..., Any]) -> None:
-    targets = prometheus("targets")["activeTargets"]
-    assert {target["labels"]["job"]: (target["health"], target["lastError"]) for target in targets} == {
-        "naosprint": ("up", ""),
-        "prometheus": ("up", ""),
-    }
+    """The exporters are not started here, and the store's stand-in has no metrics."""
+    targets = {target["labels"]["job"]: target for target in prometheus("targets")["activeTargets"]}
+    for job in ("naosprint", "prometheus"):
+        assert (targets[job]["health"], targets[job]["lastError"]) == ("up", "")
 
 
 def test_a_second_start_makes_no_second_token(project: Any, prometheus: Callable[..., Any]) -> None:

@@ -1,4 +1,4 @@
-"""`docker compose --profile sidecars`: a job on servers gets its own containers, which are removed at the end."""
+"""Profile `sidecars`: a job on servers gets its own containers, which are removed at the end."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ DEPLOY = Path(__file__).parents[3] / "deploy"
 #: A metric of the API or of the process in an expression, with its selector.
 ASKED = re.compile(r"\b((?:naosprint|process)_[a-z_]+)\b(?:\{([^}]*)\})?")
 #: What Prometheus itself and the exporters report.
-EXPORTED = re.compile(r"\bup{|\b(?:pg|redis)_[a-z_]+")
+EXPORTED = re.compile(r"\bup{|\b(?:pg|redis|SeaweedFS)_[a-z_]+")
 LABEL = re.compile(r"(\w+)\s*(?:=~|!~|!=|=)")
 GROUPED = re.compile(r"\bby\s*\(([^)]*)\)")
 
