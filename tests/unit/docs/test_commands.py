@@ -37,6 +37,9 @@ COMMANDS = documents.commands()
 
 #: Programs of the system, whose arguments are not checked.
 SYSTEM = {
+    "export",
+    "restic",
+    "rm",
     "pg_dump",
     "pg_restore",
     "cat",
