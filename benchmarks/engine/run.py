@@ -26,7 +26,7 @@ WARM_UP = 100
 
 
 def record(cycles: int, robot_type: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Let one robot step in place; return its commands, its torso's path and its start height."""
+    """Step one robot in place; return its commands, its torso's path and its start height."""
     sim = BatchSimulator(1, robot_type, digits=None, self_collision=False)
     height = sim.model.standing_height + 0.005
     sim.beam((0.0, 0.0, height))

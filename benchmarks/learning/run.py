@@ -339,7 +339,7 @@ def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
 
 
 def _rate(work: Callable[[], int], *, every: int = 0, then: Callable[[], object] = lambda: None) -> float:
-    """Return units of work per second of ``work``, not counting what is done ``every`` so many calls in between."""
+    """Return units of work per second of ``work``, not counting what is done after each ``every`` calls."""
     work()
     done, spent, calls = 0, 0.0, 0
     while spent < MEASURE_S:

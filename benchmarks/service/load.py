@@ -91,7 +91,7 @@ def follow(url: str, headers: dict[str, str], job_id: str) -> tuple[int, int]:
 
 
 def follow_all(url: str, headers: dict[str, str], job_id: str, count: int) -> list[tuple[int, int]]:
-    """Let many followers read the same stream in parallel."""
+    """Read the same stream with many followers in parallel."""
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(follow, [url] * count, [headers] * count, [job_id] * count))
 

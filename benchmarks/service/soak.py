@@ -42,18 +42,9 @@ from naospec.flat import nest
 from sqlalchemy import DateTime, func, select, update
 from stack import Stack
 
-#: A very short training: the smallest network, two robots.
-TINY = {
-    "task": "sprint2",
-    "n_envs": 2,
-    "n_steps": 8,
-    "batch_size": 16,
-    "n_epochs": 1,
-    "hidden_sizes": (4,),
-    "simulator_threads": 1,
-    "learner_threads": 1,
-}
-ROLLOUT = 16
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.integration.tiny import ROLLOUT, TINY
+
 #: Seeds of the trainings; the weights of each are known from an undisturbed run.
 SEEDS = (1, 2)
 #: Jobs that are open at a time, at most.

@@ -161,7 +161,7 @@ def test_sign_in_says_what_is_wrong_and_keeps_the_place(browser: Browser, client
     browser.shows("Paste a token first")
     browser.find("#token").send_keys("nao_wrong")
     browser.find("button[type=submit]").click()
-    browser.shows("does not know this token")
+    browser.shows("This token is not valid")
     browser.find("#token").clear()
     browser.find("#token").send_keys(token, Keys.ENTER)
     assert browser.find(".log")

@@ -421,7 +421,7 @@ def test_values_that_nothing_can_hold_are_refused(
 ) -> None:
     answer = client.post(path, content=body % value, headers={"Content-Type": "application/json"})
     document = problem(answer, 422)
-    # a number of more than 4300 digits is no JSON for Python
+    # a number of more than 4300 digits is not valid JSON for Python
     assert document["errors"][0]["field"] == ("body" if len(value) > 4300 else field)
 
 

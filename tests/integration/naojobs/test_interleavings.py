@@ -127,7 +127,7 @@ class World:
         return None if claim is None else Attempt(self._context, claim, self._steps)
 
     def expire(self) -> None:
-        """Let the lease expire, as if its worker had died."""
+        """Expire the lease, as if its worker had died."""
         past = func.now() - timedelta(seconds=1)
         with self.sessions.begin() as session:
             leased = (Job.id == self.job_id, Job.lease_owner.is_not(None))

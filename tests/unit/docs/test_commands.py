@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import runpy
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -20,19 +17,9 @@ from naosim.cli import _parser as naosim_parser
 from naosprint.__main__ import _parser as naosprint_parser
 from typer.main import get_command
 
-ROOT = Path(__file__).parents[3]
+from . import documents
+from .documents import ROOT, Command
 
-
-def load_documents() -> Any:
-    spec = importlib.util.spec_from_file_location("documents", Path(__file__).with_name("documents.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["documents"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-documents = load_documents()
 COMMANDS = documents.commands()
 
 #: Programs of the system, whose arguments are not checked.
@@ -128,7 +115,7 @@ CHECKS: dict[str, Callable[[list[str]], None]] = {
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
-def test_every_command_in_the_documents_is_right(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_in_the_documents_is_right(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
     program, words = Path(command.words[0]), list(command.words[1:])
     if program.parts[:1] in {("deploy",), ("services",), ("tests",)} or program.suffix == ".sh":
         assert os.access(ROOT / program, os.X_OK), f"{program} cannot be run"

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import shlex
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +13,9 @@ from naoctl.cli import build_app
 from naospec import TrainingSpec
 from typer.testing import CliRunner
 
-ROOT = Path(__file__).parents[3]
+from . import documents
+from .documents import ROOT, Command
 
-
-def load_documents() -> Any:
-    spec = importlib.util.spec_from_file_location("documents", Path(__file__).with_name("documents.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["documents"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-documents = load_documents()
 SUBMITS = [command for command in documents.commands() if command.words[:2] == ("naoctl", "submit")]
 #: Steps in the names of checkpoints and in progress lines.
 STEPS = re.compile(r"(?:checkpoint|export)-0*(\d+)|of ([\d,]+) steps")
@@ -50,7 +38,9 @@ def write_job_files(document: Path, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("command", SUBMITS, ids=str)
-def test_every_submit_in_the_documents_is_a_job(command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_submit_in_the_documents_is_a_job(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_job_files(ROOT / command.document, tmp_path)
     job = dry_run(command.words, tmp_path, monkeypatch)
     assert TrainingSpec.model_validate(job["spec"]).planned_steps == job["spec"]["total_steps"]

@@ -52,6 +52,11 @@ PHRASES = (
     "took nobody",
     "comes along",
     "not finite any more",
+    "of so many",
+    "that are there stay",
+    "need another look",
+    '"""let ',
+    "/** let ",
     "doorbell",
 )
 WORDS = (
@@ -76,10 +81,12 @@ WORDS = (
 
 def sources() -> list[Path]:
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "CHANGELOG.md"]
-    for folder in ("packages", "services", "docs", "deploy", "benchmarks"):
+    for folder in ("packages", "services", "docs", "deploy", "benchmarks", "tests"):
         for suffix in ("py", "cpp", "hpp", "js", "html", "md", "yml"):
             found += (ROOT / folder).rglob(f"*.{suffix}")
-    return [path for path in found if not {"vendor", "node_modules", "build"} & set(path.parts)]
+    return [
+        path for path in found if path != Path(__file__) and not {"vendor", "node_modules", "build"} & set(path.parts)
+    ]
 
 
 def joined(paths: list[Path]) -> str:
@@ -96,7 +103,6 @@ def test_a_phrase_is_gone(text: str, phrase: str) -> None:
     assert phrase.lower() not in text
 
 
-def test_the_glossarys_words_are_gone() -> None:
-    text = joined([path for path in sources() if path.suffix != ".js"])
+def test_the_glossarys_words_are_gone(text: str) -> None:
     used = re.finditer(rf"(?<!there )\b({'|'.join(WORDS)})\b", text)
     assert [text[max(0, match.start() - 40) : match.end() + 40] for match in used] == []

@@ -17,7 +17,7 @@ def remote(name: str = "policy.npz", content: bytes = CONTENT) -> RemoteFile:
 
 
 def serve(server: Any, content: bytes = CONTENT, *, ranges: bool = True, cut_after: list[int] | None = None) -> None:
-    """Serve a file; each number in ``cut_after`` breaks one connection after so many bytes."""
+    """Serve a file; each number in ``cut_after`` breaks one connection after that many bytes."""
     cuts = list(cut_after or [])
 
     @server.on("GET", "/files/policy.npz")

@@ -173,7 +173,7 @@ def stall_text(work: Json) -> str:
 
 def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
     """Return a table of jobs with as many columns as fit; the name is shortened first."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    table = listing()
     table.add_column("ID", no_wrap=True, min_width=30)
     table.add_column("Name", no_wrap=True, overflow="ellipsis", max_width=40)
     table.add_column("State", no_wrap=True, min_width=10)
@@ -197,6 +197,11 @@ def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 20
         short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
         table.add_row(cell(job["id"]), cell(short), job_state(job), *(cells[heading] for heading in headings))
     return table
+
+
+def listing(*headings: str) -> Table:
+    """Return an empty table with these columns."""
+    return Table(*headings, box=None, pad_edge=False, header_style="bold")
 
 
 def pairs(rows: Iterable[tuple[str, RenderableType]]) -> Table:

@@ -15,19 +15,7 @@ class _Model(BaseModel):
 
 
 class _Range(_Model):
-    def _check(self, low: float, high: float, log: bool, step: float | None) -> None:
-        if low >= high:
-            raise ValueError(f"high: expected more than low ({low:g}), got {high:g}")
-        if log and low <= 0:
-            raise ValueError(f"low: a logarithmic range needs a positive lower end, got {low:g}; use log=false")
-        if log and step is not None:
-            raise ValueError("step: cannot be combined with log; leave one of them out")
-
-
-class FloatRange(_Range):
-    """Range of a number."""
-
-    type: Literal["float"] = "float"
+    type: str
     low: float = Field(description="Smallest value.")
     high: float = Field(description="Largest value.")
     log: bool = Field(default=False, description="Whether to sample on a logarithmic scale.")
@@ -35,12 +23,23 @@ class FloatRange(_Range):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        self._check(self.low, self.high, self.log, self.step)
+        if self.low >= self.high:
+            raise ValueError(f"high: expected more than low ({self.low:g}), got {self.high:g}")
+        if self.log and self.low <= 0:
+            raise ValueError(f"low: a logarithmic range needs a positive lower end, got {self.low:g}; use log=false")
+        if self.log and self.step is not None:
+            raise ValueError("step: cannot be combined with log; leave one of them out")
         return self
 
     def ends(self) -> tuple[Any, ...]:
         """Return the values between which all others lie."""
         return self.low, self.high
+
+
+class FloatRange(_Range):
+    """Range of a number."""
+
+    type: Literal["float"] = "float"
 
 
 class IntRange(_Range):
@@ -49,17 +48,7 @@ class IntRange(_Range):
     type: Literal["int"] = "int"
     low: int = Field(description="Smallest value.")
     high: int = Field(description="Largest value.")
-    log: bool = Field(default=False, description="Whether to sample on a logarithmic scale.")
     step: int | None = Field(default=None, ge=1, description="Distance between values; null for 1.")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        self._check(self.low, self.high, self.log, self.step)
-        return self
-
-    def ends(self) -> tuple[Any, ...]:
-        """Return the values between which all others lie."""
-        return self.low, self.high
 
 
 class Choices(_Model):
@@ -123,7 +112,7 @@ class Pruning(_Model):
         default=4, ge=0, le=1000, description="Trials that have to end before `median` prunes any."
     )
     reduction_factor: int = Field(
-        default=3, ge=2, le=16, description="Of so many trials, `asha` keeps one at each rung."
+        default=3, ge=2, le=16, description="`asha` keeps one of this many trials at each rung."
     )
 
 

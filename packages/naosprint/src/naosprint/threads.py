@@ -43,7 +43,7 @@ def set_learner_threads(count: int) -> None:
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Let NumPy multiply matrices on the calling thread alone while the returned context lasts.
+    """Limit NumPy's matrix products to the calling thread while the returned context lasts.
 
     OpenBLAS shares out products as small as a policy's for a hundred robots; waiting for the other thread then costs
     up to twenty times the product, most where other work keeps the processors busy.

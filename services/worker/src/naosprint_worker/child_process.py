@@ -77,7 +77,7 @@ class StopRequest:
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a request end the block by `StopRequestedError`, at once or from now on."""
+        """Raise `StopRequestedError` in the block once a stop is requested, at once if it is already."""
         self._interruptible = True
         try:
             if self.requested():

@@ -25,7 +25,6 @@ from rich.progress import (
     TimeRemainingColumn,
     TransferSpeedColumn,
 )
-from rich.table import Table
 
 from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
@@ -34,7 +33,7 @@ from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
-from naoctl.render import ago, cell, pairs, size, stall_text, state_text
+from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
@@ -44,10 +43,16 @@ REPORT_PAGE = "report.html"
 MAX_POINTS = 5_000
 #: Exit codes for states of an evaluation.
 EXIT_CODES = {"failed": ExitCode.JOB_FAILED, "cancelled": ExitCode.JOB_CANCELLED}
-CHECKPOINT_HELP = "Checkpoint to use (default: the newest)."
-OUTPUT_HELP = "Output folder (default: named after the job)."
 #: Seconds between two requests for a running evaluation.
 POLL_S = 0.5
+CheckpointOption = Annotated[
+    str | None,
+    typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Checkpoint to use (default: the newest)."),
+]
+OutputOption = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FOLDER", help="Output folder (default: named after the job)."),
+]
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
 ]
@@ -67,14 +72,8 @@ def download(
     ctx: typer.Context,
     job: Job = "last",
     what: Annotated[What, typer.Option("--what", help="Which artifacts.")] = What.ALL,
-    checkpoint: Annotated[
-        str | None,
-        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
-    ] = None,
+    checkpoint: CheckpointOption = None,
+    output: OutputOption = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Download a job's policy, evaluation and metrics, and check the SHA-256 of every file.
@@ -160,10 +159,7 @@ def write_metrics(client: Client, job_id: str, path: Path) -> dict[str, Any]:
 def report(
     ctx: typer.Context,
     job: Job = "last",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
-    ] = None,
+    output: OutputOption = None,
     film: Annotated[
         bool | None,
         typer.Option(
@@ -233,14 +229,8 @@ ExportFormats = Annotated[
 def export(
     ctx: typer.Context,
     job: Job = "last",
-    checkpoint: Annotated[
-        str | None,
-        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FOLDER", help=OUTPUT_HELP),
-    ] = None,
+    checkpoint: CheckpointOption = None,
+    output: OutputOption = None,
     formats: ExportFormats = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -329,7 +319,7 @@ def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False
     if as_json:
         context.json(points)
         return
-    table = Table("ID", "Step", "Size", "Saved", box=None, pad_edge=False, header_style="bold")
+    table = listing("ID", "Step", "Size", "Saved")
     for point in sorted(points, key=lambda p: p["step"]):
         table.add_row(point["id"], f"{point['step']:,}", size(point["size"]), ago(point["created_at"]))
     context.out.print(table if points else "No checkpoint yet.")
@@ -338,10 +328,7 @@ def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False
 def evaluate(
     ctx: typer.Context,
     job: Job = "last",
-    checkpoint: Annotated[
-        str | None,
-        typer.Option("--checkpoint", "-c", metavar="ID|STEP", help=CHECKPOINT_HELP),
-    ] = None,
+    checkpoint: CheckpointOption = None,
     wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the results.")] = True,
     time_limit: Annotated[
         float | None,
@@ -436,7 +423,7 @@ def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as
     if as_json:
         context.json(evaluations)
         return
-    table = Table("ID", "State", "Episodes", "Checkpoint", "Requested", box=None, pad_edge=False, header_style="bold")
+    table = listing("ID", "State", "Episodes", "Checkpoint", "Requested")
     for item in evaluations:
         table.add_row(
             item["id"],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
@@ -13,7 +12,7 @@ from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.render import MISSING, cell, job_details, jobs_table, plain, state_text
+from naoctl.render import MISSING, cell, job_details, jobs_table, listing, plain, state_text
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
@@ -209,8 +208,7 @@ def compare(
             ]
         )
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("")
+    table = listing("")
     for job in found:
         table.add_column(cell(job["name"]), justify="right", overflow="fold")
     table.add_row("ID", *(job["id"] for job in found))

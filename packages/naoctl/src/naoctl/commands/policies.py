@@ -12,14 +12,13 @@ import naopolicies
 import typer
 from naospec import plugins
 from naosprint.tasks.metrics import format_value
-from rich.table import Table
 
 from naoctl.commands.artifacts import ExportFormats, format_flags, run_naosprint
 from naoctl.context import JsonFlag, context_of
 from naoctl.descriptions import UNNAMED, metric_of, section_name
 from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import headline
-from naoctl.render import MISSING, pairs
+from naoctl.render import MISSING, listing, pairs
 
 app = typer.Typer(
     help="List, evaluate, replay and export the bundled policies.",
@@ -46,7 +45,7 @@ def list_policies(ctx: typer.Context, as_json: JsonFlag = False) -> None:
         return
     shown = {result["name"]: result["title"] for card in cards for result in _headline(card)}
     columns = ("Name", "Robot", "Task", *shown.values(), "Trained")
-    table = Table(*columns, box=None, pad_edge=False, header_style="bold")
+    table = listing(*columns)
     for card in cards:
         texts = {result["name"]: format_value(metric_of(result), result["value"]) for result in _headline(card)}
         table.add_row(

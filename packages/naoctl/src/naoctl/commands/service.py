@@ -9,14 +9,13 @@ from typing import Annotated, Any
 from urllib.parse import quote
 
 import typer
-from rich.table import Table
 
 from naoctl import __version__
 from naoctl.client import ApiError, Client
 from naoctl.config import Config, Target, normal_url, resolve_target
 from naoctl.context import JsonFlag, context_of, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode, InvalidInput
-from naoctl.render import ago, cell, has_passed, plain
+from naoctl.render import ago, cell, has_passed, listing, plain
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
 token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")
@@ -82,9 +81,7 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     if as_json:
         context.json(found)
         return
-    table = Table(
-        "ID", "Host", "Process", "Queues", "Jobs", "Last seen", "Version", box=None, pad_edge=False, header_style="bold"
-    )
+    table = listing("ID", "Host", "Process", "Queues", "Jobs", "Last seen", "Version")
     for worker in found:
         seen = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
         table.add_row(
@@ -163,9 +160,7 @@ def token_list(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     if as_json:
         context.json(found)
         return
-    table = Table(
-        "ID", "Owner", "Name", "Scopes", "Created", "Expires", "State", box=None, pad_edge=False, header_style="bold"
-    )
+    table = listing("ID", "Owner", "Name", "Scopes", "Created", "Expires", "State")
     for item in found:
         table.add_row(
             item["id"],

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from naospec.search import SearchSpec
 from pydantic import ValidationError
-from rich.table import Table
 
 from naoctl.client import Client
 from naoctl.commands.submit import (
@@ -16,15 +14,17 @@ from naoctl.commands.submit import (
     COMMON_SETTINGS,
     EVAL_PREFIX,
     EVALUATION_SETTINGS,
+    JobFile,
+    PriorityOption,
+    RecipeOption,
+    TagOption,
     hand_in,
-    make_body,
-    read_recipe,
+    make_job,
 )
 from naoctl.context import JsonFlag, context_of
 from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.help import HelpAllFlag, SettingsCommand
-from naoctl.jobfile import load_job_file
-from naoctl.render import MISSING, ago, cell, pairs, plain
+from naoctl.render import MISSING, ago, cell, listing, pairs, plain
 from naoctl.specflags import expanded, parse_flags, spec_parameters, training_settings, with_parameters
 
 app = typer.Typer(
@@ -41,11 +41,8 @@ _SPACE_EXAMPLE = "For example --space learning_rate=1e-4..1e-2:log --space 'n_ep
 
 def tune(
     ctx: typer.Context,
-    file: Annotated[
-        Path | None,
-        typer.Argument(metavar="FILE", help="Job as YAML, TOML or JSON; flags override its values.", dir_okay=False),
-    ] = None,
-    recipe: Annotated[str | None, typer.Option(metavar="NAME", help="Start from a bundled job.")] = None,
+    file: JobFile = None,
+    recipe: RecipeOption = None,
     space: Annotated[
         list[str] | None,
         typer.Option(
@@ -72,12 +69,8 @@ def tune(
         str | None, typer.Option(metavar="METRIC", help="Training metric that trials are compared by.")
     ] = None,
     name: Annotated[str | None, typer.Option("--name", "-n", metavar="NAME", help="Name of the study.")] = None,
-    tag: Annotated[
-        list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the jobs; may be repeated.")
-    ] = None,
-    priority: Annotated[
-        int | None, typer.Option(metavar="0-9", min=0, max=9, help="Priority of the jobs.", show_default="5")
-    ] = None,
+    tag: TagOption = None,
+    priority: PriorityOption = None,
     key: Annotated[
         str | None,
         typer.Option("--idempotency-key", metavar="KEY", help="A second request with the same key starts no study."),
@@ -94,17 +87,7 @@ def tune(
     """
     del help_all
     context = context_of(ctx)
-    if file and recipe:
-        raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
-    job = make_body(
-        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
-        spec,
-        evaluation,
-        where=f"{file}: " if file else "",
-    )
-    for field, value in (("tags", tag), ("priority", priority)):
-        if value is not None:
-            job[field] = value
+    job = make_job(file, recipe, spec, evaluation, tags=tag, priority=priority)
     search = make_search(
         space or [],
         objective or [],
@@ -228,7 +211,7 @@ def list_studies(
     if as_json:
         context.json(found)
         return
-    table = Table("Id", "Name", "State", "Trials", "Started", box=None, pad_edge=False, header_style="bold")
+    table = listing("ID", "Name", "State", "Trials", "Started")
     for study in found:
         table.add_row(
             study["id"],
@@ -262,7 +245,7 @@ def show_study(ctx: typer.Context, study: Reference = "last", as_json: JsonFlag 
     if found["error"]:
         rows.append(("Error", cell(found["error"])))
     context.out.print(pairs(rows))
-    table = Table("", "Trial", "State", box=None, pad_edge=False, header_style="bold")
+    table = listing("", "Trial", "State")
     for goal in goals:
         table.add_column(goal["metric"], justify="right")
     for name in found["spec"]["space"]:

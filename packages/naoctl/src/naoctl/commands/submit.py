@@ -68,31 +68,40 @@ def _complete_recipe(incomplete: str) -> list[str]:
     return [name for name in recipes.names() if name.startswith(incomplete)]
 
 
+JobFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="FILE", help="Job as YAML, TOML or JSON; flags override its values.", dir_okay=False),
+]
+RecipeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--recipe",
+        metavar="NAME",
+        help=f"Start from a bundled job: {', '.join(recipes.names()) or 'none'}; flags override its values.",
+        autocompletion=_complete_recipe,
+    ),
+]
+TagOption = Annotated[
+    list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the job; may be repeated.")
+]
+PriorityOption = Annotated[
+    int | None,
+    typer.Option(
+        "--priority", metavar="0-9", min=0, max=9, help="Jobs of higher priority start first.", show_default="5"
+    ),
+]
+
+
 def submit(
     ctx: typer.Context,
-    file: Annotated[
-        Path | None,
-        typer.Argument(metavar="FILE", help="Job as YAML, TOML or JSON; flags override its values.", dir_okay=False),
-    ] = None,
-    recipe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"Start from a bundled job: {', '.join(recipes.names()) or 'none'}; flags override its values.",
-            autocompletion=_complete_recipe,
-        ),
-    ] = None,
+    file: JobFile = None,
+    recipe: RecipeOption = None,
     name: Annotated[
         str | None,
         typer.Option("--name", "-n", metavar="NAME", help="Name of the job; numbered if you have one of that name."),
     ] = None,
-    tag: Annotated[
-        list[str] | None, typer.Option("--tag", "-t", metavar="TAG", help="Tag of the job; may be repeated.")
-    ] = None,
-    priority: Annotated[
-        int | None,
-        typer.Option(metavar="0-9", min=0, max=9, help="Jobs of higher priority start first.", show_default="5"),
-    ] = None,
+    tag: TagOption = None,
+    priority: PriorityOption = None,
     parent: Annotated[
         str | None,
         typer.Option("--from", metavar="JOB", help="Start from this job's policy.", autocompletion=complete_job),
@@ -132,18 +141,17 @@ def submit(
     """
     del help_all
     context = context_of(ctx)
-    if file and recipe:
-        raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
-    body = make_body(
-        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
+    body = make_job(
+        file,
+        recipe,
         spec,
         evaluation,
         evaluate=evaluate,
-        where=f"{file}: " if file else "",
+        name=name,
+        tags=tag,
+        priority=priority,
+        parent_checkpoint_id=checkpoint,
     )
-    for field, value in (("name", name), ("tags", tag), ("priority", priority), ("parent_checkpoint_id", checkpoint)):
-        if value is not None:
-            body[field] = value
     if body.get("name") == NEWEST:
         raise InvalidInput(f"--name {NEWEST!r} refers to the newest job in commands", fix="Use another name.")
     group = make_group(body, seeds, grid or [], flags=spec)
@@ -191,6 +199,32 @@ def submit(
 def _note_waiting(context: Context, reason: str | None) -> None:
     if reason:
         context.note(f"Waiting: {plain(reason)}")
+
+
+def make_job(
+    file: Path | None,
+    recipe: str | None,
+    spec_flags: dict[str, Any],
+    evaluation_flags: dict[str, Any],
+    *,
+    evaluate: bool | None = None,
+    **fields: Any,
+) -> dict[str, Any]:
+    """Return the body of ``POST /jobs`` from a file or a recipe, flags, and those other ``fields`` that are not None.
+
+    Raises:
+        InvalidInput: naming the flag or the file's field that is wrong.
+    """
+    if file and recipe:
+        raise InvalidInput("--recipe and FILE both describe the job", fix="Leave one of them out.")
+    body = make_body(
+        load_job_file(file) if file else read_recipe(recipe) if recipe else {},
+        spec_flags,
+        evaluation_flags,
+        evaluate=evaluate,
+        where=f"{file}: " if file else "",
+    )
+    return body | {field: value for field, value in fields.items() if value is not None}
 
 
 def read_recipe(name: str) -> dict[str, Any]:

@@ -98,7 +98,7 @@ class MujocoBatch:
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: World) -> None:
-        """Let one world follow another model with the same bodies and joints."""
+        """Replace the model of one world by another with the same bodies and joints."""
         self._models[row] = world.model  # the loop has only its address
         self._worlds.set_model(row, world.model._address)
 

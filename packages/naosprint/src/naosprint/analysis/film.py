@@ -25,7 +25,7 @@ WIDTH_PX, HEIGHT_PX = 960, 400
 SPEED_STEPS = 25
 """Steps over which the displayed speed is averaged: half a second."""
 
-_SAMPLES = 2  # drawn so many times larger and reduced, which smooths edges
+_SAMPLES = 2  # factor of supersampling, which smooths edges
 _SPAN_M = 2.6  # width of the picture for a robot of unit size
 _GROUND = "#eef1ea"
 _LINE = "#c3cab9"

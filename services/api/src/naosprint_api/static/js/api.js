@@ -1,4 +1,4 @@
-/** Talk to the HTTP API of the same origin: bearer token, problem+json errors, downloads. */
+/** Client of the HTTP API of the same origin: bearer token, problem+json errors, downloads. */
 
 // This module lives in <root>/ui/js/, so the API's root is two levels up, behind any path prefix of a proxy.
 const ROOT = new URL("../../", import.meta.url);
@@ -57,7 +57,7 @@ channel?.addEventListener("message", ({ data }) => {
   }
 });
 
-/** Take the token over from another open tab of this browser; returns whether there was one. */
+/** Request the token from another open tab of this browser; resolves to whether there was one. */
 export function borrowToken() {
   if (!channel) return Promise.resolve(false);
   return new Promise((resolve) => {
@@ -86,7 +86,7 @@ export function setScopes(found) {
 /** Whether the token has a scope. */
 export const may = (scope) => scopes === null || scopes.includes(scope);
 
-/** An answer that is no success. `fields` maps field names to messages. */
+/** Response with an error status. `fields` maps field names to messages. */
 export class ApiError extends Error {
   constructor(status, problem, requestId) {
     super(problem.detail || problem.title || `The service answered ${status}`);
@@ -135,7 +135,7 @@ export async function request(
   try {
     problem = await response.json();
   } catch {
-    /* no JSON body: the status must do */
+    /* no JSON body: only the status is known */
   }
   const error = new ApiError(response.status, problem, response.headers.get("x-request-id"));
   if (response.status === 401 && !quiet401) unauthorised(error);
@@ -165,7 +165,7 @@ export async function download(path, name) {
   save(await response.blob(), name);
 }
 
-/** Let the browser save a blob. */
+/** Save a blob as a download. */
 export function save(blob, name) {
   const href = URL.createObjectURL(blob);
   const a = document.createElement("a");

@@ -247,7 +247,7 @@ export class Chart {
     ];
   }
 
-  /** Draw what was set last; out of sight it waits, once there is something to see. */
+  /** Draw the newest data; a chart out of view is drawn once it comes into view. */
   draw() {
     this.late = Boolean(this.u) && !this.visible;
     if (this.late || !this.source) return;
@@ -289,7 +289,7 @@ export class Chart {
     );
   }
 
-  /** The main series' value at a place, or the last one before it. */
+  /** The main series' value at an index, or the last one before it. */
   #last(columns, index) {
     const column = columns[this.options.mainSeries ?? this.options.series.length];
     for (let i = index ?? column.length - 1; i >= 0; i--) {

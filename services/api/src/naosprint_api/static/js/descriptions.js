@@ -1,5 +1,5 @@
 /**
- * What tasks and algorithms report of themselves: their metrics, charts and headlines. Nothing else in the dashboard
+ * Descriptions that tasks and algorithms publish: their metrics, charts and headlines. Nothing else in the dashboard
  * names a metric of a task.
  */
 
@@ -51,7 +51,7 @@ export class Descriptions {
    * Charts of a specification, the task's first.
    *
    * @param {object} spec
-   * @param {Iterable<string>} columns names of the columns that there are; those that nothing describes get a chart
+   * @param {Iterable<string>} columns names of the columns that there are; those without a description get a chart
    *   each
    * @returns {{key: string, group: "task"|"learning"|"pace", title: string, metrics: object[], refs: {y: number, label:
    *   string}[]}[]}
@@ -89,7 +89,7 @@ export class Descriptions {
   }
 }
 
-/** A metric of which only the name is known. */
+/** A metric without a description. */
 export const plain = (name) => ({ name, title: words(name), unit: "", digits: null, better: null });
 
 /** Metrics of several groups, each once: the first of each group, then the second of each, and so on. */

@@ -41,7 +41,7 @@ export function s(tag, props, ...kids) {
   return append(node, kids);
 }
 
-/** What tells one control from its neighbours when a part of the page is built anew. */
+/** Key that identifies a control when its part of the page is rebuilt. */
 const identity = (el) =>
   [
     el.tagName,
@@ -53,7 +53,7 @@ const identity = (el) =>
     el.getAttribute("aria-label") ? null : el.textContent,
   ].join("|");
 
-/** Replace what is in `node`; the focus moves to the control that takes the place of the focused one. */
+/** Replace the children of `node`; the focus moves to the control that replaces the focused one. */
 export function fill(node, ...kids) {
   const held = document.activeElement;
   const key = held && held !== node && held !== document.body && node.contains(held) ? identity(held) : null;
@@ -69,7 +69,7 @@ export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-/** Tell whether the event comes from something the user types in. */
+/** Return whether an event comes from a control that takes text. */
 export function isTyping(event) {
   const t = event.target;
   return (
@@ -82,6 +82,13 @@ export function isTyping(event) {
 /** A box that scrolls sideways on its own, reachable by keyboard. */
 export const scroller = (label, ...kids) =>
   h("div", { class: "scroll-x", tabindex: 0, role: "region", "aria-label": label }, kids);
+
+/** Heading of a column; `number` aligns it as numbers are. */
+export const heading = (title, number = false) => h("th", { scope: "col", class: number ? "num" : null }, title);
+
+/** A table under one row of headings; `rows` is a list, or the body itself where rows come and go. */
+export const table = (headings, rows, props = null) =>
+  h("table", props, h("thead", null, h("tr", null, headings)), rows instanceof Node ? rows : h("tbody", null, rows));
 
 const ICONS = {
   plus: "M8 3v10M3 8h10",

@@ -7,7 +7,7 @@ import { readNpz } from "./npz.js";
 export const hasResults = (summary) => Array.isArray(summary?.results);
 
 /**
- * The evaluation that stands for a job: of the finished ones with the most episodes, the newest. The service's `result`
+ * Evaluation that is shown for a job: of the finished ones with the most episodes, the newest. The service's `result`
  * of a job and the command line choose the same.
  *
  * @param {object[]} evaluations answer of `GET /jobs/{id}/evaluations`
@@ -96,7 +96,7 @@ export class Paths {
     let n = rows.x.length;
     while (n > 0 && Number.isNaN(rows.x[n - 1])) n -= 1;
     for (const key of Object.keys(rows)) rows[key] = rows[key].subarray(0, n);
-    // A foot that lands on its edge is pushed sideways or down for a moment; it has contact all the same.
+    // A foot that lands on its edge is pushed sideways or down for a moment; that counts as contact.
     for (const key of ["left", "right"]) rows[key] = rows[key].map(Math.abs);
     const dx = rows.x[n - 1] - rows.x[0];
     const dy = rows.y[n - 1] - rows.y[0];
@@ -128,7 +128,7 @@ export class Paths {
   }
 }
 
-/** What the gait of an episode includes besides running: its fall; null if it did not fall. */
+/** Note that the gait of an episode includes its fall; null if it did not fall. */
 export const fallNote = (episode, seconds) =>
   episode.failed ? `ended in a fall after ${seconds} s; the values below include the fall` : null;
 

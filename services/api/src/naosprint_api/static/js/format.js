@@ -56,7 +56,7 @@ export function metricText(metric, v) {
     .replace("-", "−");
 }
 
-/** A metric's unit as it stands behind a number; empty for none. */
+/** A metric's unit as shown after a number; empty for none. */
 export const shownUnit = (metric) => metric.unit ?? "";
 
 /** A value of a metric with its unit: "4.03 m/s", "0.4 %", "0.5°". */

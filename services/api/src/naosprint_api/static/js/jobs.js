@@ -1,4 +1,4 @@
-/** What the dashboard asks of jobs: actions, derived values, names. */
+/** Actions on jobs, values derived from them, and their summaries. */
 
 import { call } from "./api.js";
 import { nameOf } from "./descriptions.js";
@@ -11,7 +11,7 @@ export const latest = (job) => job.latest_metrics ?? {};
 /** The evaluation that an ended job shows; null for others, which show their training. */
 export const evaluated = (job) => (isEnded(job.state) && job.result) || null;
 
-/** What a job's list and tiles show of a metric: its value from the evaluation, else from training. */
+/** Value of a metric in a job's list and tiles: from the evaluation, else from training. */
 export function shownMetric(job, metric) {
   const found = evaluated(job)?.results.find((r) => r.name === metric.name);
   return found
@@ -30,7 +30,8 @@ export function elapsed(job) {
 }
 
 /**
- * Seconds that workers had the job, from its events: time in the queue and pauses do not count. Null before its start.
+ * Seconds that workers spent on the job, from its events; time in the queue and pauses do not count. Null before
+ * its start.
  *
  * @param {object} job
  * @param {{kind: string, at: string}[]} events oldest first
@@ -52,7 +53,7 @@ export function worked(job, events) {
   return events.some((e) => busy.has(e.kind)) ? total : elapsed(job);
 }
 
-/** Seconds until the training ends as the trainer sees it; null when not training. */
+/** Estimated seconds until the training ends; null when not training. */
 export const remaining = (job) => (job.state === "running" ? (latest(job).eta_s ?? null) : null);
 
 /** Task, preset, robot and, unless it is the usual one, the simulator: "run · fast · nao-0". */
@@ -89,8 +90,8 @@ const DONE = {
 };
 
 /**
- * Ask the service for an action, after a question where work would be lost; returns the job as it is then, null for
- * "no".
+ * Request an action of the service, after a confirmation where work would be lost. Resolves to the job's new state, or
+ * null if the action was not confirmed or has failed.
  */
 export async function act(job, name) {
   if (

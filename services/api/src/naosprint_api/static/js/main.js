@@ -30,7 +30,7 @@ function place() {
   return { path, params: new URLSearchParams(search) };
 }
 
-/** Go to a place of the dashboard. */
+/** Open a page of the dashboard. */
 export function go(path, { replace = false } = {}) {
   if (replace) {
     history.replaceState(null, "", `#${path}`);
@@ -52,7 +52,7 @@ async function show() {
   if (mine !== turn) return;
   top.hidden = false;
   const found = pageAt(path);
-  // A view may take over a change of place within itself (another tab, another filter) without being built anew.
+  // A view may handle a change of address within itself (another tab, another filter) without a rebuild.
   const where = { path, params, ...(found?.parts ?? {}) };
   if (found && current?.update && current.name === found.name && current.update(where)) {
     frame(found);
@@ -89,7 +89,7 @@ async function show() {
     current = { name: found.name, page: found, controller, destroy: view?.destroy, update: view?.update };
   } catch (error) {
     if (error.name === "AbortError" || mine !== turn) return;
-    // A module that failed to load stays failed until the page is loaded anew.
+    // A module that failed to load stays failed until the page is reloaded.
     fill(main, problem(error, error instanceof OfflineError ? () => location.reload() : show));
   }
   focusTitle();
@@ -139,8 +139,8 @@ onConnection((state) => {
   const words = { idle: "", live: "Live", connecting: "Connecting", offline: "No connection" };
   fill(linkState, h("span", null, words[state]));
   linkState.title = {
-    idle: "Nothing is followed here",
-    live: "Figures arrive as they are made",
+    idle: "This page has no live data",
+    live: "New data is shown as it arrives",
     connecting: "Connecting to the service",
     offline: "The service does not answer; trying again",
   }[state];
@@ -149,7 +149,7 @@ onConnection((state) => {
 
 let identity = null;
 
-/** Who is signed in, and where the documentation is; asked for once for each token. */
+/** Request, once per token, who is signed in and where the documentation is. */
 async function identify() {
   const mine = token();
   if (identity?.token === mine) return;
@@ -157,7 +157,7 @@ async function identify() {
   try {
     identity = { token: mine, ...(await call("whoami", { quiet401: true })) };
   } catch {
-    /* the page itself says what is wrong */
+    /* the page itself shows what is wrong */
   }
   setScopes(identity?.scopes);
 }
@@ -225,7 +225,7 @@ function frame(page) {
   );
 }
 
-/** Show the sign-in form; the place stays in the address and is opened afterwards. */
+/** Show the sign-in form; the address stays and is opened afterwards. */
 function signIn(message) {
   turn += 1;
   leave();
@@ -264,7 +264,7 @@ function signIn(message) {
       fill(
         trouble,
         error.status === 401
-          ? "The service does not know this token. Check that it is complete, not expired and not revoked."
+          ? "This token is not valid. Check that it is complete, not expired and not revoked."
           : error.status === 403
             ? "This token may not read jobs. Ask for one with the scope “read”."
             : error.message,

@@ -416,7 +416,7 @@ export class Stage {
     };
     this.parts = bodies.map((body, i) => {
       const [a, b, c] = body.size_m;
-      // The beads between two joints touch nothing; drawn larger they look like the joints that they are.
+      // Spheres between two joints touch nothing; drawn larger, they look like joints.
       const geometry =
         {
           box: () => new T.RoundedBoxGeometry(a, b, c, 4, Math.min(a, b, c) * 0.3),
@@ -520,7 +520,7 @@ export class Stage {
     this.render();
   }
 
-  /** Where the camera takes the robot to be at a moment: on its course, at the height of its start. */
+  /** Point that the camera looks at in a frame: on the robot's course, at the height of its start. */
   #anchor(frame) {
     const c = this.course;
     const n = this.recording.frames;

@@ -23,7 +23,7 @@ export function resolve(schema, root) {
 
 /**
  * The schema of one plug-in's section: the alternative of that name, for that robot where several differ by robot; null
- * for what is no such section.
+ * if there is none.
  */
 export function variant(section, name, robot, root) {
   const options = resolve(section, root)?.oneOf;

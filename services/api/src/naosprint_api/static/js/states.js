@@ -1,4 +1,4 @@
-/** What each job state looks like and which actions it allows; mirrors the service's transition table. */
+/** Appearance and allowed actions of each job state; mirrors the service's transition table. */
 
 import { may } from "./api.js";
 import { h, icon } from "./dom.js";
@@ -45,7 +45,7 @@ export function stateBadge(state, note) {
   );
 }
 
-/** The state's word, saying when a request is still on its way. */
+/** Label that replaces the state's own while a request is pending or the job has stalled; undefined if neither. */
 export function stateNote(job) {
   if (job.cancel_requested && !isEnded(job.state)) return "Cancelling";
   if (job.pause_requested && ["queued", "starting", "running"].includes(job.state)) return "Pausing";

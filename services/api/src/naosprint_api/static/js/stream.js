@@ -30,7 +30,7 @@ export class EventParser {
   }
 }
 
-const HIDDEN_MS = 30_000; // a tab in the background lets go: browsers allow six connections to one origin
+const HIDDEN_MS = 30_000; // a background tab disconnects: browsers allow six connections to one origin
 const SILENCE_MS = 45_000; // the service sends a comment at least every 15 s
 const links = new Set();
 const watchers = new Set();
@@ -59,7 +59,7 @@ function publish() {
  * @param {string} path
  * @param {{signal: AbortSignal, lastId?: string, onEvent: (type: string, data: any, id?: string) => void, onError?:
  *   (error: Error) => void}} options
- *   onError gets errors that no retry cures (401, 403, 404); the stream ends then.
+ *   onError gets errors that a retry does not fix (401, 403, 404); the stream ends then.
  */
 export async function follow(path, { signal, lastId, onEvent, onError }) {
   const link = { state: "connecting" };

@@ -1,4 +1,4 @@
-/** Light, dark or the system's theme; listeners are told when the colours change. */
+/** Light, dark or the system's theme; listeners are called when the colours change. */
 
 const KEY = "naosprint.theme";
 const listeners = new Set();
@@ -19,7 +19,7 @@ export function setTheme(value) {
   notify();
 }
 
-/** Call `listener` whenever colours change; returns a function that stops it. */
+/** Call `listener` whenever colours change; returns a function that removes it. */
 export function onTheme(listener) {
   listeners.add(listener);
   return () => listeners.delete(listener);

@@ -5,7 +5,7 @@ import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
 import { chartOptions, X_AXES } from "../curves.js";
 import { common, descriptions, nameOf } from "../descriptions.js";
-import { fill, h, icon, scroller } from "../dom.js";
+import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { headline, meanProfile, profile, representative } from "../evaluation.js";
 import { Figure, resultLines } from "../figures.js";
 import { compact, integer, metricText, shownUnit, withUnit } from "../format.js";
@@ -20,8 +20,8 @@ import { flattened } from "./spec-list.js";
 const MAX_JOBS = 32;
 const GRID = 400;
 /**
- * Lines of more points than these in all are drawn on a grid that they share: joined, each would get as many gaps as
- * the others have points.
+ * Most points of all lines together that are joined to one axis. Beyond that, lines are drawn on a common grid: joined,
+ * each would have a gap at every point of the others.
  */
 const MAX_JOINED = 6000;
 const FINE_GRID = 1200;
@@ -156,7 +156,7 @@ class CompareView {
     return { job, metrics: columns, evaluation };
   }
 
-  /** The evaluation that stands for a job; null without one. */
+  /** Evaluation that is shown for a job; null without one. */
   async evaluation(id) {
     return representative(await call(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal }));
   }
@@ -367,7 +367,7 @@ class CompareView {
         ...results.map(({ name }) => (found.has(name) ? metricText(found.get(name), found.get(name).value) : "–")),
       ];
     };
-    const heading = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
+    const titled = (m) => [m.title, shownUnit(m)].filter(Boolean).join(" ");
     const row = (g, item) =>
       h(
         "tr",
@@ -410,7 +410,6 @@ class CompareView {
           ),
         ),
       );
-    const th = (t) => h("th", { scope: "col", class: "num" }, t);
     fill(
       this.rows,
       h(
@@ -439,11 +438,11 @@ class CompareView {
             null,
             [
               "Steps",
-              ...metrics.map(heading),
+              ...metrics.map(titled),
               "Steps/s",
               ...(results.length ? ["Episodes"] : []),
-              ...results.map(heading),
-            ].map(th),
+              ...results.map(titled),
+            ].map((title) => heading(title, true)),
           ),
         ),
         h(
@@ -542,40 +541,29 @@ class CompareView {
       );
     fill(
       this.numbers,
-      h(
-        "table",
-        { class: "plain" },
-        h(
-          "thead",
-          null,
+      table(
+        [
+          heading([axis.title, shownUnit(metric)].filter(Boolean).join("; ")),
+          places.map((at) => heading(withUnit(axis, at), true)),
+        ],
+        this.series.map((x) =>
           h(
             "tr",
             null,
-            h("th", { scope: "col" }, [axis.title, shownUnit(metric)].filter(Boolean).join("; ")),
-            places.map((at) => h("th", { scope: "col", class: "num" }, withUnit(axis, at))),
-          ),
-        ),
-        h(
-          "tbody",
-          null,
-          this.series.map((x) =>
             h(
-              "tr",
-              null,
+              "th",
+              { scope: "row", class: "compare-name" },
               h(
-                "th",
-                { scope: "row", class: "compare-name" },
-                h(
-                  "div",
-                  { class: "row" },
-                  h("span", { class: "swatch", style: { background: `var(${x.token})` } }),
-                  h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null),
-                ),
+                "div",
+                { class: "row" },
+                h("span", { class: "swatch", style: { background: `var(${x.token})` } }),
+                h("span", null, x.label, x.count > 1 ? ` (${x.count})` : null),
               ),
-              places.map((at) => cell(x.rows.find((r) => r.at === at))),
             ),
+            places.map((at) => cell(x.rows.find((r) => r.at === at))),
           ),
         ),
+        { class: "plain" },
       ),
     );
     fill(

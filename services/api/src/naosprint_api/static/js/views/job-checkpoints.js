@@ -1,11 +1,11 @@
 /** The checkpoints of a job: download, evaluate, start another job from one. */
 
 import { call, download } from "../api.js";
-import { fill, h, icon, scroller, setText, toast } from "../dom.js";
+import { fill, h, heading, icon, scroller, setText, table, toast } from "../dom.js";
 import { ago, bytes, integer, stamp } from "../format.js";
 import { notice } from "./messages.js";
 
-/** Save something behind the token, with the button telling that it is on its way. */
+/** Download a file that needs the token; the button is disabled meanwhile. */
 export async function fetchInto(button, path, name) {
   button.disabled = true;
   try {
@@ -45,7 +45,7 @@ export class CheckpointsTab {
       );
       return;
     }
-    // Rows that are there stay, with what is open in them: checkpoints come in while somebody reads.
+    // Existing rows stay, so that open details do not close when a checkpoint arrives.
     for (const c of checkpoints) if (!this.rows.has(c.id)) this.rows.set(c.id, this.row(c));
     const rows = checkpoints.map((c) => this.rows.get(c.id));
     checkpoints.forEach((c, i) => setText(rows[i].querySelector("[data-age]"), ago(c.created_at)));
@@ -64,23 +64,15 @@ export class CheckpointsTab {
         { class: "card" },
         scroller(
           "Checkpoints",
-          h(
-            "table",
-            null,
-            h(
-              "thead",
-              null,
-              h(
-                "tr",
-                null,
-                h("th", { class: "num", scope: "col" }, "Step"),
-                h("th", { class: "num", scope: "col" }, "Attempt"),
-                h("th", { scope: "col" }, "Saved"),
-                h("th", { class: "num", scope: "col" }, "Size"),
-                h("th", { scope: "col" }, "Files"),
-                h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
-              ),
-            ),
+          table(
+            [
+              heading("Step", true),
+              heading("Attempt", true),
+              heading("Saved"),
+              heading("Size", true),
+              heading("Files"),
+              heading(h("span", { class: "sr" }, "Actions")),
+            ],
             this.body,
           ),
         ),

@@ -27,7 +27,7 @@ function writeViews(views) {
   try {
     localStorage.setItem(VIEWS_KEY, JSON.stringify(views));
   } catch {
-    toast("The browser keeps no views: storage is refused.", "error");
+    toast("The view cannot be saved: the browser refuses storage.", "error");
   }
 }
 
@@ -110,7 +110,7 @@ export class CurvesTab {
     });
   }
 
-  /** Make the charts that the task, the algorithm and the columns ask for; a new column may ask for another one. */
+  /** Make the charts of the task, the algorithm and the columns; a new column may add one. */
   build() {
     const { store } = this;
     const wanted = store.known.charts(store.job.spec, store.metrics.columns.keys());

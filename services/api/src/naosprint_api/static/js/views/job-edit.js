@@ -18,7 +18,7 @@ function open(title, ...parts) {
   return dialog;
 }
 
-/** Let the user change name, tags and notes; resolves to the job as it is then, null if nothing was changed. */
+/** Dialog that edits name, tags and notes; resolves to the changed job, null if nothing was changed. */
 export function editJob(job) {
   return new Promise((resolve) => {
     let changed = null;
@@ -112,7 +112,7 @@ export function shareJob(job) {
     h(
       "p",
       null,
-      `Anyone with the link can see ${job.name}: curves, log, checkpoints and evaluations. It changes nothing.`,
+      `Anyone with the link can see ${job.name}: curves, log, checkpoints and evaluations. The link is read-only.`,
     ),
     h(
       "div",

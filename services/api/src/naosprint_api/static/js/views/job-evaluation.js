@@ -122,7 +122,7 @@ export class EvaluationTab {
       h("span", { style: { flex: 1 } }),
       again,
     );
-    // What is looked at stays as it is while other evaluations come and go.
+    // The evaluation in view is not redrawn when others change.
     const shown = `${chosen.id} ${chosen.state}`;
     if (shown === this.shown) return;
     this.shown = shown;

@@ -1,4 +1,4 @@
-/** What happened to a job: attempts and events on a time line, and where the job comes from. */
+/** History of a job: attempts and events on a timeline, and its lineage. */
 
 import { call, query } from "../api.js";
 import { fill, h } from "../dom.js";
@@ -31,7 +31,7 @@ export class HistoryTab {
         h(
           "section",
           { class: "card" },
-          h("div", { class: "card-head" }, h("h2", null, "Time line")),
+          h("div", { class: "card-head" }, h("h2", null, "Timeline")),
           this.spans,
           this.list,
         ),

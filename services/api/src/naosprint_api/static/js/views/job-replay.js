@@ -44,14 +44,14 @@ export class ReplayTab {
         h(
           "div",
           { class: "card empty" },
-          h("h2", null, open ? "On its way" : "Nothing to watch yet"),
+          h("h2", null, open ? "Recording" : "Nothing to watch yet"),
           h(
             "p",
             null,
             open
               ? "A worker runs the policy; the replay opens here when it is done."
               : checkpoints?.length
-                ? "Let the newest checkpoint run a few episodes and watch one of them, even while the training goes on."
+                ? "Run the newest checkpoint for a few episodes and watch one of them, even while the training continues."
                 : "There is no checkpoint to watch yet.",
           ),
           h("div", { class: "row" }, record),
@@ -99,7 +99,7 @@ export class ReplayTab {
     );
   }
 
-  /** Let the newest checkpoint run a few episodes, of which one is recorded. */
+  /** Request a few episodes of the newest checkpoint, one of which is recorded. */
   async record(button) {
     button.disabled = true;
     try {

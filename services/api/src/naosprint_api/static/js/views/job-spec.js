@@ -1,4 +1,4 @@
-/** The full specification of a job, named as the form names it, with what overrides its preset marked. */
+/** Full specification of a job, with the names of the form; overrides of its preset are marked. */
 
 import { save } from "../api.js";
 import { fill, h, icon, toast } from "../dom.js";

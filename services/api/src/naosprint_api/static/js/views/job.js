@@ -35,10 +35,10 @@ const TAIL = 1000;
 /** Most lines of the log that the page keeps while a job writes more. */
 const MOST_LINES = 20_000;
 const POLL_MS = 4000;
-/** Metrics that stand above the tabs. */
+/** Number of metrics above the tabs. */
 const MOST_STATS = 3;
 
-/** What is known of one job; views listen to topics: job, metrics, events, logs, checkpoints, evaluations. */
+/** Data of one job; views listen to the topics job, metrics, events, logs, checkpoints and evaluations. */
 class JobStore extends EventTarget {
   constructor(id, signal) {
     super();
@@ -53,7 +53,7 @@ class JobStore extends EventTarget {
     this.evaluations = null;
   }
 
-  tell(topic) {
+  notify(topic) {
     this.dispatchEvent(new Event(topic));
   }
 
@@ -80,10 +80,10 @@ class JobStore extends EventTarget {
     this.events = events;
     this.logs = logs;
     this.setJob(job);
-    for (const topic of ["metrics", "events", "logs"]) this.tell(topic);
+    for (const topic of ["metrics", "events", "logs"]) this.notify(topic);
   }
 
-  /** All of a paged list, oldest first. */
+  /** Return all items of a paged list, oldest first. */
   async pages(path, limit) {
     const all = [];
     for (let after; ; ) {
@@ -101,7 +101,7 @@ class JobStore extends EventTarget {
     return page.items;
   }
 
-  /** The log lines before the ones that are known. */
+  /** Load the page of log lines before the first one. */
   async earlierLogs() {
     const page = await this.get(`${this.path}/logs`, { before: this.logs[0]?.id, limit: TAIL });
     this.logs.unshift(...page.items);
@@ -110,19 +110,19 @@ class JobStore extends EventTarget {
 
   setJob(job) {
     this.job = job;
-    this.tell("job");
+    this.notify("job");
     if (!isEnded(job.state)) this.follow();
   }
 
   async loadCheckpoints() {
     this.checkpoints = await this.get(`${this.path}/checkpoints`);
-    this.tell("checkpoints");
+    this.notify("checkpoints");
   }
 
   async loadEvaluations() {
     this.evaluations = await this.get(`${this.path}/evaluations`);
-    this.tell("evaluations");
-    // Evaluations have no stream of their own; those under way are looked at again.
+    this.notify("evaluations");
+    // Evaluations have no stream, so open ones are polled.
     clearTimeout(this.poll);
     if (this.evaluations.some((e) => ["queued", "starting", "running"].includes(e.state)))
       this.poll = setTimeout(() => {
@@ -130,7 +130,7 @@ class JobStore extends EventTarget {
       }, POLL_MS);
   }
 
-  /** Follow the job until it ends, from what is known already; does nothing while it is followed. */
+  /** Follow the job until it ends, starting after the data already loaded; does nothing if it is followed already. */
   follow() {
     if (this.following) return;
     this.following = true;
@@ -155,7 +155,7 @@ class JobStore extends EventTarget {
   receive(type, data) {
     if (type === "metrics") {
       this.metrics.push(data);
-      this.tell("metrics");
+      this.notify("metrics");
     } else if (type === "log") {
       if (this.logs.length && data.id <= this.logs.at(-1).id) return;
       this.logs.push(data);
@@ -163,16 +163,16 @@ class JobStore extends EventTarget {
         this.logs.splice(0, TAIL);
         this.logsBefore = true;
       }
-      this.tell("logs");
+      this.notify("logs");
     } else if (type === "event") {
       if (this.events.length && data.id <= this.events.at(-1).id) return;
       this.events.push(data);
-      this.tell("events");
+      this.notify("events");
       if (data.kind === "checkpoint") this.loadCheckpoints().catch(() => {});
       if (data.kind.startsWith("evaluat")) this.loadEvaluations().catch(() => {});
     } else if (type === "state") this.setJob(data);
     else if (type === "end") this.loadEvaluations().catch(() => {});
-    else if (type === "gone") this.tell("gone");
+    else if (type === "gone") this.notify("gone");
   }
 }
 
@@ -317,7 +317,11 @@ class JobView {
           ? h(
               "div",
               { style: { "margin-top": "1rem" }, "data-part": "waiting" },
-              notice("warn", "The job waits.", `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`),
+              notice(
+                "warn",
+                "Waiting for a worker.",
+                `${job.waiting_reason[0].toUpperCase()}${job.waiting_reason.slice(1)}.`,
+              ),
             )
           : job.stalled_since
             ? h(
@@ -326,7 +330,7 @@ class JobView {
                 notice(
                   "warn",
                   "The job has stalled.",
-                  `Its last step was at ${new Date(job.stalled_since).toLocaleTimeString()}. Its worker will end it and try again.`,
+                  `Its last step was at ${new Date(job.stalled_since).toLocaleTimeString()}. Its worker will stop and retry it.`,
                 ),
               )
             : job.error

@@ -80,7 +80,7 @@ class JobsView {
     this.rows = new Map();
     this.order = [];
     this.selected = new Set();
-    /** The newest state of each job that the stream has sent; an answer that is older does not undo it. */
+    /** Newest state of each job from the stream; an older answer does not replace it. */
     this.news = new Map();
     this.known = new Descriptions();
     this.metrics = [];
@@ -140,7 +140,7 @@ class JobsView {
     this.timer = setInterval(() => {
       for (const row of this.rows.values()) row.tick();
     }, 5000);
-    // The list is read once the stream says that nothing is missed from there on.
+    // The list is read once the stream is connected, so that no change in between is missed.
     follow("jobs/stream", {
       signal: this.signal,
       onEvent: (type, job) => this.onEvent(type, job),
@@ -160,7 +160,7 @@ class JobsView {
     clearTimeout(this.fallback);
   }
 
-  /** Take over a change of the address within this page. */
+  /** Apply a change of the address within this page. */
   update({ path, params }) {
     if (path !== "/" && path !== "") return false;
     const next = filterOf(params);
@@ -308,7 +308,7 @@ class JobsView {
               "p",
               null,
               "Submit one and watch a robot learn to run. ",
-              "With the preset “fast” it runs after some minutes on two cores.",
+              "With the preset “fast”, it runs after a few minutes on two cores.",
             ),
             h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
             h("p", null, "or from a terminal: ", h("code", null, "naoctl submit --preset fast")),
@@ -410,7 +410,7 @@ class JobsView {
     });
   }
 
-  /** Draw the rows near the view; two spacers stand for the others. */
+  /** Draw the rows near the view; two spacers take the place of the others. */
   draw() {
     if (!this.table?.isConnected) return;
     const count = this.order.length;

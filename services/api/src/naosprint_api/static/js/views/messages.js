@@ -1,13 +1,27 @@
-/** Loading, empty and error states: each says what to do next. */
+/** Loading, empty and error states, each with what to do next. */
 
 import { ApiError, OfflineError } from "../api.js";
-import { h, icon } from "../dom.js";
+import { fill, h, icon } from "../dom.js";
+
+/** Fill `box` with what `read` resolves to, again every `every` milliseconds if given; failures can be tried again. */
+export async function refreshed(box, read, every) {
+  const draw = async () => {
+    try {
+      fill(box, await read());
+    } catch (error) {
+      if (error.name !== "AbortError") fill(box, problem(error, draw));
+    }
+  };
+  await draw();
+  const timer = every && setInterval(draw, every);
+  return { destroy: () => clearInterval(timer) };
+}
 
 /** Grey lines while something loads. */
 export const loading = (label = "Loading") =>
   h("div", { class: "loading", role: "status", "aria-label": label }, h("span"), h("span"), h("span"), h("span"));
 
-/** Say what went wrong and how to go on. */
+/** Show what went wrong and how to continue. */
 export function problem(error, retry) {
   let title = "Something went wrong";
   let text = error.message;
@@ -15,7 +29,12 @@ export function problem(error, retry) {
   if (error instanceof OfflineError) {
     title = "The service does not answer";
     text = "Check that it runs. On one machine, ";
-    hint = [h("code", null, "naoctl up"), " starts it and ", h("code", null, "naoctl doctor"), " says what is wrong."];
+    hint = [
+      h("code", null, "naoctl up"),
+      " starts it and ",
+      h("code", null, "naoctl doctor"),
+      " finds out what is wrong.",
+    ];
   } else if (error instanceof ApiError) {
     if (error.status === 404) title = "Not found";
     else if (error.status === 403) title = "Not allowed";

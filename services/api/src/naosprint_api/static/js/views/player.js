@@ -22,7 +22,7 @@ const VIEWS = [
 
 export class Player {
   /**
-   * Fetch a recording and play it in `box`; what goes wrong is said there.
+   * Fetch a recording and play it in `box`; errors are shown there.
    *
    * @param {HTMLElement} box
    * @param {{path: string, task: string, signal?: AbortSignal}} source the replay's path in the API, and the task whose
@@ -95,7 +95,7 @@ export class Player {
       max: r.frames - 1,
       step: 1,
       value: 0,
-      "aria-label": "Moment",
+      "aria-label": "Time",
       oninput: () => {
         this.play(false);
         this.frame = Number(this.range.value);

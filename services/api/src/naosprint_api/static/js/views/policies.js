@@ -3,7 +3,7 @@
 import { call } from "../api.js";
 import { fill, h, icon } from "../dom.js";
 import { compact, duration, integer } from "../format.js";
-import { loading, problem } from "./messages.js";
+import { loading, refreshed } from "./messages.js";
 import { headlineStats, stat } from "./results.js";
 
 /** Headline of a policy's card as a block; `flat` inside of a card, in rows of three. */
@@ -49,7 +49,7 @@ function cardOf(card) {
 /** Show the page in `root`. */
 export async function mount(root, { signal }) {
   document.title = "Policies · naosprint";
-  const box = h("div");
+  const box = h("div", null, h("div", { class: "card" }, loading("Loading policies")));
   fill(
     root,
     h(
@@ -64,29 +64,15 @@ export async function mount(root, { signal }) {
     ),
     box,
   );
-  const draw = async () => {
-    fill(box, h("div", { class: "card" }, loading("Loading policies")));
-    try {
-      const cards = await call("policies", { signal });
-      fill(
-        box,
-        cards.length
-          ? h("div", { class: "charts" }, cards.map(cardOf))
-          : h(
-              "div",
-              { class: "card empty" },
-              h("h2", null, "No policies are bundled with this version"),
-              h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."),
-              h(
-                "div",
-                { class: "row" },
-                h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job"),
-              ),
-            ),
-      );
-    } catch (error) {
-      if (error.name !== "AbortError") fill(box, problem(error, draw));
-    }
-  };
-  await draw();
+  const none = h(
+    "div",
+    { class: "card empty" },
+    h("h2", null, "No policies are bundled with this version"),
+    h("p", null, "Train one: a job's checkpoints can be watched, evaluated and exported too."),
+    h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
+  );
+  await refreshed(box, async () => {
+    const cards = await call("policies", { signal });
+    return cards.length ? h("div", { class: "charts" }, cards.map(cardOf)) : none;
+  });
 }

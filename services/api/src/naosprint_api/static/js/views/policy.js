@@ -4,7 +4,7 @@ import { call } from "../api.js";
 import { Chart } from "../charts.js";
 import { chartOptions } from "../curves.js";
 import { descriptions } from "../descriptions.js";
-import { fill, h, icon, scroller, toast } from "../dom.js";
+import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { Figure } from "../figures.js";
 import { duration, integer } from "../format.js";
 import { loading, problem } from "./messages.js";
@@ -15,47 +15,34 @@ import { knowledge, overrides, show, specList } from "./spec-list.js";
 
 function lineage(card) {
   const head = ["Job", "Task", "Preset", "Seed", "Steps", "Took", "Overrides"];
-  return h(
-    "table",
-    { class: "plain", "data-part": "lineage" },
-    h(
-      "thead",
-      null,
+  return table(
+    head.map((title, i) => heading(title, i > 2 && i < 6)),
+    card.lineage.map((one) =>
       h(
         "tr",
         null,
-        head.map((text, i) => h("th", { scope: "col", class: i > 2 && i < 6 ? "num" : null }, text)),
-      ),
-    ),
-    h(
-      "tbody",
-      null,
-      card.lineage.map((one) =>
+        h("td", { class: "nowrap" }, one.job),
+        h("td", null, one.task),
+        h("td", null, one.preset),
+        h("td", { class: "num" }, one.seed),
+        h("td", { class: "num" }, integer(one.steps)),
+        h("td", { class: "num" }, duration(one.training_s)),
         h(
-          "tr",
+          "td",
           null,
-          h("td", { class: "nowrap" }, one.job),
-          h("td", null, one.task),
-          h("td", null, one.preset),
-          h("td", { class: "num" }, one.seed),
-          h("td", { class: "num" }, integer(one.steps)),
-          h("td", { class: "num" }, duration(one.training_s)),
           h(
-            "td",
-            null,
-            h(
-              "div",
-              { class: "row wrap" },
-              Object.keys(one.overrides).length
-                ? Object.entries(one.overrides).map(([key, value]) =>
-                    h("span", { class: "tag" }, `${key} ${show(value)}`),
-                  )
-                : h("span", { class: "muted" }, "none"),
-            ),
+            "div",
+            { class: "row wrap" },
+            Object.keys(one.overrides).length
+              ? Object.entries(one.overrides).map(([key, value]) =>
+                  h("span", { class: "tag" }, `${key} ${show(value)}`),
+                )
+              : h("span", { class: "muted" }, "none"),
           ),
         ),
       ),
     ),
+    { class: "plain", "data-part": "lineage" },
   );
 }
 
@@ -74,7 +61,7 @@ function usage(name) {
   const copy = (command) =>
     navigator.clipboard.writeText(command).then(
       () => toast("Copied."),
-      () => toast("The browser refused the clipboard.", "error"),
+      () => toast("The browser does not allow copying.", "error"),
     );
   return h(
     "ul",

@@ -1,9 +1,9 @@
 /**
- * Results of an evaluation, which describe themselves: headline, table, and what varies with a quantity as figures and
- * numbers.
+ * Results of an evaluation, drawn from the descriptions that they contain: headline, table, and results over a quantity
+ * as a figure and numbers.
  */
 
-import { h, scroller } from "../dom.js";
+import { h, heading, scroller, table } from "../dom.js";
 import { hasResults, headline, profile } from "../evaluation.js";
 import { resultLines } from "../figures.js";
 import { integer, intervalText, metricText, percent, shownUnit, withUnit } from "../format.js";
@@ -11,7 +11,7 @@ import { integer, intervalText, metricText, percent, shownUnit, withUnit } from 
 const NONE = "–";
 const TOKENS = ["--s1", "--s2", "--s3", "--s4"];
 
-/** What stands below a result: its interval, else its standard deviation. */
+/** Note below a result: its interval, else its standard deviation. */
 const note = (r) =>
   r.value === null
     ? "no episode counts"
@@ -41,42 +41,25 @@ export const headlineStats = (summary) => headline(summary).map(resultStat);
 export function resultsTable(summary, level) {
   const head = ["Result", "Value", `${level} interval`, "sd", "Least", "Most", "Episodes"];
   const text = (r, v) => (v === null || v === undefined ? NONE : metricText(r, v));
-  return h(
-    "table",
-    { class: "plain", "data-part": "results" },
-    h(
-      "thead",
-      null,
+  return table(
+    head.map((title, i) => heading(title, i > 0)),
+    summary.results.map((r) =>
       h(
         "tr",
-        null,
-        head.map((t, i) => h("th", { scope: "col", class: i ? "num" : null }, t)),
-      ),
-    ),
-    h(
-      "tbody",
-      null,
-      summary.results.map((r) =>
+        { title: r.description },
         h(
-          "tr",
-          { title: r.description },
-          h(
-            "th",
-            { scope: "row" },
-            r.title,
-            r.value === 0 && r.description ? h("div", { class: "muted" }, r.description) : null,
-          ),
-          h("td", { class: "num" }, withUnit(r, r.value)),
-          [
-            intervalText(r, r.interval) ?? NONE,
-            text(r, r.sd),
-            text(r, r.low),
-            text(r, r.high),
-            integer(r.episodes),
-          ].map((t) => h("td", { class: "num muted" }, t)),
+          "th",
+          { scope: "row" },
+          r.title,
+          r.value === 0 && r.description ? h("div", { class: "muted" }, r.description) : null,
+        ),
+        h("td", { class: "num" }, withUnit(r, r.value)),
+        [intervalText(r, r.interval) ?? NONE, text(r, r.sd), text(r, r.low), text(r, r.high), integer(r.episodes)].map(
+          (t) => h("td", { class: "num muted" }, t),
         ),
       ),
     ),
+    { class: "plain", "data-part": "results" },
   );
 }
 
@@ -153,7 +136,6 @@ export function axisOf(table, refs = []) {
 }
 
 function numbers(table) {
-  const th = (t) => h("th", { scope: "col", class: "num" }, t);
   const cells = (r) => [
     h("td", { class: "num" }, metricText(r, r.value)),
     h("td", { class: "num muted" }, intervalText(r, r.interval) ?? NONE),
@@ -178,7 +160,7 @@ function numbers(table) {
       h(
         "tr",
         null,
-        table.columns.map(() => [th("mean"), th("interval"), th("n")]),
+        table.columns.map(() => [heading("mean", true), heading("interval", true), heading("n", true)]),
       ),
     ),
     h(

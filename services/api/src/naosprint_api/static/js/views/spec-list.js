@@ -1,4 +1,4 @@
-/** A specification, section by section, named as the form names it, with what overrides its preset marked. */
+/** Specification by section, with the names of the form; overrides of its preset are marked. */
 
 import { call } from "../api.js";
 import { h } from "../dom.js";

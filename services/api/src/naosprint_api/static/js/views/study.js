@@ -1,8 +1,8 @@
-/** One study: its trials, their curves, and how settings and objectives hang together. */
+/** One study: its trials, their curves, and how settings affect the objectives. */
 
 import { call } from "../api.js";
 import { PALETTE } from "../charts.js";
-import { confirmDialog, fill, h, scroller } from "../dom.js";
+import { confirmDialog, fill, h, heading, scroller, table } from "../dom.js";
 import { Figure } from "../figures.js";
 import { percent, significant, words } from "../format.js";
 import { coordinates, curves, front } from "../study-figures.js";
@@ -45,44 +45,26 @@ function trialTable(study) {
   const names = Object.keys(study.spec.space);
   const ranked = ranking(study);
   const rows = [...ranked, ...study.trials.filter((trial) => !ranked.includes(trial))];
-  const head = (text, numeric) => h("th", { scope: "col", class: numeric ? "num" : null }, text);
   return scroller(
     "Trials",
-    h(
-      "table",
-      null,
-      h(
-        "thead",
-        null,
+    table(
+      [heading("Trial"), heading("State"), [...goals, ...names].map((name) => heading(name, true)), heading("Note")],
+      rows.map((trial) =>
         h(
           "tr",
-          null,
-          head("Trial"),
-          head("State"),
-          [...goals, ...names].map((name) => head(name, true)),
-          head("Note"),
-        ),
-      ),
-      h(
-        "tbody",
-        null,
-        rows.map((trial) =>
+          { "data-trial": trial.number },
           h(
-            "tr",
-            { "data-trial": trial.number },
-            h(
-              "td",
-              null,
-              trial.job_id
-                ? h("a", { href: `#/jobs/${trial.job_id}` }, `Trial ${trial.number}`)
-                : `Trial ${trial.number}`,
-              study.best.includes(trial.number) ? h("span", { class: "tag" }, "best") : null,
-            ),
-            h("td", null, studyBadge(trial.state)),
-            goals.map((_, i) => h("td", { class: "num" }, trial.values ? significant(trial.values[i], 4) : "–")),
-            names.map((name) => h("td", { class: "num" }, name in trial.params ? valueText(trial.params[name]) : "–")),
-            h("td", { class: "soft" }, trial.error ?? ""),
+            "td",
+            null,
+            trial.job_id
+              ? h("a", { href: `#/jobs/${trial.job_id}` }, `Trial ${trial.number}`)
+              : `Trial ${trial.number}`,
+            study.best.includes(trial.number) ? h("span", { class: "tag" }, "best") : null,
           ),
+          h("td", null, studyBadge(trial.state)),
+          goals.map((_, i) => h("td", { class: "num" }, trial.values ? significant(trial.values[i], 4) : "–")),
+          names.map((name) => h("td", { class: "num" }, name in trial.params ? valueText(trial.params[name]) : "–")),
+          h("td", { class: "soft" }, trial.error ?? ""),
         ),
       ),
     ),
@@ -98,28 +80,14 @@ function importanceTable(study) {
     h("div", { class: "card-head" }, h("h2", null, "Importance of the settings")),
     scroller(
       "Importance",
-      h(
-        "table",
-        null,
-        h(
-          "thead",
-          null,
+      table(
+        ["Setting", ...goals].map((title, i) => heading(title, i > 0)),
+        Object.keys(study.spec.space).map((name) =>
           h(
             "tr",
             null,
-            ["Setting", ...goals].map((text, i) => h("th", { scope: "col", class: i ? "num" : null }, text)),
-          ),
-        ),
-        h(
-          "tbody",
-          null,
-          Object.keys(study.spec.space).map((name) =>
-            h(
-              "tr",
-              null,
-              h("th", { scope: "row" }, name),
-              goals.map((goal) => h("td", { class: "num" }, percent(study.importance[goal][name], 0))),
-            ),
+            h("th", { scope: "row" }, name),
+            goals.map((goal) => h("td", { class: "num" }, percent(study.importance[goal][name], 0))),
           ),
         ),
       ),

@@ -1,4 +1,4 @@
-/** Submit a job: a form made from the service's JSON schema, presets and recipes. It knows no plug-in's settings. */
+/** Form that submits a job, made from the service's JSON schema, presets and recipes. No plug-in is named here. */
 
 import { call } from "../api.js";
 import { descriptions } from "../descriptions.js";
@@ -95,7 +95,7 @@ class Field {
     this.set(this.base);
   }
 
-  /** Set what applies unless the user says otherwise. */
+  /** Set the value that applies until the user changes it. */
   setBase(value) {
     this.base = value;
     if (!this.touched) this.set(value);
@@ -193,7 +193,7 @@ class SubmitView {
     this.build();
   }
 
-  /** Make a field of the form; `change` is called besides when the user changes it. */
+  /** Make a field of the form; `change` is called, too, when the user changes it. */
   make(path, spec, change = () => {}) {
     const f = new Field(spec, path, () => {
       change();
@@ -276,7 +276,7 @@ class SubmitView {
     seed.element.querySelector(".hint").textContent = seed.spec.hint;
     const tags = this.fields.get("tags");
     tags.spec = { ...tags.spec, read: (text) => text.split(/[\s,]+/).filter(Boolean) };
-    this.fields.get("name").control.placeholder = "named after task, preset and seed";
+    this.fields.get("name").control.placeholder = "default: task, preset and seed";
     this.sections = new Map(SECTIONS.map(([name]) => [name, h("div", { class: "fields" })]));
 
     const current = this.model?.spec.algorithm?.preset ?? [...this.presets.keys()][0];
@@ -456,7 +456,7 @@ class SubmitView {
     this.fields.get(`spec.${name}.name`).control.focus();
   }
 
-  /** Set what applies to a section's fields unless the user says otherwise: the preset's values, else the defaults. */
+  /** Set the values of a section's fields that apply until the user changes them: the preset's, else the defaults. */
   setBases(name) {
     const values = presetValues(this.presets.get(this.preset), this.families.get(this.peek("spec.robot.name")));
     for (const [path, f] of this.fields)
@@ -490,7 +490,7 @@ class SubmitView {
     this.changed();
   }
 
-  /** The request as it stands; throws the first field's error, after marking all of them when `mark`. */
+  /** Return the request; throws the first field's error, with all of them marked if `mark`. */
   body(mark) {
     const spec = { algorithm: { preset: this.preset } };
     const evaluation = {};
@@ -520,7 +520,7 @@ class SubmitView {
         if (f.touched) evaluation[first] = value;
       } else if (f.touched && value !== "" && value !== null) out[root] = value;
     }
-    if (failed) throw Object.assign(new Error("Some fields need another look."), { field: failed });
+    if (failed) throw Object.assign(new Error("Some fields are not valid."), { field: failed });
     if (spec.stages?.length) delete spec.total_steps; // their sum
     const parent = this.params.get("parent");
     const checkpoint = this.params.get("checkpoint");
@@ -612,7 +612,7 @@ class SubmitView {
     }
   }
 
-  /** Put each message of the service at its field; what fits none goes on top. */
+  /** Show each message of the service at its field, and those that belong to no field at the top. */
   refused(error) {
     const left = [];
     let first = null;
