@@ -65,7 +65,7 @@ e2e: $(INSTALLED)  ## browser and container tests, where chromium or a container
 	$(BIN)/python -m pytest -m e2e $(E2E) $(if $(K),-k "$(K)")
 
 readme:  ## type what the README says into a fresh clone (about 10 minutes)
-	$(PYTHON) docs/check_readme.py
+	$(PYTHON) docs/check_documents.py
 
 docs: $(INSTALLED)  ## the documentation's site, in build/site
 	$(BIN)/mkdocs build --strict --quiet

@@ -8,9 +8,15 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import naopolicies
 import pytest
 from naoctl.cli import build_app
+from naoctl.commands.artifacts import REPORT_PAGE
+from naoctl.commands.submit import make_body
+from naoctl.errors import ExitCode, InvalidInput
+from naoctl.jobfile import load_job_file
 from naospec import TrainingSpec
+from naosprint_api.schemas import JobCreate
 from typer.testing import CliRunner
 
 from . import documents
@@ -67,6 +73,58 @@ def test_the_report_is_in_the_folder_that_the_tutorial_names() -> None:
     text = (ROOT / "docs" / "tutorial.md").read_text("utf-8")
     (line,) = [line for line in text.splitlines() if line.startswith("naoctl report ")]
     command, page = line.split("#")[0].split(), line.rsplit(" ", 1)[1]
-    from naoctl.commands.artifacts import REPORT_PAGE
-
     assert page == f"{command[command.index('-o') + 1]}/report/{REPORT_PAGE}"
+
+
+def test_the_curl_example_is_a_job() -> None:
+    (text,) = (block for block in documents.blocks(ROOT / "README.md", "sh") if "curl -X POST" in block)
+    body = re.search(r"-d '(.*?)'", text, re.DOTALL)
+    assert body is not None
+    assert JobCreate.model_validate(json.loads(body[1])).spec.total_steps == 3_000_000
+
+
+def test_the_job_file_of_the_tutorial_is_a_job(tmp_path: Path) -> None:
+    write_job_files(ROOT / "docs" / "tutorial.md", tmp_path)
+    job = JobCreate.model_validate(make_body(load_job_file(tmp_path / "night.yaml"), {"seed": "3"}, {}))
+    assert (job.name, job.spec.algorithm.preset, job.spec.seed) == ("night", "paper", 3)
+
+
+def test_the_tutorials_table_has_every_exit_code() -> None:
+    text = (ROOT / "docs" / "tutorial.md").read_text("utf-8")
+    numbers = {int(number) for row in re.findall(r"^\| ([\d, ]+) \|", text, re.MULTILINE) for number in row.split(",")}
+    assert numbers == {int(code) for code in ExitCode}
+
+
+def test_the_error_that_the_tutorial_shows_is_the_real_one() -> None:
+    text = (ROOT / "docs" / "tutorial.md").read_text("utf-8")
+    (shown,) = re.findall(r"^\$ naoctl (submit .*)\nnaoctl: (.*)$", text, re.MULTILINE)
+    with pytest.raises(InvalidInput) as caught:
+        CliRunner().invoke(build_app(), shlex.split(shown[0]), catch_exceptions=False, standalone_mode=False)
+    assert str(caught.value) == shown[1]
+
+
+def results(path: str) -> Any:
+    return json.loads((ROOT / "benchmarks" / path).read_text("utf-8"))
+
+
+def test_the_readmes_results_are_those_that_were_measured() -> None:
+    """Every number of its table that has a record is rounded from it."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    engine = results("engine/results.json")["results"]
+    policy = {result["name"]: result["value"] for result in naopolicies.card("sprint")["results"]}
+    (cycles, ratio, apart) = re.search(
+        r"about ([\d,]+) cycles .*?, (\d+) times libode .*? by (\d+)e-11 m", text
+    ).groups()
+    found = [row for row in engine if row["robot_type"] < 4]
+    assert int(cycles.replace(",", "")) == pytest.approx(min(row["naosim_cycles_per_s"] for row in found), rel=0.01)
+    assert int(ratio) == round(sum(row["times_libode"] for row in found) / len(found))
+    assert int(apart) == round(sum(row["torso_apart_max_m"] for row in found) / len(found) * 1e11)
+    assert f"top speed {policy['top_speed_mps']:.2f} m/s" in text
+    assert f"with {policy['fall_rate']:.1%} falls".replace("%", " %") in text
+    (least,) = re.findall(r"training runs at ([\d,]+) to [\d,]+ steps a second on 2 cores", text)
+    throughput = results("learning/results.json")["throughput"]["whole_loop"]
+    assert int(least.replace(",", "")) == pytest.approx(throughput, rel=0.03)
+    protocol = (ROOT / "benchmarks" / "protocol" / "README.md").read_text("utf-8")
+    (row,) = re.findall(r"^\| 4 . rcssserver3d \| ([\d,]+) \| ([\d,]+) \|$", protocol, re.MULTILINE)
+    (shown,) = re.findall(r"on four real servers, .*? at ([\d,]+) to ([\d,]+) steps a second", text)
+    assert [round(int(value.replace(",", "")), -2) for value in row] == [int(value.replace(",", "")) for value in shown]

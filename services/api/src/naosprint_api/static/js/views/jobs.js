@@ -2,7 +2,8 @@
 
 import { call, query } from "../api.js";
 import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
-import { confirmDialog, fill, h, icon, isTyping, toast } from "../dom.js";
+import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
+import { integer } from "../format.js";
 import { act, latest, progress, remaining, shownMetric } from "../jobs.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
@@ -109,6 +110,7 @@ class JobsView {
         this.typing = setTimeout(() => this.apply({ q: this.search.value.trim() }), 250);
       },
     });
+    this.count = h("span", { class: "muted", role: "status" });
     this.tag = h("div", { class: "row" });
     this.columnList = h("div", { class: "menu-list" });
     this.columnMenu = h("details", { class: "menu" }, h("summary", { class: "button" }, "Columns"), this.columnList);
@@ -119,7 +121,7 @@ class JobsView {
     this.bar = h("div", { class: "select-bar", hidden: true });
     fill(
       this.root,
-      h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Jobs")),
+      h("div", { class: "page-head" }, h("h1", null, "Jobs"), this.count),
       h(
         "div",
         { class: "filters" },
@@ -253,6 +255,7 @@ class JobsView {
   }
 
   paint() {
+    setText(this.count, this.jobs.size ? integer(this.jobs.size) : "");
     if (!this.jobs.size) {
       this.paintEmpty();
       return;

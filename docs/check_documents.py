@@ -1,17 +1,17 @@
 """Run the commands of README.md in a fresh clone.
 
-    python docs/check_readme.py            # about 10 minutes: install, up, every naoctl line, the curl example
-    python docs/check_readme.py --all      # `make demo` and `make test` as well
+    python docs/check_documents.py            # about 10 minutes: install, up, every naoctl line, the curl example
+    python docs/check_documents.py --all      # `make demo` and `make test` as well
 
-Commands run as they stand, in order, with a home folder of their own, except that trainings have only STEPS steps: this
-checks that the commands work, not what a robot learns. Exits with 1 at the first command that fails.
+Commands run as they stand, in order, with a home folder of their own, except that trainings of 3 million steps have
+only STEPS: this checks that the commands work, not what a robot learns. Exits with 1 at the first command that fails.
+`tests/e2e/docs` runs those of other documents, too, in the present environment.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import re
 import signal
@@ -23,10 +23,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: Steps of the trainings, instead of the millions that README.md names.
+#: Steps of the trainings that the documents wait for, instead of LONG.
 STEPS = 65_536
+LONG = re.compile(r"\b(?:3000000|3M)\b")
+#: The last checkpoint of such a training.
+LAST = re.compile(r"(checkpoint|export)-000003006464\b")
+#: Ids in the documents, and those that the commands print.
+PLACEHOLDER = re.compile(r"\b(job|group|token|study)_…")
+ID = re.compile(r"\b(job|group|token|study)_[0-9a-z]{26}\b")
 BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
-LONG = re.compile(r"\b\d{7,}\b")
 UP_TIMEOUT_S = 180
 COMMAND_TIMEOUT_S = 1800
 
@@ -36,15 +41,15 @@ class CheckError(Exception):
 
 
 class Shell:
-    """Runs commands in the clone, with a home of their own."""
+    """Runs commands in a folder, with the programs of an environment and a home of their own."""
 
-    def __init__(self, clone: Path, home: Path) -> None:
+    def __init__(self, folder: Path, home: Path, programs: Path) -> None:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("NAOSPRINT_", "NAOCTL_"))}
         kept.pop("VIRTUAL_ENV", None)
         # Reuse pip's downloads.
         kept.setdefault("PIP_CACHE_DIR", str(Path.home() / ".cache" / "pip"))
-        self.environment = {**kept, "HOME": str(home), "PATH": f"{clone / '.venv' / 'bin'}:{kept['PATH']}"}
-        self.clone = clone
+        self.environment = {**kept, "HOME": str(home), "PATH": f"{programs}:{kept['PATH']}"}
+        self.folder = folder
         self.home = home
 
     def run(self, command: str) -> str:
@@ -59,7 +64,7 @@ class Shell:
         try:
             done = subprocess.run(
                 ["bash", "-euo", "pipefail", "-c", command],
-                cwd=self.clone,
+                cwd=self.folder,
                 env=self.environment,
                 capture_output=True,
                 text=True,
@@ -80,7 +85,7 @@ class Shell:
         with log_path.open("wb") as log:
             process = subprocess.Popen(
                 ["bash", "-c", f"exec {command}"],
-                cwd=self.clone,
+                cwd=self.folder,
                 env=self.environment,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -114,40 +119,50 @@ def commands(readme: str) -> list[str]:
     found = []
     for block in BLOCK.findall(readme):
         # quoted text may go over several lines
-        for line in re.findall(r"(?:'[^']*'|\\\n|[^\n'])+", block):
+        for line in re.findall(r"(?:'[^']*'|\\\n|\s#\s[^\n]*|[^\n'])+", block):
             text = re.sub(r"\s+#\s.*$", "", line).strip()
             if text:
                 found.append(text)
     return found
 
 
-def check(shell: Shell, *, everything: bool) -> int:
-    """Run every command; return their number."""
-    lines = commands((shell.clone / "README.md").read_text(encoding="utf-8"))
+def typed(shell: Shell, lines: list[str], url: str) -> int:
+    """Run commands against a service, with what earlier ones printed in place of ids; return their number."""
+    seen: dict[str, str] = {}
+    kept, count = "", 0
+
+    def found(placeholder: re.Match[str]) -> str:
+        return seen[placeholder[1]]
+
+    for line in lines:
+        command = LAST.sub(rf"\g<1>-{STEPS:012d}", LONG.sub(str(STEPS), line)).replace("http://127.0.0.1:8000", url)
+        command = PLACEHOLDER.sub(found, command)
+        if re.fullmatch(r"[A-Z_]+=.*", command):  # a variable for the commands after it
+            kept += f"{command}; "
+            continue
+        answer = shell.run(kept + command if "$" in command else command)
+        seen |= {match[1]: match[0] for match in ID.finditer(answer)}
+        if "/stream" in command and "event: end" not in answer:
+            raise CheckError(f"{command}\ndid not report the job's end:\n{answer[-2000:]}")
+        count += 1
+    return count
+
+
+def split(lines: list[str]) -> tuple[list[str], str, list[str]]:
+    """Return the commands of make, the one that starts the service, and the others; without activating a venv."""
+    (stays,) = [line for line in lines if line.endswith("naoctl up")] or [""]
     made = [line for line in lines if line.startswith("make ")]
-    stays = next(line for line in lines if line.endswith("naoctl up"))
-    rest = [line for line in lines if line not in (*made, stays) and not line.startswith("source ")]
+    return made, stays, [line for line in lines if line not in (*made, stays) and not line.startswith("source ")]
+
+
+def check(shell: Shell, *, everything: bool) -> int:
+    """Run every command of README.md; return their number."""
+    made, stays, rest = split(commands((shell.folder / "README.md").read_text(encoding="utf-8")))
     shell.run("make install")
-    count = 1
     for line in made if everything else ():
         shell.run(line)
-        count += 1
     with shell.service(stays) as url:
-        job, kept = "", ""
-        for line in rest:
-            command = LONG.sub(str(STEPS), line).replace("http://127.0.0.1:8000", url)
-            if re.fullmatch(r"[A-Z_]+=.*", command):  # a variable for the commands after it
-                kept += f"{command}; "
-                continue
-            if "job_…" in command:
-                command = command.replace("job_…", job)
-            answer = shell.run(kept + command if "$" in command else command)
-            if "-X POST" in command:
-                job = str(json.loads(answer)["id"])
-            if "/stream" in command and "event: end" not in answer:
-                raise CheckError(f"{command}\ndid not report the job's end:\n{answer[-2000:]}")
-            count += 1
-    return count
+        return 1 + (len(made) if everything else 0) + typed(shell, rest, url)
 
 
 def main() -> int:
@@ -164,7 +179,7 @@ def main() -> int:
             check=True,
         )
         try:
-            count = check(Shell(clone, home), everything=arguments.all)
+            count = check(Shell(clone, home, clone / ".venv" / "bin"), everything=arguments.all)
         except CheckError as error:
             sys.stderr.write(f"README.md: {error}\n")
             return 1
