@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.metadata import EntryPoint
+from importlib.util import spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -59,6 +66,33 @@ def test_unknown_names_list_the_known() -> None:
         plugins.UnknownPluginError, match=r"unknown task 'swim': choose one of .*sprint1, sprint1-erect"
     ):
         plugins.load(plugins.TASKS, "swim")
+
+
+def test_plugins_of_one_package_load_in_several_threads(
+    offered: list[EntryPoint], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a page of the dashboard requests tasks and algorithms at once."""
+    found, never = threading.Event(), threading.Event()
+    init = tmp_path / "crawling" / "__init__.py"
+    init.parent.mkdir()
+    init.write_text("from crawling.slow import Crawl\n")
+    (tmp_path / "crawling" / "slow.py").write_text("class Crawl: pass\n")
+
+    class SlowDisk(MetaPathFinder, SourceFileLoader):
+        def find_spec(self, name: str, *_: Any) -> ModuleSpec | None:
+            return spec_from_file_location(name, init, loader=self) if name == "crawling" else None
+
+        def create_module(self, _: ModuleSpec) -> None:
+            found.set()
+            never.wait(0.3)  # meanwhile the other thread needs this package
+
+    monkeypatch.setattr(sys, "meta_path", [SlowDisk("crawling", str(init)), *sys.meta_path])
+    offered += [entry("crawl", "crawling:Crawl"), entry("crawl-slowly", "crawling.slow:Crawl")]
+    with ThreadPoolExecutor() as pool:
+        package = pool.submit(plugins.load, plugins.TASKS, "crawl")
+        assert found.wait(10)
+        module = pool.submit(plugins.load, plugins.TASKS, "crawl-slowly")
+        assert package.result() is module.result()
 
 
 def test_a_package_that_cannot_be_imported_is_named(offered: list[EntryPoint]) -> None:

@@ -8,6 +8,7 @@ A package offers one by an entry point in its metadata, whose name is the name t
 
 from __future__ import annotations
 
+import threading
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -18,6 +19,10 @@ TASKS = "naosprint.tasks"
 LEARNERS = "naosprint.learners"
 
 _NOUNS = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
+
+
+# Python refuses an import where threads import modules that need each other. Reentrant: plug-ins load others.
+_LOADING = threading.RLock()
 
 
 class UnknownPluginError(ValueError):
@@ -60,7 +65,8 @@ def load(group: str, name: str) -> Any:
             f"unknown {_NOUNS.get(group, group)} {name!r}: choose one of {', '.join(names(group)) or 'none'}"
         )
     try:
-        return entry.load()
+        with _LOADING:
+            return entry.load()
     except Exception as error:
         package = entry.dist.name if entry.dist is not None else entry.value
         raise BrokenPluginError(

@@ -344,7 +344,7 @@ export class Chart {
     return {
       width,
       height,
-      padding: [10, 8, 0, 0],
+      padding: [10, 16, 0, 0],
       legend: { show: false },
       cursor: {
         y: false,
