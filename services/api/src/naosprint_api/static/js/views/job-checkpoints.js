@@ -115,7 +115,7 @@ export class CheckpointsTab {
     const files = h(
       "details",
       null,
-      h("summary", { class: "muted" }, `${c.files.length} files`),
+      h("summary", { class: "muted" }, c.files.length === 1 ? "1 file" : `${c.files.length} files`),
       h(
         "ul",
         { class: "list" },
