@@ -795,7 +795,7 @@ def test_the_log_follows_its_end_and_filters(browser: Browser, stack: Stack, tok
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}/log")
     browser.shows("line 1499", ".log")
-    assert "Earlier lines are not shown" in browser.text(".log .mark")
+    assert browser.text(".log .mark") == "Show earlier lines"
     say("<b>not bold</b>", level="warning")
     browser.shows("<b>not bold</b>", ".log")
     at_end = "const b = document.querySelector('.log'); return b.scrollHeight - b.scrollTop - b.clientHeight < 4"

@@ -108,7 +108,7 @@ def outbox(sessions: Sessions) -> list[Delivery]:
 
 
 def advance(sessions: Sessions, seconds: float) -> None:
-    """Make everything in the outbox due, as if time had passed."""
+    """Make the messages in the outbox older."""
     with sessions.begin() as session:
         for column in ("next_at", "created_at"):
             earlier = text(f"UPDATE deliveries SET {column} = {column} - :seconds * interval '1 s'")
