@@ -61,7 +61,7 @@ soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then ch
 	$(BIN)/python benchmarks/service/soak.py --faults 30 --seed 30 --longest 3 --updates 150
 
 # E2E=tests/e2e/compose runs those of one folder, K="healthy" those whose names match.
-e2e: $(INSTALLED)  ## browser and container tests, where chromium or a container engine is at hand
+e2e: $(INSTALLED)  ## the documents' commands; browser and container tests, where chromium or a container engine is at hand
 	$(BIN)/python -m pytest -m e2e $(E2E) $(if $(K),-k "$(K)")
 
 readme:  ## type what the README says into a fresh clone (about 10 minutes)
