@@ -19,7 +19,7 @@ from typing import Any
 
 EPISODES = 100
 TOTAL_STEPS = 100_000
-TIMING_COLUMNS = ("time_s", "steps_per_s", "collect_s", "learn_s", "eta_s")
+TIMING_COLUMNS = ("time_s", "steps_per_s", "collect_s", "simulator_s", "learn_s", "eta_s")
 
 _PINNED = {
     "OPENBLAS_CORETYPE": "Haswell",

@@ -21,6 +21,7 @@ def assert_metrics_whole(service: Service, job_id: str) -> None:
     job = service.job(job_id)
     assert [row.step for row in service.metrics(job_id)] == list(range(ROLLOUT, job.total_steps + 1, ROLLOUT))
     assert job.progress_step == job.total_steps
+    assert all(row.values["memory_mb"] > 10 and row.values["cpus"] >= 0 for row in service.metrics(job_id))
 
 
 def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp_path: Path) -> None:

@@ -108,6 +108,21 @@ def test_a_task_that_is_not_installed_here_is_described_by_the_service(job: Call
     assert "first" in shown(render.jobs_table([unknown], Descriptions()))
 
 
+def test_the_usage_of_a_training_is_one_line(job: Callable[..., dict[str, Any]]) -> None:
+    row = {
+        "cpus": 1.93,
+        "memory_mb": 812.4,
+        "collect_s": 0.75,
+        "simulator_s": 0.5,
+        "learn_s": 0.25,
+        "steps_per_s": 24000,
+    }
+    text = "1.9 CPUs, 812 MiB; simulator 50%, rest of collection 25%, learner 25%; 24,000 steps/s"
+    assert render.usage_text(row) == text
+    assert render.usage_text({"reward": 1.0}) == ""
+    assert "Usage" in shown(render.job_details(job(latest_metrics=row)))
+
+
 def test_the_list_shows_what_matters(job: Callable[..., dict[str, Any]]) -> None:
     rows = [job(), job(id="job_" + "2" * 26, name="[red]x[/red]\x1b[2J", latest_metrics={}, total_steps=0)]
     text = shown(render.jobs_table(rows, Descriptions()))

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from naoctl import __version__
-from naoctl.commands import artifacts, jobs, policies, service, spec, studies, submit, watch, webhooks
+from naoctl.commands import artifacts, jobs, policies, service, spec, studies, submit, tensorboard, watch, webhooks
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
@@ -65,6 +65,7 @@ def build_app() -> typer.Typer:
         jobs,
         watch,
         artifacts,
+        tensorboard,
         policies,
         service,
         webhooks,

@@ -262,9 +262,26 @@ def job_details(job: Json, metrics: Sequence[Metric] = ()) -> Table:
     )
     if training:
         rows.append(("In training", f"{training} (latest episodes, with exploration)"))
+    if usage := usage_text(latest):
+        rows.append(("Usage", usage))
     if job.get("error"):
         rows.append(("Error", Text(plain(job["error"]), style="red")))
     return pairs(rows)
+
+
+def usage_text(row: Mapping[str, Any]) -> str:
+    """Return what a training uses and where its time goes, of a row of metrics; empty without such metrics."""
+    parts = []
+    if "cpus" in row and "memory_mb" in row:
+        parts.append(f"{row['cpus']:.1f} CPUs, {row['memory_mb']:,.0f} MiB")
+    if "collect_s" in row and "learn_s" in row:
+        total = max(row["collect_s"] + row["learn_s"], 1e-9)
+        names = {"simulator_s": "simulator", "collect_s": "rest of collection", "learn_s": "learner"}
+        spent = {**row, "collect_s": row["collect_s"] - row.get("simulator_s", 0.0)}
+        parts.append(", ".join(f"{title} {spent[name] / total:.0%}" for name, title in names.items() if name in row))
+    if "steps_per_s" in row:
+        parts.append(f"{row['steps_per_s']:,.0f} steps/s")
+    return "; ".join(parts)
 
 
 class Curve:
@@ -328,6 +345,8 @@ def live_view(
         parts += ["", Text(f"Stalled: {stall_text(job)}", style="yellow")]
     if curve.series:
         parts += ["", table]
+        if usage := usage_text(latest):
+            parts += ["", Text(usage, style="bright_black")]
     if note:
         parts += ["", Text(note, style="yellow")]
     return Group(*parts)

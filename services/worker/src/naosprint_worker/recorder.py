@@ -18,6 +18,7 @@ from naojobs.records import Batch, EventRecord, LogLine, MetricsRow, StoredCheck
 
 from naosprint_worker.retry import describe, retry
 from naosprint_worker.spool import Entry, Spool
+from naosprint_worker.usage import Usage
 
 logger = logging.getLogger(__name__)
 
@@ -81,6 +82,7 @@ class Recorder:
         self._patience_s = patience_s
         self._stop = stop
         self._on_failure = on_failure
+        self._usage = Usage()
         self._changed = threading.Condition()
         self._rows: deque[Item] = deque()
         #: Rows that are being written.
@@ -111,6 +113,7 @@ class Recorder:
     def metrics(self, row: dict[str, float]) -> None:
         """Record the metrics of one update; ``row`` has at least ``step``. Values that are not finite are left out."""
         self._reported = True
+        row = {**row, **self._usage.read()}
         values = {key: float(value) for key, value in row.items() if math.isfinite(value)}
         missing = sorted(row.keys() - values.keys())
         if missing:

@@ -83,7 +83,7 @@ def download(
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
-        folder = output or Path(_folder_name(found))
+        folder = output or Path(folder_name(found))
         chosen: list[tuple[str, Path, dict[str, Any]]] = []
         if what in (What.ALL, What.CHECKPOINT):
             point = choose_checkpoint(client, found, checkpoint)
@@ -184,7 +184,7 @@ def report(
                 fix=f"Start one with `naoctl eval {found['id']}`.",
                 code=ExitCode.NOT_FOUND,
             )
-        folder = output or Path(_folder_name(found))
+        folder = output or Path(folder_name(found))
         fetch_artifacts(context, client, [("evaluation", folder / "evaluation", evaluated)], quiet=as_json)
         if film is None and any(file["name"] == REPORT_PAGE for file in evaluated["files"]):
             page = folder / "report" / REPORT_PAGE
@@ -239,7 +239,7 @@ def export(
     flags = format_flags(formats)
     with context.client() as client:
         found = find_job(client, job)
-        folder = output or Path(_folder_name(found))
+        folder = output or Path(folder_name(found))
         point = choose_checkpoint(client, found, checkpoint)
         source = folder / f"checkpoint-{point['step']:012d}"
         fetch_artifacts(context, client, [("checkpoint", source, point)], quiet=as_json)
@@ -435,7 +435,7 @@ def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as
     context.out.print(table if evaluations else "No evaluation yet.")
 
 
-def _folder_name(job: dict[str, Any]) -> str:
+def folder_name(job: dict[str, Any]) -> str:
     """Return a plain folder name for a job: its name if possible, with the end of its id."""
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", job["name"]).strip(".-")[:60] or "job"
     return f"{name}-{job['id'][-6:]}"

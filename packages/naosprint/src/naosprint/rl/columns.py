@@ -25,11 +25,18 @@ PACE: tuple[Metric, ...] = (
         "steps_per_s", "Steps per second", "1/s", "Environment steps a second in this update, learning included.", 0
     ),
     Metric("collect_s", "Collection time", "s", "Time that collecting the rollout took.", 3),
+    Metric(
+        "simulator_s", "Simulator time", "s", "Part of the collection time in which it waited for the simulator.", 3
+    ),
     Metric("learn_s", "Update time", "s", "Time that updating the policy took.", 3),
     Metric("eta_s", "Time left", "s", "Time that the rest of the training takes at the mean pace of this attempt.", 0),
+    Metric(
+        "cpus", "Processors", "", "Processors that the training used on average, with its servers; workers only.", 1
+    ),
+    Metric("memory_mb", "Memory", "MiB", "Memory of the training, with its servers; workers only.", 0),
     Metric("server_failures", "Server failures", "", "Servers that failed and were replaced; servers only.", 0),
 )
-"""Metrics of a training's speed."""
+"""Metrics of a training's speed and of what it uses."""
 
 
 def columns(spec: TrainingSpec) -> tuple[Metric, ...]:

@@ -210,6 +210,7 @@ class _Session:
             checkpoint = self._save(self._state())
         while self.steps < end:
             before = self._state()
+            waited_s = self.environment.environment.simulator_s
             began = perf_counter()
             try:
                 complete = learner.collect(stop)
@@ -229,6 +230,7 @@ class _Session:
                 pace = {
                     "steps_per_s": spec.rollout_steps / (now - began),
                     "collect_s": collected - began,
+                    "simulator_s": self.environment.environment.simulator_s - waited_s,
                     "learn_s": now - collected,
                     "eta_s": max(self.whole.planned_steps - self.steps, 0)
                     * (now - began_s)

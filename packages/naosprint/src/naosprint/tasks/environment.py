@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,6 +44,7 @@ class Environment:
         ends: by name of an end, (n,) whether the latest step reached it.
         lost: (n,) whether the latest step lost the robot; its observation is the one before the step.
         short: (n,) environments whose episodes are truncated after ``SHORT_EPISODE_STEPS``.
+        simulator_s: seconds that steps have waited for the simulator so far.
     """
 
     def __init__(self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0) -> None:
@@ -60,6 +62,7 @@ class Environment:
         )
         self.disturbances = Disturbances(settings, simulator, seed)
         self.rewards: FloatArray = np.zeros(n)
+        self.simulator_s = 0.0
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
         self.truncated: BoolArray = np.zeros(n, dtype=np.bool_)
         self.failed: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -136,12 +139,16 @@ class Environment:
         world.previous_actions[rows] = world.actions[rows]
         np.clip(actions, -1.0, 1.0, out=world.actions[rows])
         targets = self.disturbances.delayed(self.actuation.targets(world.actions[rows]), rows)
+        began = perf_counter()
         self.simulator.step_async(targets, rows, active)
+        self.simulator_s += perf_counter() - began
 
     def step_wait(self, rows: slice) -> None:
         """Finish the step that :meth:`step_async` began; the group's rows of all attributes are those after it."""
         simulator, task, world = self.simulator, self.task, self.world
+        began = perf_counter()
         simulator.step_wait(rows)
+        self.simulator_s += perf_counter() - began
         self.disturbances.apply(rows)
         lost = simulator.lost[rows]
         gone = np.flatnonzero(lost) + rows.start

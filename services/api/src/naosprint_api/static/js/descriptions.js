@@ -10,7 +10,10 @@ import { words } from "./format.js";
 const PACE = [
   { name: "steps_per_s", title: "Steps per second", unit: "", digits: 0, better: "higher" },
   { name: "collect_s", title: "Collection time", unit: "s", digits: 2, better: "lower" },
+  { name: "simulator_s", title: "Simulator time", unit: "s", digits: 2, better: "lower" },
   { name: "learn_s", title: "Update time", unit: "s", digits: 2, better: "lower" },
+  { name: "cpus", title: "Processors", unit: "", digits: 1, better: null },
+  { name: "memory_mb", title: "Memory", unit: "MiB", digits: 0, better: null },
 ];
 /** Columns of metrics that are no curves. */
 const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "eta_s", "server_failures"]);
@@ -74,7 +77,9 @@ export class Descriptions {
       ...(algorithm?.charts ?? []).map(make("learning")),
       ...[
         { title: "Steps per second", metrics: ["steps_per_s"] },
-        { title: "Time per update", metrics: ["collect_s", "learn_s"] },
+        { title: "Time per update", metrics: ["collect_s", "simulator_s", "learn_s"] },
+        { title: "Processors", metrics: ["cpus"] },
+        { title: "Memory", metrics: ["memory_mb"] },
       ].map(make("pace")),
     ];
     const covered = new Set([...metrics.keys(), ...described.flatMap((c) => c.metrics.map((m) => m.name))]);

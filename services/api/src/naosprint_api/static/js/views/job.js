@@ -400,7 +400,9 @@ class JobView {
       integer(m.steps_per_s),
       null,
       m.collect_s !== undefined && m.learn_s !== undefined
-        ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s`
+        ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s${
+            m.cpus !== undefined ? `; ${fixed(m.cpus, 1)} CPUs, ${integer(m.memory_mb)} MiB` : ""
+          }`
         : null,
     );
     const left = remaining(job);
