@@ -11,16 +11,15 @@ import sys
 
 import numpy as np
 
-START_X = -14.0  # metres, own half
+START_X, NOISE_DEG = -14.0, 2.0  # own half; a symmetric policy does not run from a perfectly symmetric start pose
 
 
 class Runner:
     """Convert a server's messages to observations, and observations to commands."""
 
-    def __init__(self, path, lane=0.0, side=1.0):
+    def __init__(self, path, lane=0.0, side=1.0):  # side -1: the right team, whose field is turned by 180 degrees
         self.__dict__.update(np.load(path))
-        self.field = np.diag([side, side, 1.0])  # the right team's field is turned by 180 degrees
-        self.lane, self.place, self.cycles = lane, np.zeros(3), 0
+        self.field, self.lane, self.place, self.cycles = np.diag([side, side, 1]), lane, np.zeros(3), 0
 
     def perceive(self, message):
         """Store a message: joints in degrees and degrees per second, torso in the team's own field."""
@@ -85,6 +84,7 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
         while select.select([agent], [], [], 0)[0]:  # late in real time: the newest message counts
             runner.perceive(receive(agent))
 
+    runner.start_pose_rad += np.radians(NOISE_DEG) * np.random.default_rng(0).uniform(-1, 1, len(runner.joint_names))
     for cycle in range(6 + runner.settling_cycles):
         step(runner.start_pose_rad, f"(beam {START_X} {runner.field[1, 1] * runner.lane} 0)" if cycle == 5 else "")
     monitor.close()

@@ -732,6 +732,38 @@ def test_policies_say_what_is_wrong(browser: Browser, token: str) -> None:
     browser.until(lambda: browser.all("[data-policy=sprint]"))
 
 
+def test_a_checkpoint_becomes_a_policy_that_is_compared_and_promoted(
+    browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
+) -> None:
+    token, job = finished
+    browser.sign_in(token)
+    browser.open(f"/jobs/{job['id']}/checkpoints")
+    browser.until(lambda: len(browser.all("tr[data-checkpoint]")) > 1, message="there are not two checkpoints")
+    for place, aliases in ((0, "best"), (-1, "")):
+        row = browser.all("tr[data-checkpoint]")[place]
+        next(b for b in row.find_elements("css selector", "button") if b.text == "Register").click()
+        browser.set("#policy-name", "runner")
+        if aliases:
+            browser.set("#policy-aliases", aliases)
+        browser.find("dialog button[type=submit]").click()
+        browser.until(lambda: not browser.all("dialog.modal"), message="the dialog stays open")
+    with stack.client(token) as client:
+        assert [card["aliases"] for card in client.get("/policies/runner/versions").json()] == [[], ["best"]]
+        browser.open("/policies")
+        browser.shows("runner@2", "[data-policy=runner]")
+        for name in ("runner", "sprint"):
+            browser.find(f"[data-policy={name}] input[type=checkbox]").click()
+        browser.find("a[href*='policies-compared']").click()
+        browser.shows("runner@2", "[data-part=comparison] thead")
+        browser.shows("Started from", "[data-part=comparison]")
+        browser.open("/policies/runner")
+        browser.find("[data-version='2'] button").click()
+        browser.find("dialog button[type=submit]").click()
+        browser.shows("best", "[data-version='2']")
+        assert client.get("/policies/runner@best").json()["version"] == 2
+        assert client.delete("/policies/runner").status_code == 204
+
+
 def test_lineage_leads_from_a_checkpoint_to_the_job_that_continues_it(
     browser: Browser, stack: Stack, finished: tuple[str, dict[str, Any]]
 ) -> None:

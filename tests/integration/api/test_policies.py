@@ -17,10 +17,15 @@ def test_cards_of_all_bundled_policies(client: httpx.Client) -> None:
     cards = client.get("/policies").json()
     assert [card["name"] for card in cards] == list(naopolicies.names())
     for card in cards:
-        assert card == {"motion": {}, "robustness": [], **naopolicies.card(card["name"])}
+        expected = {"motion": {}, "robustness": [], **naopolicies.card(card["name"])}
+        assert {name: card[name] for name in expected} == expected
+        _, manifest = load_policy(naopolicies.folder(card["name"]))
+        assert (card["reference"], card["version"], card["spec_sha256"]) == (card["name"], 1, manifest.spec_sha256)
         policy = client.get(f"/policies/{card['name']}").json()
-        assert TrainingSpec.model_validate(policy.pop("spec")) == load_policy(naopolicies.folder(card["name"]))[1].spec
+        assert TrainingSpec.model_validate(policy.pop("spec")) == manifest.spec
+        assert {file["name"] for file in policy.pop("files")} == {"checkpoint.json", "policy.npz"}
         assert policy == card
+        assert client.get(f"/policies/{card['name']}/versions").json() == [card]
 
 
 @pytest.mark.parametrize("name", naopolicies.names())

@@ -79,6 +79,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[np.ndarray,
         assert spec is not None and spec.loader is not None
         agent: Any = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(agent)
+        agent.NOISE_DEG = 0.0
         observe, act = agent.Runner.observe, agent.Runner.act
         observations: list[np.ndarray] = []
         actions: list[np.ndarray] = []

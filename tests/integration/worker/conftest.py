@@ -222,7 +222,7 @@ class Service:
 
     def submit(self, *, announce: bool = True, evaluate: bool = True, **fields: Any) -> str:
         """Submit a tiny job as the API does; return its id."""
-        names = ("parent_job_id", "max_attempts", "priority")
+        names = ("parent_job_id", "parent_policy", "max_attempts", "priority")
         others = {key: fields.pop(key) for key in names if key in fields}
         evaluation = EvaluationSpec(task="sprint2", episodes=2, n_envs=2, bootstrap_resamples=100)
         request = JobRequest(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 
+import naopolicies
+import numpy as np
 import pytest
 from naojobs import lifecycle, submission
 from naojobs.capabilities import waiting_reasons
@@ -141,6 +144,18 @@ def test_job_starts_from_anothers_policy(shared: Service, finished: str) -> None
     newest = shared.checkpoints(finished)[-1]
     assert note.data == {"job_id": finished, "checkpoint_id": newest.id, "step": newest.step}
     assert_metrics_whole(shared, child)
+
+
+def test_job_starts_from_a_bundled_policy(shared: Service) -> None:
+    shape = {"task": "sprint1", "hidden_sizes": [64, 64], "symmetric_policy": True, "checkpoint_interval_steps": 1}
+    child = shared.submit(evaluate=False, total_steps=ROLLOUT, parent_policy="sprint", **shape)
+    shared.until_state(child, WorkState.SUCCEEDED)
+    note = next(event for event in shared.events(child) if event.kind == "initial_policy")
+    assert note.data == {"policy": "sprint"}
+    first = shared.checkpoints(child)[0]
+    mine = np.load(BytesIO(shared.store.get_bytes(f"{first.key}/policy.npz")))
+    theirs = np.load(naopolicies.folder("sprint") / naopolicies.WEIGHTS)
+    np.testing.assert_array_equal(mine["action_net.weight"], theirs["action_net.weight"])
 
 
 def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:

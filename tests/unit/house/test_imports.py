@@ -26,10 +26,10 @@ ALLOWED = {
     "naosim": {"naospec"},
     "naopolicies": set(),
     "naosprint": {"naospec", "naosim", "naopolicies"},
-    "naojobs": {"naospec"},
+    "naojobs": {"naospec", "naopolicies"},
     "naoctl": {"naospec", "naopolicies", "naojobs", "naosim", "naosprint"},
     "naosprint_api": {"naospec", "naopolicies", "naojobs", "naosim", "naosprint"},
-    "naosprint_worker": {"naospec", "naosim", "naosprint", "naojobs"},
+    "naosprint_worker": {"naospec", "naopolicies", "naosim", "naosprint", "naojobs"},
 }
 """Project packages that each package may import."""
 

@@ -11,6 +11,7 @@ METRICS = re.compile(r"distance_m|fallen|arrived|sprint1")
 
 AT_HOME = (
     "packages/naosprint/src/naosprint/tasks/",
+    "packages/naosprint/src/naosprint/export/skills/",
     "packages/naopolicies/",
 )
 """Folders that may name them."""

@@ -198,6 +198,7 @@ def raise_for_problem(response: httpx.Response) -> None:
     # Text of other users must not contain control characters of the terminal.
     message = "".join(character if character.isprintable() else " " for character in message)
     code, fix = ExitCode.FAILURE, None
+    policies = "/policies/" in response.request.url.path
     if status in (301, 302, 303, 307, 308):
         message = f"The service moved to {response.headers.get('location', 'another address')}"
         fix = "Use that address with --url."
@@ -208,9 +209,12 @@ def raise_for_problem(response: httpx.Response) -> None:
     elif status == 403:
         code, fix = ExitCode.DENIED, "Use a token with this scope; an administrator can create one."
     elif status == 404:
-        code, fix = ExitCode.NOT_FOUND, "`naoctl list` shows all jobs."
+        code, fix = (
+            ExitCode.NOT_FOUND,
+            "`naoctl policies list` shows all policies." if policies else "`naoctl list` shows all jobs.",
+        )
     elif status == 409:
-        code, fix = ExitCode.CONFLICT, "`naoctl status JOB` shows the job's state."
+        code, fix = ExitCode.CONFLICT, None if policies else "`naoctl status JOB` shows the job's state."
     elif status in (400, 413, 415, 422):
         code = ExitCode.USAGE
     elif status == 429:

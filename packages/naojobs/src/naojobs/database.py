@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 CHANNEL = "naosprint_jobs"
 
 #: The revision of the schema that this code is written for.
-REVISION = "0012"
+REVISION = "0013"
 
 #: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F

@@ -29,8 +29,10 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         ),
         "claimed": EventKind("A worker has taken the job.", ("worker",)),
         "initial_policy": EventKind(
-            "The training starts from the policy of another job.", ("job_id", "checkpoint_id", "step")
+            "The training starts from the policy of another job, or from a bundled one.",
+            ("job_id", "checkpoint_id", "step", "policy"),
         ),
+        "registered": EventKind("A checkpoint is a version of a policy.", ("policy", "checkpoint_id", "step")),
         "checkpoint_unusable": EventKind(
             "A checkpoint is missing or damaged; the one before it is tried.", ("checkpoint_id", "step")
         ),

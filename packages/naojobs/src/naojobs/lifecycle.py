@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
+import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from pydantic import ValidationError
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select, update
@@ -22,7 +23,7 @@ from naojobs.capabilities import Capabilities
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
-from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, WorkKind
+from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, Policy, PolicyVersion, WorkKind
 from naojobs.quotas import require_free_slot
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
@@ -65,6 +66,8 @@ class JobClaim:
     resume_from: CheckpointRef | None
     #: The checkpoint of another job to take the initial policy from; none when there is something to resume.
     initial_policy: CheckpointRef | None
+    #: The bundled policy to start from; none when there is something to resume.
+    bundled_policy: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,7 +337,8 @@ def retry(sessions: Sessions, job_id: str, *, max_open_jobs: int | None = None) 
 def delete(sessions: Sessions, job_id: str) -> None:
     """Delete an ended job with all its rows; the caller deletes its artifacts afterwards.
 
-    Raises NotFoundError, and ConflictError if the job is open, or if an open job starts from its policy.
+    Raises NotFoundError, and ConflictError if the job is open, if an open job starts from its policy, or if one of its
+    checkpoints is a version of a registered policy.
     """
     with sessions.begin() as session:
         # Children before their parent, as a claim locks them: the deletion changes their rows, too.
@@ -345,6 +349,16 @@ def delete(sessions: Sessions, job_id: str) -> None:
         child = session.scalar(select(Job.id).where(Job.parent_job_id == job_id, Job.state.in_(OPEN)).limit(1))
         if child is not None:
             raise ConflictError(f"job {child} starts from the policy of job {job_id}; wait for its end, or cancel it")
+        registered = session.execute(
+            select(Policy.name, PolicyVersion.number)
+            .join(PolicyVersion, PolicyVersion.policy_id == Policy.id)
+            .join(Checkpoint, Checkpoint.id == PolicyVersion.checkpoint_id)
+            .where(Checkpoint.job_id == job_id)
+            .limit(1)
+        ).first()
+        if registered is not None:
+            reference = f"{registered.name}@{registered.number}"
+            raise ConflictError(f"policy {reference} is a checkpoint of job {job_id}; delete {reference} first")
         session.delete(job)
         notify(session, job_id, deleted_from=job.owner)
 
@@ -444,10 +458,11 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         reason = f"the specification does not fit this version: {words}"
         _refuse(session, work, reason)
         return None
-    own = parent = None
+    own = parent = bundled = None
     if isinstance(work, Job) and (own := newest_checkpoint(session, work.id)) is None and work.needs_policy:
-        parent = _parent_policy(session, work)
-        if parent is None:
+        bundled = work.parent_policy if work.parent_policy in naopolicies.names() else None
+        parent = _parent_policy(session, work) if bundled is None else None
+        if parent is None and bundled is None:
             _refuse(session, work, _missing_policy(work))
             return None
     _change(work, WorkState.STARTING)
@@ -471,6 +486,7 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
         evaluation=evaluation,
         resume_from=CheckpointRef.of(own) if own else None,
         initial_policy=CheckpointRef.of(parent) if parent else None,
+        bundled_policy=bundled,
     )
 
 
@@ -500,6 +516,8 @@ def _parent_policy(session: Session, job: Job) -> Checkpoint | None:
 
 
 def _missing_policy(job: Job) -> str:
+    if job.parent_policy is not None and "@" not in job.parent_policy:
+        return f"this version has no policy {job.parent_policy!r}, which it starts from"
     if job.parent_job_id is None:
         return "the job whose policy it starts from was deleted"
     return f"job {job.parent_job_id}, whose policy it starts from, ended without a trained checkpoint"

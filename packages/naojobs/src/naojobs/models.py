@@ -14,6 +14,7 @@ from sqlalchemy import (
     Double,
     Enum,
     ForeignKey,
+    ForeignKeyConstraint,
     Identity,
     Index,
     Integer,
@@ -147,6 +148,8 @@ class Job(Work, Base):
         ForeignKey("checkpoints.id", ondelete="SET NULL", use_alter=True),
         index=True,
     )
+    #: The policy by name that it was submitted to start from, with its version; null if it was none.
+    parent_policy: Mapped[str | None] = mapped_column(String(130))
     #: Whether it was submitted with a parent: it never starts without a policy, even when the parent has been deleted.
     needs_policy: Mapped[bool] = mapped_column(server_default=text("false"))
     #: Why a study ended it early; null if none did.
@@ -398,6 +401,63 @@ class Delivery(Base):
     __table_args__ = (
         Index("ix_deliveries_webhook_id_id", "webhook_id", "id"),
         Index("ix_deliveries_due", "next_at", postgresql_where=text("next_at IS NOT NULL")),
+    )
+
+
+class Policy(Base):
+    """Registered policy of a user; each version is a checkpoint of one of the user's jobs."""
+
+    __tablename__ = "policies"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    owner: Mapped[str] = mapped_column(String(200))
+    name: Mapped[str] = mapped_column(String(60))
+    #: Number of the last version that was registered; numbers are not used again.
+    last_number: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    __table_args__ = (UniqueConstraint("owner", "name"),)
+
+
+class PolicyVersion(Base):
+    """Version of a registered policy. Its checkpoint cannot be deleted while it exists."""
+
+    __tablename__ = "policy_versions"
+
+    policy_id: Mapped[str] = mapped_column(ForeignKey("policies.id", ondelete="CASCADE"), primary_key=True)
+    #: Number from 1.
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="RESTRICT"), index=True)
+    #: Text of the user about the version.
+    notes: Mapped[str]
+    #: The `naospec.TrainingSpec` of its job, and its digest.
+    spec: Mapped[dict[str, Any]]
+    spec_sha256: Mapped[str] = mapped_column(String(64))
+    #: The jobs behind it, first to last (see `naojobs.lineage`); they may have been deleted since.
+    lineage: Mapped[list[dict[str, Any]]] = mapped_column(JSONB)
+    idempotency_key: Mapped[str | None] = mapped_column(String(200))
+    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    __table_args__ = (UniqueConstraint("policy_id", "checkpoint_id"), UniqueConstraint("policy_id", "idempotency_key"))
+
+
+class PolicyAlias(Base):
+    """Name for one version of a policy, which may move to another."""
+
+    __tablename__ = "policy_aliases"
+
+    policy_id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(60), primary_key=True)
+    number: Mapped[int] = mapped_column(Integer)
+
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["policy_id", "number"],
+            [PolicyVersion.policy_id, PolicyVersion.number],
+            name="fk_policy_aliases_policy_id_number_policy_versions",
+            ondelete="CASCADE",
+        ),
     )
 
 

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from naojobs import backups
 from naojobs.database import Sessions
 from naojobs.lifecycle import Lease, hold_job
-from naojobs.models import Checkpoint, Evaluation, Job, Metric
+from naojobs.models import Checkpoint, Evaluation, Job, Metric, PolicyVersion
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
@@ -40,9 +40,9 @@ class Retention:
 def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> list[str]:
     """Delete the rows of a leased job's checkpoints that `wanted` does not keep; return the keys of their files.
 
-    Kept in any case: the one with the highest mean reward, those that were evaluated or are to be, and those whose
-    policy another job starts from. The caller deletes the files; the sweep deletes any that remain.
-    Raises LeaseLostError.
+    Kept in any case: the one with the highest mean reward, those that were evaluated or are to be, those whose policy
+    another job starts from, and those of registered policies. The caller deletes the files; the sweep deletes any that
+    remain. Raises LeaseLostError.
     """
     with sessions.begin() as session:
         # Every transaction that refers to a checkpoint locks its job's row first, so none can do so meanwhile.
@@ -80,7 +80,10 @@ def _spared(session: Session, job_id: str) -> set[str]:
     parents = session.scalars(
         select(Job.parent_checkpoint_id).join(Checkpoint, Checkpoint.id == Job.parent_checkpoint_id).where(of_job),
     )
-    return {str(item) for item in (best, *evaluated, *parents) if item is not None}
+    registered = session.scalars(
+        select(PolicyVersion.checkpoint_id).join(Checkpoint, Checkpoint.id == PolicyVersion.checkpoint_id).where(of_job)
+    )
+    return {str(item) for item in (best, *evaluated, *parents, *registered) if item is not None}
 
 
 def delete_files(sessions: Sessions, store: ArtifactStore, prefix: str) -> int:

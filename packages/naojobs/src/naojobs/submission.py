@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
+import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
 from naospec.flat import nest
 from pydantic import ValidationError
@@ -17,13 +18,14 @@ from sqlalchemy import func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from naojobs import policies
 from naojobs.capabilities import Requirements
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
-from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Study
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Policy, Study
 from naojobs.quotas import require_free_slot
 from naojobs.states import OPEN, WorkState
 
@@ -48,6 +50,8 @@ class JobRequest:
     max_attempts: int = 3
     parent_job_id: str | None = None
     parent_checkpoint_id: str | None = None
+    #: A bundled or registered policy to start from: NAME, NAME@VERSION or NAME@ALIAS; excludes the other two.
+    parent_policy: str | None = None
 
     @property
     def display_name(self) -> str:
@@ -57,6 +61,8 @@ class JobRequest:
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
+        if self.parent_policy is None:
+            del values["parent_policy"]  # requests of earlier versions keep their digest
         text = json.dumps(values, sort_keys=True, default=lambda spec: spec.model_dump(mode="json"))
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -175,7 +181,7 @@ def add_job(
             return same_request(earlier, digest), False
     if max_open_jobs is not None:
         require_free_slot(session, owner, max_open_jobs)
-    _check_parent(session, request, owner, see_all)
+    request = _with_parent(session, request, owner, see_all)
     job_id = session.scalar(
         insert(Job)
         .values(
@@ -192,7 +198,8 @@ def add_job(
             max_attempts=request.max_attempts,
             parent_job_id=request.parent_job_id,
             parent_checkpoint_id=request.parent_checkpoint_id,
-            needs_policy=request.parent_job_id is not None,
+            parent_policy=request.parent_policy,
+            needs_policy=request.parent_job_id is not None or request.parent_policy is not None,
             group_id=group_id,
             idempotency_key=idempotency_key,
             idempotency_digest=digest,
@@ -267,6 +274,36 @@ def free_name(session: Session, model: type[Job] | type[Study], owner: str, name
     return next(text for text in itertools.chain([name], numbered) if text not in taken)
 
 
+def _with_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> JobRequest:
+    """Return the request with the job, checkpoint and version that its parent policy names, after a check that it fits.
+
+    Raises InvalidError.
+    """
+    reference = request.parent_policy
+    if reference is None:
+        _check_parent(session, request, owner, see_all)
+        return request
+    if request.parent_job_id is not None:
+        raise InvalidError("give a parent policy or a parent job, not both", "parent_policy")
+    try:
+        policy, version = policies.find(session, Policy.owner == owner, reference)
+    except NotFoundError as error:
+        if reference in naopolicies.names():
+            _check_fit(request, TrainingSpec.model_validate(naopolicies.spec(reference)))
+            return request
+        known = ", ".join(naopolicies.names())
+        raise InvalidError(f"{error}; bundled policies are {known}", "parent_policy") from None
+    checkpoint = session.get_one(Checkpoint, version.checkpoint_id)
+    found = replace(
+        request,
+        parent_job_id=checkpoint.job_id,
+        parent_checkpoint_id=checkpoint.id,
+        parent_policy=f"{policy.name}@{version.number}",
+    )
+    _check_parent(session, found, owner, see_all=True)
+    return found
+
+
 def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> None:
     if request.parent_job_id is None:
         return
@@ -280,6 +317,19 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
             f"job {parent.id} was stored by a version whose specifications this one cannot read; use a newer job",
             "parent_job_id",
         ) from None
+    _check_fit(request, theirs)
+    if request.parent_checkpoint_id is not None:
+        # Read again under the lock: what named it may have been deleted meanwhile, and the checkpoint with it.
+        checkpoint = session.get(Checkpoint, request.parent_checkpoint_id, populate_existing=True)
+        if checkpoint is None or checkpoint.job_id != parent.id:
+            raise InvalidError(
+                f"job {parent.id} has no checkpoint {request.parent_checkpoint_id}",
+                "parent_checkpoint_id",
+            )
+
+
+def _check_fit(request: JobRequest, theirs: TrainingSpec) -> None:
+    """Raise InvalidError unless a training can start from the policy of another."""
     robot = theirs.robot.name
     if robot in plugins.names(plugins.ROBOTS):
         family = theirs.robot_description.family
@@ -295,13 +345,6 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
             raise InvalidError(
                 f"the parent's policy has {name} {shape.get(name)}, this job {value}; they must be the same",
                 f"spec.algorithm.{name}",
-            )
-    if request.parent_checkpoint_id is not None:
-        checkpoint = session.get(Checkpoint, request.parent_checkpoint_id)
-        if checkpoint is None or checkpoint.job_id != parent.id:
-            raise InvalidError(
-                f"job {parent.id} has no checkpoint {request.parent_checkpoint_id}",
-                "parent_checkpoint_id",
             )
 
 

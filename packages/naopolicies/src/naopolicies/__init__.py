@@ -16,6 +16,7 @@ from typing import Any
 CARD = "card.json"
 CHECKPOINT = "checkpoint.json"
 REPLAY = "replay.json"
+WEIGHTS = "policy.npz"
 
 _BUNDLED = Path(__file__).parent / "bundled"
 
@@ -52,7 +53,17 @@ def spec(name: str) -> dict[str, Any]:
     Raises:
         ValueError: if there is no such policy; the message lists those that exist.
     """
-    found: dict[str, Any] = json.loads((folder(name) / CHECKPOINT).read_bytes())["spec"]
+    found: dict[str, Any] = checkpoint(name)["spec"]
+    return found
+
+
+def checkpoint(name: str) -> dict[str, Any]:
+    """Return the manifest of the checkpoint of the policy called ``name``.
+
+    Raises:
+        ValueError: if there is no such policy; the message lists those that exist.
+    """
+    found: dict[str, Any] = json.loads((folder(name) / CHECKPOINT).read_bytes())
     return found
 
 

@@ -89,15 +89,15 @@ def _parser() -> argparse.ArgumentParser:
     export = commands.add_parser(
         "export",
         help="export a policy",
-        description="Write policy.json, and policy.npz, policy.onnx or policy.h.",
+        description="Write policy.json, and policy.npz, policy.onnx, policy.h or a skill for team code.",
     )
     export.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     export.add_argument("output", type=Path, help="directory for the files")
     export.add_argument(
         "--format",
         action="append",
-        choices=("numpy", "onnx", "c"),
-        help="format of the policy; may be given repeatedly (default: all)",
+        choices=("numpy", "onnx", "c", "skill"),
+        help="format of the policy; may be given repeatedly (default: all that its robot has)",
     )
     export.set_defaults(run=_export)
 
@@ -285,9 +285,9 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from naosprint.export import FORMATS, export_policy
+    from naosprint.export import export_policy
 
-    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format or FORMATS):
+    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format):
         sys.stdout.write(f"{path}\n")
     return 0
 

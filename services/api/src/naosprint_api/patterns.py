@@ -16,8 +16,12 @@ PLAIN = r"^[^\x00-\x1f\x7f]*$"
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$"
 #: An idempotency key.
 KEY = r"^[\x21-\x7e]{1,150}$"
-#: The name of a bundled policy.
+#: The name of a policy.
 POLICY = r"^[a-z0-9-]{1,60}$"
+#: A policy by name, or one of its versions by number or alias.
+REFERENCE = r"^[a-z0-9-]{1,60}(@[a-z0-9-]{1,60})?$"
+#: The alias of a version.
+ALIAS = r"^[a-z][a-z0-9-]{0,59}$"
 #: What lets a browser open a report: token, time of expiry, signature.
 TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 
@@ -30,6 +34,8 @@ WORDS = {
     KEY: "expected 1 to 150 ASCII characters without spaces",
     TICKET: "expected the address of a report as the service returned it",
     POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",
+    REFERENCE: "expected NAME, NAME@VERSION or NAME@ALIAS of lower-case letters, digits and hyphens",
+    ALIAS: "expected a lower-case letter, then lower-case letters, digits and hyphens (at most 60 characters)",
 }
 
 

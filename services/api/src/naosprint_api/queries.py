@@ -10,10 +10,10 @@ from datetime import datetime, timedelta
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Study
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Policy, Study
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
-from sqlalchemy import Select, func, select, tuple_
+from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
 
 from naosprint_api.results import results_of
 from naosprint_api.schemas import JobResult, MetricsPublic
@@ -154,6 +154,20 @@ def visible_study(sessions: Sessions, principal: Principal, study_id: str) -> St
     if study is None or not _may_see(principal, study.owner, "", study_id):
         raise NotFoundError(f"no study {study_id} that this token may see")
     return study
+
+
+def owned_policies(principal: Principal, owner: str | None) -> ColumnElement[bool]:
+    """Return the condition of the registered policies that `principal` may see, those of `owner` if one is given.
+
+    Raises NotFoundError for another owner without scope admin.
+    """
+    if principal.job_id is not None:
+        return false()  # a link to a job shows no policy
+    if not principal.is_admin:
+        if owner is not None and owner != principal.owner:
+            raise NotFoundError(f"no policies of {owner} that this token may see; leave `owner` out")
+        owner = principal.owner
+    return true() if owner is None else Policy.owner == owner
 
 
 def list_studies(

@@ -13,12 +13,13 @@ from sqlalchemy.orm import Session
 
 from naosprint_api.schemas import JobResult, ResultPublic
 
+_EPISODES = func.coalesce(Evaluation.summary["episodes"].astext, Evaluation.spec["episodes"].astext).cast(Integer)
+
 
 def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
     """Return the results by job id; jobs without a finished evaluation are left out."""
     if not jobs:
         return {}
-    episodes = func.coalesce(Evaluation.summary["episodes"].astext, Evaluation.spec["episodes"].astext).cast(Integer)
     # The whole document has tables and specifications, which lists do not show.
     statement = (
         select(
@@ -26,7 +27,7 @@ def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
             Evaluation.id,
             Evaluation.checkpoint_id,
             Evaluation.finished_at,
-            episodes.label("episodes"),
+            _EPISODES.label("episodes"),
             Checkpoint.step,
             Evaluation.summary["results"].label("results"),
             Evaluation.summary["headline"].label("headline"),
@@ -35,7 +36,7 @@ def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
         .where(Evaluation.job_id.in_([job.id for job in jobs]), Evaluation.state == WorkState.SUCCEEDED)
         .where(Evaluation.summary.has_key("results"))  # documents of version 0.1 do not describe themselves
         .ext(distinct_on(Evaluation.job_id))
-        .order_by(Evaluation.job_id, episodes.desc(), Evaluation.finished_at.desc())
+        .order_by(Evaluation.job_id, _EPISODES.desc(), Evaluation.finished_at.desc())
     )
     live = {job.id: job.latest_metrics.keys() for job in jobs}
     return {
@@ -49,6 +50,18 @@ def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
         )
         for row in session.execute(statement)
     }
+
+
+def summaries_of(session: Session, checkpoint_ids: Sequence[str]) -> dict[str, Evaluation]:
+    """Return the evaluation of each checkpoint that counts, chosen as for jobs; others are left out."""
+    statement = (
+        select(Evaluation)
+        .where(Evaluation.checkpoint_id.in_(checkpoint_ids), Evaluation.state == WorkState.SUCCEEDED)
+        .where(Evaluation.summary.has_key("results"))
+        .ext(distinct_on(Evaluation.checkpoint_id))
+        .order_by(Evaluation.checkpoint_id, _EPISODES.desc(), Evaluation.finished_at.desc())
+    )
+    return {row.checkpoint_id: row for row in session.scalars(statement)}
 
 
 def _shown(results: Sequence[dict[str, Any]], names: Sequence[str]) -> list[ResultPublic]:

@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
 from naojobs.models import DEFAULT_TIME_LIMIT_S, StudyState, TrialState
+from naojobs.policies import Registration, check_alias
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
@@ -14,7 +15,7 @@ from naospec import EvaluationSpec, TrainingSpec
 from naospec.search import SearchSpec
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, model_validator
 
-from naosprint_api.patterns import ID, NAME, PLAIN, TAG, TEXT
+from naosprint_api.patterns import ALIAS, ID, NAME, PLAIN, REFERENCE, TAG, TEXT
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
 #: Words that refer to a job in commands, and so are not allowed as names.
@@ -73,8 +74,14 @@ class JobCreate(_Request):
         description="Start from this checkpoint; left out, from the parent job's newest when this job starts.",
     )
 
+    parent_policy: Annotated[str, StringConstraints(pattern=REFERENCE)] | None = Field(
+        None, description="Start from a bundled or registered policy instead: NAME, NAME@VERSION or NAME@ALIAS."
+    )
+
     @model_validator(mode="after")
-    def _checkpoint_needs_job(self) -> Self:
+    def _one_parent(self) -> Self:
+        if self.parent_policy is not None and self.parent_job_id is not None:
+            raise ValueError("parent_policy: give a parent policy or a parent job, not both")
         if self.parent_checkpoint_id is not None and self.parent_job_id is None:
             raise ValueError("parent_job_id: give the job that parent_checkpoint_id belongs to")
         return self
@@ -143,8 +150,9 @@ class StudyCreate(_Request):
 
     @model_validator(mode="after")
     def _without_parent(self) -> Self:
-        if self.job.parent_job_id is not None:
-            raise ValueError("job.parent_job_id: trials start from random weights; leave it out")
+        for field in ("parent_job_id", "parent_policy"):
+            if getattr(self.job, field) is not None:
+                raise ValueError(f"job.{field}: trials start from random weights; leave it out")
         return self
 
 
@@ -200,6 +208,7 @@ class JobPublic(_Public):
     pause_requested: bool
     parent_job_id: str | None
     parent_checkpoint_id: str | None
+    parent_policy: str | None = Field(description="The bundled policy or the version that it was to start from.")
     group_id: str | None
     progress_step: int = Field(description="Environment steps done.")
     total_steps: int = Field(description="Environment steps to do: whole rollouts.")
@@ -381,6 +390,73 @@ class StudyPage(BaseModel):
 
     items: list[StudyPublic]
     next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
+Alias = Annotated[str, StringConstraints(pattern=ALIAS), AfterValidator(check_alias)]
+
+
+class VersionCreate(_Request):
+    """Version of a policy to register."""
+
+    job_id: Id = Field(description="Job whose checkpoint it is.")
+    checkpoint_id: Id | None = Field(None, description="Which checkpoint; left out, the job's newest.")
+    aliases: list[Alias] = Field(
+        default_factory=list, max_length=20, description="Aliases to point at the new version, such as best or match."
+    )
+    notes: Annotated[str, StringConstraints(max_length=10_000, pattern=TEXT)] = Field(
+        "", description="Notes: plain text, at most 10,000 characters."
+    )
+
+    def registration(self) -> Registration:
+        """Return the version for `naojobs.policies`."""
+        return Registration(self.job_id, self.checkpoint_id, self.aliases, self.notes)
+
+
+class AliasSet(_Request):
+    """Version that an alias is to name."""
+
+    version: int = Field(ge=1, le=2**31 - 1, description="Number of the version.")
+
+
+class PolicyCard(BaseModel):
+    """Version of a registered policy, or a bundled policy: its training and its evaluation."""
+
+    name: str
+    reference: str = Field(description="What names exactly this version: NAME@VERSION, or a bundled policy's name.")
+    owner: str | None = Field(description="Null for bundled policies, which are read-only.")
+    version: int = Field(description="Number of the version, from 1.")
+    aliases: list[str] = Field(description="Aliases of this version; `latest` is the newest.")
+    created_at: datetime | None = Field(description="When it was registered; null for bundled policies.")
+    job_id: str | None = Field(description="Job whose checkpoint it is; null for bundled policies.")
+    checkpoint_id: str | None = Field(description="Null for bundled policies.")
+    evaluation_id: str | None = Field(
+        description="Evaluation of the results: of those of this checkpoint, the newest with the most episodes."
+    )
+    spec_sha256: str = Field(description="SHA-256 of the specification.")
+    parent_policy: str | None = Field(description="Policy that its job started from, by reference.")
+    notes: str = ""
+    summary: str = Field(description="The most important results in a line; empty for registered policies.")
+    robot: str
+    task: str
+    steps: int = Field(description="Environment steps of its training, over all jobs of its lineage.")
+    training_s: float = Field(description="Seconds of training.")
+    episodes: int = Field(description="Episodes of its evaluation; 0 if it has not been evaluated.")
+    results: list[dict[str, Any]] = Field(description="Results of the evaluation, with titles and units.")
+    headline: list[str] = Field(description="Names of the most important results.")
+    tables: list[dict[str, Any]] = Field(description="Results that vary with a quantity.")
+    evaluation: dict[str, Any] | None = Field(description="Specification of the evaluation.")
+    lineage: list[dict[str, Any]] = Field(description="The jobs behind it, first to last, with their curves.")
+    motion: dict[str, dict[str, float]] = Field(
+        default={}, description="Peaks of joint speed, foot force and contact depth, running and standing."
+    )
+    robustness: list[dict[str, Any]] = Field(default=[], description="Headline results under each disturbance.")
+
+
+class PolicyDetails(PolicyCard):
+    """Policy with the specification that it was trained by, and its files."""
+
+    spec: dict[str, Any] = Field(description="Specification of the last job of the lineage.")
+    files: list[FilePublic] = Field(description="Files of its checkpoint.")
 
 
 class TokenCreate(_Request):

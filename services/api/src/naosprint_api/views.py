@@ -48,7 +48,7 @@ def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
         step=checkpoint.step,
         created_at=checkpoint.created_at,
         size=manifest.size,
-        files=_files(manifest, root),
+        files=files_view(manifest, root),
         archive_url=f"{root}/archive",
     )
 
@@ -74,7 +74,7 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
             "cancel_requested": evaluation.cancel_requested,
             "time_limit_s": evaluation.time_limit_s,
             "summary": evaluation.summary if succeeded else None,
-            "files": _files(manifest, root) if manifest else [],
+            "files": files_view(manifest, root) if manifest else [],
             "archive_url": f"{root}/archive" if manifest else None,
             "error": evaluation.error,
             "created_at": evaluation.created_at,
@@ -91,7 +91,8 @@ def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> 
     return WorkerPublic(alive=worker.alive, jobs=jobs, **{name: getattr(worker.row, name) for name in names})
 
 
-def _files(manifest: Manifest, root: str) -> list[FilePublic]:
+def files_view(manifest: Manifest, root: str) -> list[FilePublic]:
+    """Return the files of an artifact with their addresses below `root`."""
     return [
         FilePublic(name=entry.name, size=entry.size, sha256=entry.sha256, url=f"{root}/files/{quote(entry.name)}")
         for entry in manifest.files

@@ -34,11 +34,18 @@ class TrainingAssignment(_Assignment):
     spec: TrainingSpec
     evaluation: EvaluationSpec | None
     initial_policy: CheckpointRef | None
+    bundled_policy: str | None = None
 
     @classmethod
     def from_claim(cls, claim: JobClaim) -> Self:
         """Return the assignment for a claim; the child itself finds out where to resume."""
-        return cls(lease=claim.lease, spec=claim.spec, evaluation=claim.evaluation, initial_policy=claim.initial_policy)
+        return cls(
+            lease=claim.lease,
+            spec=claim.spec,
+            evaluation=claim.evaluation,
+            initial_policy=claim.initial_policy,
+            bundled_policy=claim.bundled_policy,
+        )
 
 
 class EvaluationAssignment(_Assignment):

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+import naopolicies
 import naosprint
 from naojobs import lifecycle, records
 from naojobs.checkpoints import CheckpointRef, checkpoints_of
@@ -277,7 +278,11 @@ class Attempt:
         return taken
 
     def _fetch_initial_policy(self) -> Path | None:
-        reference = self._assignment.initial_policy
+        reference, bundled = self._assignment.initial_policy, self._assignment.bundled_policy
+        if bundled is not None:
+            message = f"starts from the bundled policy {bundled}"
+            self._recorder.event("initial_policy", message, {"policy": bundled})
+            return naopolicies.folder(bundled)
         if reference is None:
             return None
         folder = self._fetch(reference)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -33,6 +32,7 @@ from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
 from naoctl.help import SettingsCommand
+from naoctl.policies import Trained, find_trained, folder_name
 from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_text
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
@@ -56,6 +56,14 @@ OutputOption = Annotated[
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
 ]
+JobOrPolicy = Annotated[
+    str,
+    typer.Argument(
+        metavar="JOB|POLICY",
+        help="A job's id, its name, or `last`; or a policy: NAME, NAME@VERSION, NAME@ALIAS.",
+        autocompletion=complete_job,
+    ),
+]
 
 
 class What(StrEnum):
@@ -70,43 +78,71 @@ class What(StrEnum):
 
 def download(
     ctx: typer.Context,
-    job: Job = "last",
+    job: JobOrPolicy = "last",
     what: Annotated[What, typer.Option("--what", help="Which artifacts.")] = What.ALL,
     checkpoint: CheckpointOption = None,
     output: OutputOption = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Download a job's policy, evaluation and metrics, and check the SHA-256 of every file.
+    """Download the checkpoint, evaluation and metrics of a job or a policy, and check the SHA-256 of every file.
 
     Complete files are not downloaded again; an interrupted download resumes.
     """
     context = context_of(ctx)
     with context.client() as client:
-        found = find_job(client, job)
-        folder = output or Path(folder_name(found))
+        found = find_trained(client, job)
+        folder = output or Path(found.folder)
         chosen: list[tuple[str, Path, dict[str, Any]]] = []
         if what in (What.ALL, What.CHECKPOINT):
-            point = choose_checkpoint(client, found, checkpoint)
-            chosen.append(("checkpoint", folder / f"checkpoint-{point['step']:012d}", point))
+            chosen.append(choose_files(client, found, checkpoint, folder))
         if what in (What.ALL, What.EVALUATION):
-            evaluated = job_evaluation(client, found["id"])
+            evaluated = _evaluation_of(client, found)
             if evaluated:
                 chosen.append(("evaluation", folder / "evaluation", evaluated))
             elif what is What.EVALUATION:
                 raise CliError(
-                    f"Job {found['id']} has no finished evaluation",
-                    fix=f"Start one with `naoctl eval {found['id']}`.",
+                    f"{job} has no finished evaluation",
+                    fix=f"Start one with `naoctl eval {job}`.",
                     code=ExitCode.NOT_FOUND,
                 )
         fetched = fetch_artifacts(context, client, chosen, quiet=as_json)
-        if what in (What.ALL, What.METRICS):
-            fetched.append(write_metrics(client, found["id"], folder / "metrics.jsonl"))
+        if found.job is not None and what in (What.ALL, What.METRICS):
+            fetched.append(write_metrics(client, found.job["id"], folder / "metrics.jsonl"))
     if as_json:
         context.json(fetched)
         return
     for item in fetched:
         checked = ", SHA-256 verified" if item["kind"] != "metrics" else ""
         context.say(item["kind"].capitalize(), f"{item['path']} ({size(item['size'])}{checked})")
+
+
+def choose_files(
+    client: Client, found: Trained, checkpoint: str | None, folder: Path
+) -> tuple[str, Path, dict[str, Any]]:
+    """Return a job's checkpoint or that of a policy for `fetch_artifacts`, in its folder below `folder`.
+
+    Raises:
+        CliError: if there is none, or if one is named for a policy.
+    """
+    if found.policy is None:
+        assert found.job is not None
+        point = choose_checkpoint(client, found.job, checkpoint)
+        return "checkpoint", folder / f"checkpoint-{point['step']:012d}", point
+    if checkpoint is not None:
+        raise InvalidInput(
+            "--checkpoint: a policy has one checkpoint", fix=f"Leave it out, or use {found.policy['name']}@VERSION."
+        )
+    files = {"id": found.policy["checkpoint_id"] or found.policy["name"], "files": found.policy["files"]}
+    return "checkpoint", folder / "checkpoint", files
+
+
+def _evaluation_of(client: Client, found: Trained) -> dict[str, Any] | None:
+    if found.policy is None:
+        assert found.job is not None
+        return job_evaluation(client, found.job["id"])
+    identifier = found.policy["evaluation_id"]
+    evaluation: dict[str, Any] | None = client.get(f"/evaluations/{identifier}") if identifier else None
+    return evaluation
 
 
 def fetch_artifacts(
@@ -212,7 +248,7 @@ def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
     return folder / "report" / REPORT_PAGE
 
 
-EXPORT_FORMATS = ("numpy", "onnx", "c")
+EXPORT_FORMATS = ("numpy", "onnx", "c", "skill")
 ExportFormats = Annotated[
     list[str] | None,
     typer.Option(
@@ -220,7 +256,7 @@ ExportFormats = Annotated[
         "-f",
         metavar="|".join(EXPORT_FORMATS),
         help="Format of the policy; may be repeated.",
-        show_default="all",
+        show_default="all that the robot has",
         autocompletion=lambda: list(EXPORT_FORMATS),
     ),
 ]
@@ -228,22 +264,22 @@ ExportFormats = Annotated[
 
 def export(
     ctx: typer.Context,
-    job: Job = "last",
+    job: JobOrPolicy = "last",
     checkpoint: CheckpointOption = None,
     output: OutputOption = None,
     formats: ExportFormats = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Export a job's policy for NumPy, as ONNX and as a C header. Needs PyTorch."""
+    """Export a policy for NumPy, as ONNX, as a C header, and as a skill for team code. Needs PyTorch."""
     context = context_of(ctx)
     flags = format_flags(formats)
     with context.client() as client:
-        found = find_job(client, job)
-        folder = output or Path(folder_name(found))
-        point = choose_checkpoint(client, found, checkpoint)
-        source = folder / f"checkpoint-{point['step']:012d}"
-        fetch_artifacts(context, client, [("checkpoint", source, point)], quiet=as_json)
-    target = folder / f"export-{point['step']:012d}"
+        found = find_trained(client, job)
+        folder = output or Path(found.folder)
+        chosen = choose_files(client, found, checkpoint, folder)
+        fetch_artifacts(context, client, [chosen], quiet=as_json)
+    source = chosen[1]
+    target = folder / source.name.replace("checkpoint", "export")
     run_naosprint("export", str(source), str(target), *flags)
     files = sorted(str(path) for path in target.iterdir())
     if as_json:
@@ -327,7 +363,7 @@ def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False
 
 def evaluate(
     ctx: typer.Context,
-    job: Job = "last",
+    job: JobOrPolicy = "last",
     checkpoint: CheckpointOption = None,
     wait: Annotated[bool, typer.Option("--wait/--no-wait", help="Wait for the results.")] = True,
     time_limit: Annotated[
@@ -344,13 +380,19 @@ def evaluate(
     """
     context = context_of(ctx)
     with context.client() as client:
-        found = find_job(client, job)
+        trained = find_trained(client, job)
+        found = trained.job
+        if found is None:
+            raise InvalidInput(
+                f"{job} is a bundled policy, which the service does not evaluate",
+                fix=f"`naoctl policies evaluate {job}` evaluates it on this machine.",
+            )
         if show:
             _list_evaluations(context, client.get(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
             return
         body: dict[str, Any] = {} if time_limit is None else {"time_limit_s": time_limit}
-        if checkpoint is not None:
-            body["checkpoint_id"] = choose_checkpoint(client, found, checkpoint)["id"]
+        if checkpoint is not None or trained.policy is not None:
+            body["checkpoint_id"] = choose_files(client, trained, checkpoint, Path())[2]["id"]
         if evaluation:
             values = parse_flags(EVALUATION_SETTINGS, evaluation, prefix=EVAL_PREFIX)
             from_flags = {name: EVALUATION_SETTINGS[name] for name in values}
@@ -433,12 +475,6 @@ def _list_evaluations(context: Context, evaluations: list[dict[str, Any]], *, as
             ago(item["created_at"]),
         )
     context.out.print(table if evaluations else "No evaluation yet.")
-
-
-def folder_name(job: dict[str, Any]) -> str:
-    """Return a plain folder name for a job: its name if possible, with the end of its id."""
-    name = re.sub(r"[^A-Za-z0-9._-]+", "-", job["name"]).strip(".-")[:60] or "job"
-    return f"{name}-{job['id'][-6:]}"
 
 
 def register(app: typer.Typer) -> None:

@@ -1,10 +1,12 @@
-"""``naoctl policies``: evaluate, replay and export bundled policies on this machine, without the service."""
+"""``naoctl policies``: list policies; evaluate, replay and export them on this machine."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,21 +15,24 @@ import typer
 from naospec import plugins
 from naosprint.tasks.metrics import format_value
 
-from naoctl.commands.artifacts import ExportFormats, format_flags, run_naosprint
-from naoctl.context import JsonFlag, context_of
+from naoctl.commands import registry
+from naoctl.commands.artifacts import ExportFormats, fetch_artifacts, format_flags, run_naosprint
+from naoctl.commands.registry import POLICY_HELP
+from naoctl.context import Context, JsonFlag, context_of
 from naoctl.descriptions import UNNAMED, metric_of, section_name
 from naoctl.errors import CliError, ExitCode
 from naoctl.evaluations import headline
+from naoctl.policies import known_policy
 from naoctl.render import MISSING, listing, pairs
 
 app = typer.Typer(
-    help="List, evaluate, replay and export the bundled policies.",
+    help="List, register, compare, evaluate, replay and export policies.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="A bundled policy.", autocompletion=lambda: list(naopolicies.names()))
+    str, typer.Argument(metavar="POLICY", help=POLICY_HELP, autocompletion=lambda: list(naopolicies.names()))
 ]
 Output = Annotated[
     Path | None,
@@ -37,25 +42,36 @@ Output = Annotated[
 
 @app.command("list")
 def list_policies(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the bundled policies."""
+    """List the bundled policies, and the registered ones if the service answers."""
     context = context_of(ctx)
-    cards = [naopolicies.card(name) for name in naopolicies.names()]
+    try:
+        with context.client() as client:
+            cards = client.get("/policies")
+    except CliError as error:
+        context.note(f"Bundled policies only: {error.message}.")
+        cards = [naopolicies.card(name) for name in naopolicies.names()]
     if as_json:
         context.json(cards)
         return
     shown = {result["name"]: result["title"] for card in cards for result in _headline(card)}
-    columns = ("Name", "Robot", "Task", *shown.values(), "Trained")
+    columns = ("Name", "Aliases", "Robot", "Task", *shown.values(), "Trained")
     table = listing(*columns)
     for card in cards:
         texts = {result["name"]: format_value(metric_of(result), result["value"]) for result in _headline(card)}
         table.add_row(
-            card["name"],
+            card.get("reference", card["name"]),
+            ", ".join(card.get("aliases", ())) or MISSING,
             card["robot"],
             card["task"],
             *(texts.get(name, MISSING) for name in shown),
-            f"{card['steps'] / 1e6:,.0f} M steps",
+            steps_text(card),
         )
     context.out.print(table if cards else "No policies are bundled with this version.")
+
+
+def steps_text(card: Mapping[str, Any]) -> str:
+    """Return the steps of a policy's training."""
+    return f"{card['steps'] / 1e6:,.0f} M steps" if card["steps"] >= 1e6 else f"{card['steps']:,} steps"
 
 
 def _headline(card: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -76,8 +92,12 @@ def evaluate_policy(
 ) -> None:
     """Evaluate a policy again, on this machine."""
     context = context_of(ctx)
-    _known(name)
-    summary = evaluate(name, episodes=episodes, seed=seed, simulator=simulator)
+    with local_policy(context, name) as folder:
+        if name in naopolicies.names():
+            summary = evaluate(name, episodes=episodes, seed=seed, simulator=simulator)
+        else:
+            words = ("--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
+            summary = json.loads(run_naosprint("evaluate", str(folder), *words))
     if as_json:
         context.json(summary)
     else:
@@ -87,7 +107,7 @@ def evaluate_policy(
 @app.command("replay")
 def replay_policy(ctx: typer.Context, name: Name, output: Output = None, as_json: JsonFlag = False) -> None:
     """Run one episode of a policy and film it."""
-    _write("replay", ctx, name, output or Path(f"{name}-run"), as_json=as_json)
+    _write("replay", ctx, name, output or Path(f"{_plain(name)}-run"), as_json=as_json)
 
 
 @app.command("export")
@@ -98,8 +118,8 @@ def export_policy(
     formats: ExportFormats = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Export a policy for NumPy, as ONNX and as a C header."""
-    _write("export", ctx, name, output or Path(f"{name}-export"), *format_flags(formats), as_json=as_json)
+    """Export a policy for NumPy, as ONNX, as a C header, and as a skill for team code."""
+    _write("export", ctx, name, output or Path(f"{_plain(name)}-export"), *format_flags(formats), as_json=as_json)
 
 
 def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:
@@ -122,10 +142,14 @@ def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embed
     return summary
 
 
+def _plain(name: str) -> str:
+    return name.replace("@", "-")
+
+
 def _write(word: str, ctx: typer.Context, name: str, folder: Path, *flags: str, as_json: bool) -> None:
     context = context_of(ctx)
-    _known(name)
-    files = run_naosprint(word, name, str(folder), *flags).split("\n")[:-1]
+    with local_policy(context, name) as source:
+        files = run_naosprint(word, str(source), str(folder), *flags).split("\n")[:-1]
     if as_json:
         context.json({"path": str(folder), "files": files})
         return
@@ -133,18 +157,34 @@ def _write(word: str, ctx: typer.Context, name: str, folder: Path, *flags: str, 
         context.out.print(file, markup=False, soft_wrap=True)
 
 
-def _known(name: str) -> None:
-    """Raise CliError unless a bundled policy has this name."""
-    try:
-        naopolicies.folder(name)
-    except ValueError as error:
-        raise CliError(
-            str(error).capitalize(),
-            fix=f"For a checkpoint of your own: {Path(sys.executable).name} -m naosprint evaluate FOLDER.",
-            code=ExitCode.NOT_FOUND,
-        ) from None
+@contextmanager
+def local_policy(context: Context, name: str) -> Iterator[Path]:
+    """Yield the folder of a policy's checkpoint: a bundled one's, or a copy from the service for as long as this lasts.
+
+    Raises:
+        CliError: if there is no such policy.
+    """
+    if name in naopolicies.names():
+        yield naopolicies.folder(name)
+        return
+    with context.client() as client, tempfile.TemporaryDirectory(prefix="naoctl-") as scratch:
+        try:
+            policy = known_policy(client, name)
+        except CliError as error:
+            if error.code not in (ExitCode.NOT_FOUND, ExitCode.UNREACHABLE, ExitCode.DENIED):
+                raise
+            known = ", ".join(naopolicies.names()) or "none"
+            raise CliError(
+                f"There is no policy {name!r}: choose one of {known}, or a registered one ({error.message})",
+                fix=f"For a checkpoint of your own: {Path(sys.executable).name} -m naosprint evaluate FOLDER.",
+                code=ExitCode.NOT_FOUND,
+            ) from None
+        folder = Path(scratch) / "checkpoint"
+        fetch_artifacts(context, client, [("checkpoint", folder, {"id": name, "files": policy["files"]})])
+        yield folder
 
 
 def register(parent: typer.Typer) -> None:
     """Add the commands."""
+    registry.register(app)
     parent.add_typer(app, name="policies")

@@ -9,6 +9,7 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any
 
+import naopolicies
 import typer
 from naospec import EvaluationSpec, TrainingSpec, flat, recipes
 from naospec.flat import Setting
@@ -41,6 +42,7 @@ JOB_FIELDS = (
     "max_attempts",
     "parent_job_id",
     "parent_checkpoint_id",
+    "parent_policy",
 )
 EVAL_PREFIX = "eval_"
 #: Settings of an evaluation that have a flag.
@@ -110,6 +112,15 @@ def submit(
         str | None,
         typer.Option("--from-checkpoint", metavar="ID", help="Which of its checkpoints (default: the newest)."),
     ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            "--from-policy",
+            metavar="POLICY",
+            help="Start from a bundled or registered policy: NAME, NAME@VERSION, NAME@ALIAS.",
+            autocompletion=lambda: list(naopolicies.names()),
+        ),
+    ] = None,
     seeds: Annotated[str | None, typer.Option(metavar="0-4|1,2,3", help="Submit one job per seed, as a group.")] = None,
     grid: Annotated[
         list[str] | None,
@@ -151,7 +162,10 @@ def submit(
         tags=tag,
         priority=priority,
         parent_checkpoint_id=checkpoint,
+        parent_policy=policy,
     )
+    if parent and policy:
+        raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     if body.get("name") == NEWEST:
         raise InvalidInput(f"--name {NEWEST!r} refers to the newest job in commands", fix="Use another name.")
     group = make_group(body, seeds, grid or [], flags=spec)

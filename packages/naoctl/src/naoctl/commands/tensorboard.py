@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import typer
 
 from naoctl.client import Client
-from naoctl.commands.artifacts import folder_name
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError
 from naoctl.follow import follow
+from naoctl.policies import folder_name
 from naoctl.render import parse_time
 
 

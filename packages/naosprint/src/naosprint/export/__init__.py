@@ -4,6 +4,7 @@ policy.npz      weights, standardization, and the robot's tables: all that an ag
 policy.onnx     the network from raw observations to actions, standardization included
 policy.h        the same as C99 without dependencies; policy_check.c compares it with values of the checkpoint
 policy.json     inputs and outputs by name and unit
+mujococodebase/ or FCPCodebase/  a skill for that team code, with recorded values and a check that needs only NumPy
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from naosprint.export.arrays import policy_arrays
 from naosprint.export.description import describe
 from naosprint.export.graph import build_onnx
 from naosprint.export.header import build_check, build_header
+from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.policy import load_policy
 
 if TYPE_CHECKING:
@@ -25,12 +27,14 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "build_check", "build_header", "build_onnx", "describe", "export_policy", "policy_arrays"]
 
-FORMATS = ("numpy", "onnx", "c")
+FORMATS = ("numpy", "onnx", "c", "skill")
 """Formats of an exported policy."""
 
 
-def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] = FORMATS) -> tuple[Path, ...]:
+def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | None = None) -> tuple[Path, ...]:
     """Write the policy of a checkpoint to ``directory`` in some of :data:`FORMATS`, and ``policy.json``.
+
+    By default these are all that its robot has.
 
     Returns:
         The paths of the files, which are replaced if they exist.
@@ -38,13 +42,17 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] = FO
     Raises:
         CheckpointError: if the checkpoint is damaged.
         OSError: if onnx is needed and not installed.
+        ValueError: if a skill is requested and there is none for the robot.
     """
+    policy, manifest = load_policy(checkpoint)
+    if formats is None:
+        family = manifest.stage_spec.robot_description.family
+        formats = [name for name in FORMATS if name != "skill" or family in TARGETS]
     if "onnx" in formats:
         try:
             import onnx
         except ImportError as error:
             raise OSError("policy.onnx needs onnx: pip install naosprint[export]") from error
-    policy, manifest = load_policy(checkpoint)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
     if "numpy" in formats:
@@ -59,4 +67,6 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] = FO
     for name, text in texts.items():
         written.append(directory / name)
         written[-1].write_text(text)
+    if "skill" in formats:
+        written += write_skill(policy, manifest, directory)
     return tuple(written)

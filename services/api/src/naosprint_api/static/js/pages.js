@@ -68,6 +68,12 @@ export const PAGES = [
   },
   {
     name: "policies",
+    pattern: /^\/policies-compared$/,
+    load: () => import("./views/policy-compare.js"),
+    docs: "how-to/registry.html",
+  },
+  {
+    name: "policies",
     pattern: /^\/policies\/(?<id>[^/]+)$/,
     load: () => import("./views/policy.js"),
     docs: "policies/sprint.html",

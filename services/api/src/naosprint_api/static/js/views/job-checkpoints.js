@@ -1,8 +1,9 @@
-/** The checkpoints of a job: download, evaluate, start another job from one. */
+/** The checkpoints of a job: download, evaluate, register, start another job from one. */
 
 import { call, download } from "../api.js";
 import { fill, h, heading, icon, scroller, setText, table, toast } from "../dom.js";
 import { ago, bytes, integer, stamp } from "../format.js";
+import { registerCheckpoint } from "./job-edit.js";
 import { notice } from "./messages.js";
 
 /** Download a file that needs the token; the button is disabled meanwhile. */
@@ -151,6 +152,7 @@ export class CheckpointsTab {
           { class: "row end" },
           all,
           evaluate,
+          h("button", { class: "small", onclick: () => registerCheckpoint(job, c) }, "Register"),
           h(
             "a",
             { class: "button small", href: `#/submit?parent=${job.id}&checkpoint=${c.id}` },

@@ -1,8 +1,8 @@
-/** Dialogs about a job: its name, tags and notes, and links for others. */
+/** Dialogs about a job: its name, tags and notes, links for others, and policies made of its checkpoints. */
 
 import { call } from "../api.js";
 import { fill, h, toast } from "../dom.js";
-import { stamp } from "../format.js";
+import { integer, stamp } from "../format.js";
 
 /** Show a modal dialog; it is removed when it closes. */
 function open(title, ...parts) {
@@ -18,6 +18,102 @@ function open(title, ...parts) {
   return dialog;
 }
 
+const field = (label, input, hint) =>
+  h("div", { class: "field" }, h("label", { for: input.id }, label), input, hint && h("p", { class: "hint" }, hint));
+
+/** Show what is wrong with a form. */
+const complain = (box, error) =>
+  fill(box, [...(error.fields ?? [])].map(([key, text]) => `${key}: ${text}`).join("; ") || error.message);
+
+const separated = (text) =>
+  text
+    .split(",")
+    .map((part) => part.trim())
+    .filter(Boolean);
+
+/** Let the user register a checkpoint as the next version of a policy. */
+export function registerCheckpoint(job, checkpoint) {
+  const name = h("input", {
+    id: "policy-name",
+    name: "policy-name",
+    required: true,
+    maxlength: 60,
+    pattern: "[a-z0-9\\-]+",
+    spellcheck: "false",
+  });
+  const aliases = h("input", { id: "policy-aliases", name: "policy-aliases", spellcheck: "false" });
+  const notes = h("textarea", { id: "policy-notes", name: "policy-notes", rows: 3, maxlength: 10000 });
+  const trouble = h("p", { class: "problem", role: "alert" });
+  const submit = async (event) => {
+    event.preventDefault();
+    const path = `policies/${encodeURIComponent(name.value.trim())}/versions`;
+    const body = {
+      job_id: job.id,
+      checkpoint_id: checkpoint.id,
+      aliases: separated(aliases.value),
+      notes: notes.value,
+    };
+    try {
+      const card = await call(path, { method: "POST", body });
+      dialog.close();
+      toast(`Step ${integer(checkpoint.step)} is policy ${card.reference}.`);
+    } catch (error) {
+      complain(trouble, error);
+    }
+  };
+  const dialog = open(
+    "Register policy",
+    h(
+      "form",
+      { class: "stack", onsubmit: submit },
+      field("Name", name, "Lower-case letters, digits and hyphens. An existing name gets a new version."),
+      field("Aliases", aliases, "Such as best or match, separated by commas."),
+      field("Notes", notes),
+      trouble,
+      h(
+        "div",
+        { class: "row end" },
+        h("button", { type: "button", onclick: () => dialog.close() }, "Back"),
+        h("button", { class: "primary", type: "submit" }, "Register"),
+      ),
+    ),
+  );
+}
+
+/** Let the user choose an alias for a version; resolves to it, null if none was chosen. */
+export function chooseAlias(reference) {
+  return new Promise((resolve) => {
+    let chosen = null;
+    const alias = h("input", {
+      id: "alias",
+      name: "alias",
+      value: "best",
+      required: true,
+      pattern: "[a-z][a-z0-9\\-]*",
+    });
+    const submit = (event) => {
+      event.preventDefault();
+      chosen = alias.value;
+      dialog.close();
+    };
+    const dialog = open(
+      `Promote ${reference}`,
+      h(
+        "form",
+        { class: "stack", onsubmit: submit },
+        field("Alias", alias, "It leaves the version that it names now."),
+        h(
+          "div",
+          { class: "row end" },
+          h("button", { type: "button", onclick: () => dialog.close() }, "Back"),
+          h("button", { class: "primary", type: "submit" }, "Promote"),
+        ),
+      ),
+    );
+    dialog.addEventListener("close", () => resolve(chosen));
+  });
+}
+
 /** Dialog that edits name, tags and notes; resolves to the changed job, null if nothing was changed. */
 export function editJob(job) {
   return new Promise((resolve) => {
@@ -27,29 +123,18 @@ export function editJob(job) {
     const notes = h("textarea", { id: "edit-notes", name: "edit-notes", rows: 6, maxlength: 10000 });
     notes.value = job.notes;
     const trouble = h("p", { class: "problem", role: "alert" });
-    const field = (label, input, hint) =>
-      h(
-        "div",
-        { class: "field" },
-        h("label", { for: input.id }, label),
-        input,
-        hint && h("p", { class: "hint" }, hint),
-      );
     const submit = async (event) => {
       event.preventDefault();
       const body = {
         name: name.value.trim(),
-        tags: tags.value
-          .split(",")
-          .map((tag) => tag.trim())
-          .filter(Boolean),
+        tags: separated(tags.value),
         notes: notes.value,
       };
       try {
         changed = await call(`jobs/${encodeURIComponent(job.id)}`, { method: "PATCH", body });
         dialog.close();
       } catch (error) {
-        fill(trouble, [...(error.fields ?? [])].map(([key, text]) => `${key}: ${text}`).join("; ") || error.message);
+        complain(trouble, error);
       }
     };
     const dialog = open(

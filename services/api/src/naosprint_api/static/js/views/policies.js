@@ -1,4 +1,4 @@
-/** The bundled policies: one card each with its results and its lineage. */
+/** The policies, bundled and registered: one card each with its results and its lineage; compare some. */
 
 import { call } from "../api.js";
 import { fill, h, icon } from "../dom.js";
@@ -23,25 +23,40 @@ export function headlineBlock(card, flat) {
   return h("div", { class: ["stats", flat && "flat", "six"] }, cells);
 }
 
-/** A policy's robot and task as tags. */
-export const tags = (card) => [h("span", { class: "tag" }, card.task), h("span", { class: "tag" }, card.robot)];
+/** A policy's aliases, robot and task as tags. */
+export const tags = (card) => [...card.aliases, card.task, card.robot].map((text) => h("span", { class: "tag" }, text));
+
+/** The address of a policy's page. */
+export const pageOf = (card) =>
+  `#/policies/${card.reference}${card.owner ? `?owner=${encodeURIComponent(card.owner)}` : ""}`;
 
 /** The jobs behind a policy in a line, first to last. */
 const descent = (card) =>
   card.lineage.map((one) => `${one.task}, preset ${one.preset}, ${compact(one.steps)} steps`).join(" → ");
 
-function cardOf(card) {
-  const href = `#/policies/${card.name}`;
+function cardOf(card, chosen, choose) {
+  const href = pageOf(card);
+  const box = h("input", {
+    type: "checkbox",
+    checked: chosen.has(card.reference),
+    "aria-label": `Compare ${card.reference}`,
+    onchange: () => choose(card, box.checked),
+  });
   return h(
     "section",
     { class: "card policy", "data-policy": card.name },
-    h("div", { class: "card-head wrap" }, h("h2", null, h("a", { href }, card.name)), tags(card)),
+    h("div", { class: "card-head wrap" }, h("h2", null, h("a", { href }, card.reference)), tags(card), box),
     h("p", { class: "pad soft" }, "From random weights → ", descent(card)),
     headlineBlock(card, true),
     h(
       "div",
       { class: "row pad" },
-      h("a", { class: "button small", href, "aria-label": `Watch it run: ${card.name}` }, icon("play"), "Watch it run"),
+      h(
+        "a",
+        { class: "button small", href, "aria-label": `Watch it run: ${card.reference}` },
+        icon("play"),
+        "Watch it run",
+      ),
     ),
   );
 }
@@ -50,6 +65,14 @@ function cardOf(card) {
 export async function mount(root, { signal }) {
   document.title = "Policies · naosprint";
   const box = h("div", null, h("div", { class: "card" }, loading("Loading policies")));
+  const chosen = new Set();
+  const compare = h("a", { class: "button", hidden: true }, "Compare");
+  const choose = (card, on) => {
+    if (on) chosen.add(card.reference);
+    else chosen.delete(card.reference);
+    compare.hidden = chosen.size < 2;
+    compare.href = `#/policies-compared?of=${[...chosen].join(",")}`;
+  };
   fill(
     root,
     h(
@@ -59,8 +82,13 @@ export async function mount(root, { signal }) {
         "div",
         { class: "grow" },
         h("h1", null, "Policies"),
-        h("p", { class: "soft" }, "Bundled policies, with their trainings and evaluations."),
+        h(
+          "p",
+          { class: "soft" },
+          "Bundled policies, and the newest version of each that was registered from a job's checkpoints.",
+        ),
       ),
+      compare,
     ),
     box,
   );
@@ -73,6 +101,12 @@ export async function mount(root, { signal }) {
   );
   await refreshed(box, async () => {
     const cards = await call("policies", { signal });
-    return cards.length ? h("div", { class: "charts" }, cards.map(cardOf)) : none;
+    return cards.length
+      ? h(
+          "div",
+          { class: "charts" },
+          cards.map((card) => cardOf(card, chosen, choose)),
+        )
+      : none;
   });
 }

@@ -1,15 +1,17 @@
-/** One bundled policy: its replay, results, training, and how to use it. */
+/** One policy: its replay, results, versions, training, and how to use it. */
 
-import { call } from "../api.js";
+import { call, may, query } from "../api.js";
 import { Chart } from "../charts.js";
 import { chartOptions } from "../curves.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
+import { headline } from "../evaluation.js";
 import { Figure } from "../figures.js";
-import { duration, integer } from "../format.js";
+import { ago, duration, integer, stamp, withUnit } from "../format.js";
+import { chooseAlias } from "./job-edit.js";
 import { loading, problem } from "./messages.js";
 import { Player } from "./player.js";
-import { headlineBlock, tags } from "./policies.js";
+import { headlineBlock, pageOf, tags } from "./policies.js";
 import { levelOf, resultsTable, tableCards } from "./results.js";
 import { knowledge, overrides, show, specList } from "./spec-list.js";
 
@@ -48,13 +50,11 @@ function lineage(card) {
 
 /** Commands that take the policy by its name, each with what it does. */
 const commands = (name) => [
+  [`naoctl download ${name}`, "Download its checkpoint; every SHA-256 is checked."],
   [`naoctl policies evaluate ${name}`, "Evaluate it again on this machine."],
   [`naoctl policies replay ${name}`, "Run one episode, and film it."],
-  [`naoctl policies export ${name}`, "Write it as ONNX, NumPy and JSON."],
-  [
-    `python -m naosprint train FOLDER --initial-policy ${name}`,
-    "Continue training from its weights, without the service.",
-  ],
+  [`naoctl policies export ${name}`, "Write it as ONNX, NumPy and JSON, as a C header, and as a skill for team code."],
+  [`naoctl submit --from-policy ${name}`, "Train from its weights."],
 ];
 
 function usage(name) {
@@ -81,10 +81,59 @@ function usage(name) {
   );
 }
 
+/** The versions of a policy with their results; `promote` points an alias at one of them. */
+function versionsTable(cards, current, promote) {
+  const titles = new Map(cards.flatMap((card) => headline(card).map((r) => [r.name, r.title])));
+  const row = (card) => {
+    const results = new Map(headline(card).map((r) => [r.name, r]));
+    return h(
+      "tr",
+      { "data-version": card.version },
+      h(
+        "td",
+        { class: "nowrap" },
+        card.version === current.version
+          ? h("b", null, card.reference)
+          : h("a", { href: pageOf(card) }, card.reference),
+      ),
+      h(
+        "td",
+        null,
+        h(
+          "div",
+          { class: "row wrap" },
+          card.aliases.map((alias) => h("span", { class: "tag" }, alias)),
+        ),
+      ),
+      [...titles.keys()].map((name) =>
+        h("td", { class: "num" }, results.has(name) ? withUnit(results.get(name), results.get(name).value) : "–"),
+      ),
+      h("td", { class: "num", title: stamp(card.created_at) }, ago(card.created_at)),
+      h("td", null, may("submit") ? h("button", { class: "small", onclick: () => promote(card) }, "Promote") : null),
+    );
+  };
+  return h(
+    "table",
+    { class: "plain", "data-part": "versions" },
+    h(
+      "thead",
+      null,
+      h(
+        "tr",
+        null,
+        ["Version", "Aliases"].map((text) => h("th", { scope: "col" }, text)),
+        [...titles.values(), "Registered"].map((text) => h("th", { scope: "col", class: "num" }, text)),
+        h("th", { scope: "col" }, h("span", { class: "sr" }, "Actions")),
+      ),
+    ),
+    h("tbody", null, cards.map(row)),
+  );
+}
+
 /** Charts of the trainings behind a policy, one after the other over all their steps. */
 function curves(card, known) {
   const x = [];
-  const rows = card.lineage.flatMap(({ curve }) => curve);
+  const rows = card.lineage.map(({ curve }) => curve);
   let before = 0;
   for (const { curve, steps } of card.lineage) {
     for (const step of curve.step) x.push(before + step);
@@ -104,7 +153,7 @@ function curves(card, known) {
 }
 
 /** Show the page in `root`. */
-export async function mount(root, { id, signal }) {
+export async function mount(root, { id, params, signal }) {
   document.title = `${id} · Policies · naosprint`;
   const parts = [];
   const keep = (part) => {
@@ -117,12 +166,32 @@ export async function mount(root, { id, signal }) {
     fill(root, h("div", { class: "card" }, loading("Loading the policy")));
     let card;
     let known;
+    let versions;
+    const path = `policies/${encodeURIComponent(id)}`;
+    const owner = query({ owner: params?.get("owner") });
     try {
-      [card, known] = await Promise.all([call(`policies/${encodeURIComponent(id)}`, { signal }), descriptions()]);
+      [card, versions, known] = await Promise.all([
+        call(`${path}${owner}`, { signal }),
+        call(`${path}/versions${owner}`, { signal }),
+        descriptions(),
+      ]);
     } catch (error) {
       if (error.name !== "AbortError") fill(root, problem(error, draw));
       return;
     }
+    const promote = async ({ version, reference }) => {
+      // Two names are usual; others are set by `naoctl policies promote`.
+      const alias = await chooseAlias(reference);
+      if (!alias) return;
+      try {
+        const target = `policies/${card.name}/aliases/${encodeURIComponent(alias)}${owner}`;
+        await call(target, { method: "PUT", body: { version } });
+        toast(`${card.name}@${alias} is ${reference} now.`);
+        await draw();
+      } catch (error) {
+        toast(error.message, "error");
+      }
+    };
     const { evaluation, spec } = card;
     const level = levelOf(evaluation);
     const stage = h("section", { class: "card", "aria-label": "Replay" });
@@ -137,7 +206,7 @@ export async function mount(root, { id, signal }) {
           form ? overrides(spec, form.presets, form.families.get(spec.robot?.name)) : undefined,
         ),
       );
-      fill(evaluated, specList(evaluation, form?.evaluation));
+      if (evaluation) fill(evaluated, specList(evaluation, form?.evaluation));
     };
     const charts = curves(card, known).map(keep);
     fill(
@@ -149,7 +218,8 @@ export async function mount(root, { id, signal }) {
           "div",
           { class: "grow" },
           h("div", { class: "crumbs" }, h("a", { href: "#/policies" }, "Policies")),
-          h("h1", null, card.name),
+          h("h1", null, card.reference),
+          card.notes ? h("p", { class: "soft" }, card.notes) : null,
         ),
         h("div", { class: "row wrap" }, tags(card)),
       ),
@@ -158,8 +228,11 @@ export async function mount(root, { id, signal }) {
         { class: "stack" },
         headlineBlock(card),
         stage,
-        section("How to use it", usage(card.name)),
-        section(`Results of ${integer(card.episodes)} episodes`, scroller("Results", resultsTable(card, level))),
+        section("How to use it", usage(card.reference)),
+        card.owner && section("Versions", scroller("Versions", versionsTable(versions, card, promote))),
+        evaluation
+          ? section(`Results of ${integer(card.episodes)} episodes`, scroller("Results", resultsTable(card, level)))
+          : section("Results", h("p", { class: "pad" }, "Not evaluated yet: ", h("code", null, `naoctl eval ${id}`))),
         tableCards(card, level, (drawing) => keep(new Figure(drawing)).element),
         section("Lineage", scroller("Lineage", lineage(card))),
         h(
@@ -168,11 +241,12 @@ export async function mount(root, { id, signal }) {
           charts.map((chart) => chart.element),
         ),
         section("Training", training),
-        section("Evaluation", evaluated),
+        evaluation && section("Evaluation", evaluated),
       ),
     );
     list(null);
-    keep(new Player(stage, { path: `policies/${encodeURIComponent(id)}/replay`, task: card.task, signal }));
+    if (evaluation) keep(new Player(stage, { path: `${path}/replay${owner}`, task: card.task, signal }));
+    else stage.remove();
     knowledge(signal).then(list, () => {
       /* names and marks are an extra */
     });

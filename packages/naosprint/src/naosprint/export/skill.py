@@ -1,0 +1,153 @@
+"""Skill folders: a policy as a skill for public team code, with values that it can be checked against."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from naospec import EvaluationSpec
+
+from naosprint.export import booster, nao
+from naosprint.export.arrays import policy_arrays
+from naosprint.export.header import exact_actions
+from naosprint.tasks.environment import open_environment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from naosprint.arrays import AnyArray
+    from naosprint.rl.checkpoint import Manifest
+    from naosprint.rl.policy import Policy
+    from naosprint.tasks.base import World
+    from naosprint.tasks.environment import Environment
+
+_SOURCES = Path(__file__).with_name("skills")
+#: Cycles of the recorded episode.
+CYCLES = 64
+_NOISE_DEG = 2.0
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Team code for the robots of a family."""
+
+    #: Folder of the skill, below the team code's own.
+    folder: str
+    #: What the robot perceives, by the name of the argument of `Runner.observe`, in their order.
+    inputs: Mapping[str, Callable[[World], AnyArray]]
+
+
+def _perceived(name: str) -> Callable[[World], AnyArray]:
+    return lambda world: world.perceptors[name]
+
+
+TARGETS = {
+    booster.FAMILY: _Target(
+        "mujococodebase/mujococodebase/skills/naosprint",
+        {
+            "position": _perceived("torso_pos"),
+            "quaternion": _perceived("torso_quat"),
+            "gyro_deg": _perceived("gyro"),
+            "angles_deg": _perceived("joint_angles"),
+            "speeds_deg": _perceived("joint_speeds"),
+        },
+    ),
+    nao.FAMILY: _Target(
+        "FCPCodebase/behaviors/custom/Naosprint",
+        {
+            "yaw": lambda world: world.yaw(slice(0, 1)),
+            "height": lambda world: world.position(slice(0, 1))[:, 2],
+            "angles_deg": _perceived("joint_angles"),
+            "gyro_deg": _perceived("gyro"),
+            "accel": _perceived("accel"),
+            "left_foot": _perceived("foot_left"),
+            "right_foot": _perceived("foot_right"),
+        },
+    ),
+}
+"""Team code by the family of robots that it plays with."""
+
+
+def write_skill(policy: Policy, manifest: Manifest, directory: Path) -> list[Path]:
+    """Write a policy as a skill to a folder below ``directory`` and return the paths of its files.
+
+    Raises:
+        ValueError: if there is no team code for the robot, or the policy observes what the skill cannot compute.
+    """
+    family = manifest.stage_spec.robot_description.family
+    if family not in TARGETS:
+        raise ValueError(f"format skill: no team code for robots of family {family}; use another format")
+    target = TARGETS[family]
+    folder = directory / target.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *(_SOURCES / family).iterdir())]
+    for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", record(policy, manifest, target))):
+        written.append(folder / f"{name}.npz")
+        np.savez_compressed(written[-1], allow_pickle=False, **arrays)
+    return written
+
+
+def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, AnyArray]:
+    """Run an episode in the embedded simulator; return what the robot perceived, observed and did by name.
+
+    Every array has a row per cycle; the episode ends early if the robot falls.
+    """
+    spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.spec)
+    environment = open_environment(spec, 1, threads=1)
+    rows: dict[str, list[AnyArray]] = {name: [] for name in (*target.inputs, *_EXPECTED)}
+    try:
+        environment.load_starts(environment.task.starts(1, 0, _NOISE_DEG))
+        everyone = np.zeros(1, dtype=np.int64)
+        environment.restart(everyone, everyone)
+        begin = _begin(environment)
+        commanded = _commands(environment)
+        if commanded is not None:
+            rows["command"] = []
+            given = commanded.copy()
+        for _ in range(CYCLES):
+            if commanded is not None:
+                if (commanded != given).any():
+                    break  # the task has drawn a new command and begun a new path
+                rows["command"].append(commanded[0].copy())
+            for name, measure in target.inputs.items():
+                rows[name].append(np.array(measure(environment.world)[0]))
+            observations = environment.observations.copy()
+            actions = exact_actions(policy, observations)
+            for name, values in zip(
+                _EXPECTED, (observations, actions, environment.actuation.targets(actions)), strict=True
+            ):
+                rows[name].append(values[0])
+            environment.step(actions)
+            if environment.terminated[0] or environment.truncated[0]:
+                break
+    finally:
+        environment.close()
+    inputs = [*target.inputs, *(("command",) if commanded is not None else ())]
+    return {
+        "inputs": np.array(inputs),
+        "begin": np.array(list(begin), dtype=np.str_),
+        **{f"begin_{name}": value for name, value in begin.items()},
+        **{name: np.array(values) for name, values in rows.items()},
+    }
+
+
+_EXPECTED = ("observations", "actions", "targets_rad")
+
+
+def _commands(environment: Environment) -> AnyArray | None:
+    """Return the array of the robots' commands; None if the task has none."""
+    commands: AnyArray | None = getattr(environment.task, "command", None)
+    return commands
+
+
+def _begin(environment: Environment) -> dict[str, AnyArray]:
+    """Return the arguments of `Runner.begin` for the task's path."""
+    if _commands(environment) is not None:
+        return {}
+    begin = {"heading": np.array(0.0)}
+    if "line_offset" in environment.observer.names:
+        begin["lane"] = np.array(environment.task.start_position())
+    return begin

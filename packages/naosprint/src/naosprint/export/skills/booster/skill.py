@@ -1,0 +1,50 @@
+"""Skill for mujococodebase that runs an exported policy."""
+
+from pathlib import Path
+
+import numpy as np
+from mujococodebase.skills.naosprint.runner import Runner
+from mujococodebase.skills.skill import Skill
+
+FALLEN = 0.6  # of the standing height
+
+
+class Naosprint(Skill):
+    """Run straight ahead, or follow velocities if the policy was trained with task velocity."""
+
+    def __init__(self, agent):
+        super().__init__(agent)
+        self.runner = Runner(Path(__file__).with_name("policy.npz"))
+        self.effectors = [str(name) for name in self.runner.effector_names]
+        self.joints = ["q_" + name.replace("e", "j") for name in self.effectors]
+
+    def execute(self, reset, orientation=None, lane=None, command=None):
+        """Run one cycle; return whether the robot has fallen.
+
+        `orientation` is the direction on the team's field in degrees, `lane` a point of the line to keep to, (x, y) in
+        metres; by default the robot runs ahead from where it is. `command` is forward and sideways speed in m/s and
+        turn rate in rad/s, for a policy that follows them.
+        """
+        robot, position = self.agent.robot, self.agent.world.global_position
+        if reset:
+            self.runner.begin(None if orientation is None else np.radians(orientation), lane)
+        x, y, z, w = robot.global_orientation_quat
+        angles, speeds = (
+            [values[name] for name in self.joints] for values in (robot.motor_positions, robot.motor_speeds)
+        )
+        observation = self.runner.observe(position, (w, x, y, z), robot.gyroscope, angles, speeds, command)
+        self.move(self.runner.act(observation))
+        return bool(position[2] < FALLEN * self.runner.standing_height_m)
+
+    def hold(self):
+        """Take the pose that runs start from, for one cycle."""
+        self.move(self.runner.start_targets)
+
+    def move(self, targets):
+        """Set target angles in radians with the gains of the training."""
+        for name, target, kp, kd in zip(self.effectors, np.degrees(targets), self.runner.kp, self.runner.kd):
+            self.agent.robot.set_motor_target_position(name, float(target), kp=float(kp), kd=float(kd))
+
+    def is_ready(self, *args):
+        """Return whether the robot stands."""
+        return bool(self.agent.world.global_position[2] > 0.9 * self.runner.standing_height_m)

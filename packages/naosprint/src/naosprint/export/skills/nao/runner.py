@@ -1,0 +1,61 @@
+"""Run an exported policy of a NAO: from what the robot perceives to joint speeds; needs only NumPy."""
+
+import numpy as np
+
+
+class Runner:
+    """Policy that runs in the direction `heading` of the team's field, counter-clockwise from +x, in radians."""
+
+    def __init__(self, path):
+        self.__dict__.update(np.load(path))
+        # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
+        noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
+        self.start_targets = self.start_pose_rad + np.radians(noise)
+        self.begin()
+
+    def begin(self, heading=0.0):
+        """Begin a run."""
+        self.heading, self.before = heading, None
+
+    def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot):
+        """Return the observation, once per cycle.
+
+        yaw of the torso's front on the team's field, counter-clockwise from +x, in radians, and the torso's height in
+        metres. The others as the server sends them, in its frames and signs: joint angles in degrees in the order of
+        `joint_names`, gyroscope (3,) in degrees per second, accelerometer (3,) in m/s^2, centre and force (6,) of the
+        left and right foot, zeros or NaN without contact.
+        """
+        self.angles = np.array(angles_deg, float)
+        feet = np.nan_to_num([left_foot, right_foot])
+        turned = (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi
+        joints = self.joint_view @ np.radians(self.angles)
+        now = np.concatenate([joints, [turned, height], self.centre_of_mass(), np.radians(gyro_deg), accel, *feet])
+        loaded = feet[::-1, 3:].any(axis=1)
+        if self.before is None:
+            self.before, self.loaded, self.steps, self.counters = now, loaded, -1, np.array([-1, -1])
+        rates = now - self.before
+        rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
+        self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
+        self.before, self.loaded = now, loaded
+        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters])
+
+    def centre_of_mass(self):
+        """Return the centre of mass in the torso's frame, in metres."""
+        turn, at = [np.eye(3)] * len(self.body_mass), np.zeros((len(self.body_mass), 3))
+        for joint, body, parent, offset, anchor, axis in self.chain:
+            angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
+            turn[body] = turn[parent] @ (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+            at[body] = at[parent] + turn[parent] @ offset - turn[body] @ anchor
+        return self.body_mass @ at / self.body_mass.sum()
+
+    def act(self, observation):
+        """Return the target angles of all joints in the order of `joint_names`, in radians."""
+        values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
+        for i in range(self.layers):
+            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+        self.action = np.clip(values, -1, 1)
+        return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
+
+    def speeds(self, targets, angles_deg):
+        """Return the speeds of all joints in rad/s that drive them to their targets."""
+        return np.clip(self.gain * (targets - np.radians(angles_deg)), -self.max_speed, self.max_speed)

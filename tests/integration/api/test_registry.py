@@ -1,0 +1,303 @@
+"""Registered policies over HTTP: versions, aliases, cards, and checkpoints that stay as long as they are in use."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import naopolicies
+import pytest
+from naojobs import lifecycle, records
+from naojobs.lifecycle import Lease
+from naojobs.models import Checkpoint, Job
+from naojobs.records import MetricsRow
+from naojobs.retention import Retention, prune_checkpoints
+from naojobs.states import WorkState
+from naojobs.store import ArtifactStore
+from naospec import EvaluationSpec, TrainingSpec
+from sqlalchemy import select
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
+
+numbers = itertools.count(1)
+
+
+@pytest.fixture
+def name() -> str:
+    """A name that no other test uses."""
+    return f"mine-{next(numbers)}"
+
+
+@pytest.fixture
+def train(run_job: Callable[..., Lease], save_checkpoint: Callable[..., str], sessions: Sessions) -> Callable[..., Any]:
+    """Train a job with a checkpoint at each of some steps; return its lease and the checkpoints' ids."""
+
+    def train(*steps: int, owner: str = "alice", **fields: Any) -> tuple[Lease, list[str]]:
+        lease = run_job(owner, **fields)
+        rows = [MetricsRow(step, {"time_s": step / 10, "reward": 1.0, "distance_m": 2.0}) for step in steps]
+        records.write(sessions, lease, records.Batch(metrics=rows))
+        return lease, [save_checkpoint(lease, step, {"policy.npz": b"weights %d" % step}) for step in steps]
+
+    return train
+
+
+@pytest.fixture
+def evaluate(sessions: Sessions, store: ArtifactStore) -> Callable[..., str]:
+    """Record a finished evaluation of a checkpoint with one result; return its id."""
+
+    def evaluate(lease: Lease, checkpoint_id: str, speed: float, episodes: int = 10) -> str:
+        key = f"jobs/{lease.job_id}/evaluations/{checkpoint_id}-{episodes}"
+        files = [store.put_bytes(f"{key}/replay.json", b'{"frames": []}').model_dump()]
+        result = {"name": "top_speed_mps", "title": "Top speed", "unit": "m/s", "value": speed, "digits": 2}
+        summary = {"episodes": episodes, "results": [result], "headline": ["top_speed_mps"], "tables": []}
+        spec = EvaluationSpec(episodes=episodes)
+        return records.record_evaluation(
+            sessions,
+            lease,
+            checkpoint_id=checkpoint_id,
+            spec=spec,
+            summary={**summary, "evaluation": spec.model_dump(mode="json")},
+            key=key,
+            manifest={"files": files},
+        )
+
+    return evaluate
+
+
+def register(client: httpx.Client, name: str, lease: Lease, checkpoint_id: str, *aliases: str) -> dict[str, Any]:
+    body = {"job_id": lease.job_id, "checkpoint_id": checkpoint_id, "aliases": aliases}
+    answer = client.post(f"/policies/{name}/versions", json=body)
+    assert answer.status_code == 201, answer.text
+    card: dict[str, Any] = answer.json()
+    assert answer.headers["location"] == f"/policies/{card['reference']}"
+    return card
+
+
+def test_versions_and_aliases(client: httpx.Client, name: str, train: Callable[..., Any]) -> None:
+    lease, (first, second) = train(100, 200)
+    assert register(client, name, lease, first, "best", "match")["aliases"] == ["best", "match"]
+    assert register(client, name, lease, second)["reference"] == f"{name}@2"
+    found = {version: client.get(f"/policies/{name}@{version}").json() for version in ("1", "2", "best", "latest")}
+    assert [found[version]["version"] for version in found] == [1, 2, 1, 2]
+    assert client.get(f"/policies/{name}").json() == found["latest"]
+    promoted = client.put(f"/policies/{name}/aliases/best", json={"version": 2}).json()
+    assert (promoted["version"], promoted["aliases"]) == (2, ["best"])
+    listed = client.get(f"/policies/{name}/versions").json()
+    assert [(card["version"], card["aliases"]) for card in listed] == [(2, ["best"]), (1, ["match"])]
+    refused = client.delete(f"/policies/{name}/versions/1")
+    assert (refused.status_code, "match" in refused.json()["detail"]) == (409, True)
+    assert client.delete(f"/policies/{name}/aliases/match").status_code == 204
+    assert client.delete(f"/policies/{name}/versions/1").status_code == 204
+    assert client.get(f"/policies/{name}@1").status_code == 404
+    missing = client.get(f"/policies/{name}@match")
+    assert (missing.status_code, "latest, best" in missing.json()["detail"]) == (404, True)
+    assert client.put(f"/policies/{name}/aliases/best", json={"version": 1}).status_code == 404
+    # A number is not used again.
+    assert register(client, name, lease, first)["version"] == 3
+    assert client.delete(f"/policies/{name}").status_code == 204
+    assert client.get(f"/policies/{name}").status_code == 404
+
+
+def test_a_card_has_metrics_and_lineage(
+    client: httpx.Client, name: str, train: Callable[..., Any], evaluate: Callable[..., str]
+) -> None:
+    parent, (start,) = train(100)
+    spec = TrainingSpec(algorithm={"name": "ppo", "learning_rate": 1e-4})
+    lease, (point,) = train(50, spec=spec, parent_job_id=parent.job_id, parent_checkpoint_id=start)
+    register(client, name, parent, start)
+    card = register(client, name, lease, point)
+    assert (card["results"], card["headline"], card["episodes"], card["evaluation"]) == ([], [], 0, None)
+    evaluate(lease, point, 3.0, episodes=10)
+    best = evaluate(lease, point, 3.5, episodes=20)
+    card = client.get(f"/policies/{name}").json()
+    assert (card["evaluation_id"], card["episodes"], card["results"][0]["value"]) == (best, 20, 3.5)
+    assert card["evaluation"]["episodes"] == 20
+    assert (card["job_id"], card["checkpoint_id"], card["owner"]) == (lease.job_id, point, "alice")
+    assert (card["parent_policy"], card["spec_sha256"]) == (f"{name}@1", spec.digest())
+    assert TrainingSpec.model_validate(card["spec"]) == spec
+    first, last = card["lineage"]
+    assert (first["job_id"], first["checkpoint_id"], first["steps"], first["training_s"]) == (
+        parent.job_id,
+        start,
+        100,
+        10,
+    )
+    assert (last["job_id"], last["checkpoint_id"], last["overrides"]) == (
+        lease.job_id,
+        point,
+        {"algorithm.learning_rate": 1e-4},
+    )
+    assert (last["spec_sha256"], last["parent_policy"]) == (spec.digest(), f"{name}@1")
+    assert (card["steps"], card["training_s"]) == (150, 15)
+    assert client.get(f"/policies/{name}@2/replay").json() == {"frames": []}
+    assert client.get(f"/policies/{name}@1/replay").status_code == 404, "it has not been evaluated"
+
+
+def test_downloads_by_name(client: httpx.Client, name: str, train: Callable[..., Any]) -> None:
+    lease, (point,) = train(100)
+    register(client, name, lease, point, "best")
+    (file,) = client.get(f"/policies/{name}@best").json()["files"]
+    assert client.get(file["url"]).content == b"weights 100"
+    for file in client.get("/policies/sprint").json()["files"]:
+        data = client.get(file["url"]).content
+        assert data == (naopolicies.folder("sprint") / file["name"]).read_bytes()
+        assert (hashlib.sha256(data).hexdigest(), len(data)) == (file["sha256"], file["size"])
+    assert client.get("/policies/sprint/files/card.json").status_code == 404
+
+
+def test_bundled_policies_are_entries_that_no_one_changes(
+    client: httpx.Client, name: str, train: Callable[..., Any]
+) -> None:
+    lease, (point,) = train(100)
+    register(client, name, lease, point)
+    cards = client.get("/policies").json()
+    assert [card["name"] for card in cards if card["owner"] is None] == list(naopolicies.names())
+    assert next(card for card in cards if card["name"] == name)["owner"] == "alice"
+    body = {"job_id": lease.job_id, "checkpoint_id": point}
+    refused = client.post("/policies/sprint/versions", json=body)
+    assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, "name")
+    assert client.put("/policies/sprint/aliases/best", json={"version": 1}).status_code == 409
+    assert client.delete("/policies/sprint").status_code == 409
+
+
+def test_a_key_registers_one_version(client: httpx.Client, name: str, train: Callable[..., Any]) -> None:
+    lease, (first, second) = train(100, 200)
+    path, headers = f"/policies/{name}/versions", {"Idempotency-Key": "once"}
+    body = {"job_id": lease.job_id, "checkpoint_id": first}
+    answers = [client.post(path, json=body, headers=headers) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [201, 200]
+    assert answers[0].json() == answers[1].json()
+    other = client.post(path, json={**body, "checkpoint_id": second}, headers=headers)
+    assert (other.status_code, other.json()["errors"][0]["field"]) == (409, "Idempotency-Key")
+    again = client.post(path, json=body)
+    assert (again.status_code, f"{name}@1 is this checkpoint" in again.json()["detail"]) == (409, True)
+
+
+def test_policies_belong_to_the_owner_of_the_job(
+    client: httpx.Client,
+    admin: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    name: str,
+    train: Callable[..., Any],
+) -> None:
+    lease, (point,) = train(100)
+    register(client, name, lease, point)
+    mallory, reader = make_client("mallory", "submit"), make_client("alice", "read")
+    assert reader.get(f"/policies/{name}").status_code == 200
+    assert mallory.get(f"/policies/{name}").status_code == 404
+    assert mallory.get(f"/policies/{name}", params={"owner": "alice"}).status_code == 404
+    assert name not in [card["name"] for card in mallory.get("/policies").json()]
+    assert mallory.post(f"/policies/{name}/versions", json={"job_id": lease.job_id}).status_code == 404
+    changes = (("PUT", "/aliases/best"), ("DELETE", "/aliases/best"), ("DELETE", "/versions/1"), ("DELETE", ""))
+    for method, path in changes:
+        body = {"json": {"version": 1}} if method == "PUT" else {}
+        assert mallory.request(method, f"/policies/{name}{path}", **body).status_code == 404
+        assert reader.request(method, f"/policies/{name}{path}", **body).status_code == 403
+    theirs, (point,) = train(100, owner="mallory")
+    register(mallory, name, theirs, point)
+    assert (mallory.get(f"/policies/{name}").json()["owner"], client.get(f"/policies/{name}").json()["owner"]) == (
+        "mallory",
+        "alice",
+    )
+    several = admin.get(f"/policies/{name}")
+    assert (several.status_code, several.json()["errors"][0]["field"]) == (409, "owner")
+    assert admin.get(f"/policies/{name}", params={"owner": "mallory"}).json()["job_id"] == theirs.job_id
+    token = client.post(f"/jobs/{lease.job_id}/share").json()["token"]
+    guest = httpx.get(client.base_url.join(f"/policies/{name}"), headers={"Authorization": f"Bearer {token}"})
+    assert guest.status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"aliases": ["latest"]}, "aliases.0"),
+        ({"aliases": ["3"]}, "aliases.0"),
+        ({"notes": "\x00"}, "notes"),
+        ({"job_id": "nothing"}, "job_id"),
+    ],
+)
+def test_bad_requests_name_the_field(
+    client: httpx.Client, run_job: Callable[..., Lease], body: dict[str, Any], field: str
+) -> None:
+    answer = client.post("/policies/bad/versions", json={"job_id": run_job().job_id, **body})
+    assert (answer.status_code, [error["field"] for error in answer.json()["errors"]]) == (422, [field])
+
+
+def test_an_owner_has_so_many_versions_at_most(
+    start_api: Callable[..., Any], client: httpx.Client, name: str, train: Callable[..., Any]
+) -> None:
+    lease, (first, second) = train(100, 200, owner="alice")
+    register(client, name, lease, first)
+    strict = start_api(api_max_policy_versions=1)
+    answer = httpx.post(
+        f"{strict.url}/policies/{name}/versions",
+        json={"job_id": lease.job_id, "checkpoint_id": second},
+        headers={"Authorization": client.headers["Authorization"]},
+    )
+    assert (answer.status_code, "the most that are allowed" in answer.json()["detail"]) == (429, True)
+
+
+def test_neither_retention_nor_deletion_takes_a_registered_checkpoint(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    lease, (_, registered, _, _) = train(100, 200, 300, 400)
+    register(client, name, lease, registered)
+    with sessions.begin() as session:  # so that none is the best by its reward
+        session.execute(Checkpoint.__table__.update().values(step=Checkpoint.step + 1))
+    prune_checkpoints(sessions, lease, Retention(1))
+    with sessions.begin() as session:
+        left = session.scalars(select(Checkpoint.step).where(Checkpoint.job_id == lease.job_id)).all()
+    assert sorted(left) == [201, 401]
+    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    refused = client.delete(f"/jobs/{lease.job_id}")
+    assert (refused.status_code, f"delete {name}@1 first" in refused.json()["detail"]) == (409, True)
+    assert client.delete(f"/policies/{name}").status_code == 204
+    assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
+
+
+def test_a_training_starts_from_a_policy_by_name(
+    client: httpx.Client, name: str, train: Callable[..., Any], sessions: Sessions
+) -> None:
+    lease, (first, second) = train(100, 200)
+    register(client, name, lease, first, "best")
+    register(client, name, lease, second)
+
+    def submit(reference: str, **body: Any) -> httpx.Response:
+        return client.post("/jobs", json={"parent_policy": reference, "evaluation": None, **body})
+
+    job = submit(f"{name}@best").json()
+    assert (job["parent_policy"], job["parent_job_id"], job["parent_checkpoint_id"]) == (
+        f"{name}@1",
+        lease.job_id,
+        first,
+    )
+    claim = lifecycle.claim(sessions, Job, job["id"], "w")
+    assert claim is not None
+    assert claim.initial_policy is not None
+    assert (claim.initial_policy.id, claim.bundled_policy) == (first, None)
+    bundled = submit("sprint", spec=naopolicies.spec("sprint")).json()
+    assert (bundled["parent_policy"], bundled["parent_job_id"]) == ("sprint", None)
+    claim = lifecycle.claim(sessions, Job, bundled["id"], "w")
+    assert claim is not None
+    assert (claim.initial_policy, claim.bundled_policy) == (None, "sprint")
+    for reference, part in (("nothing", "no policy 'nothing'"), (f"{name}@9", "no version '9'")):
+        answer = submit(reference)
+        assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "parent_policy")
+        assert part in answer.json()["detail"]
+    assert submit("sprint", spec={"robot": "t1"}).json()["errors"][0]["field"] == "spec.robot"
+    assert submit(name, parent_job_id=lease.job_id).status_code == 422
+
+
+def test_the_lineage_begins_with_that_of_a_bundled_policy(
+    client: httpx.Client, name: str, train: Callable[..., Any]
+) -> None:
+    spec = TrainingSpec.model_validate(naopolicies.spec("sprint"))
+    lease, (point,) = train(100, spec=spec, parent_policy="sprint")
+    card = register(client, name, lease, point)
+    bundled = naopolicies.card("sprint")
+    assert (card["parent_policy"], card["steps"]) == ("sprint", bundled["steps"] + 100)
+    assert card["lineage"][:-1] == bundled["lineage"]

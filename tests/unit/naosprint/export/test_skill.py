@@ -1,0 +1,210 @@
+"""A skill folder computes what the policy does in the simulator, with NumPy alone and without this project."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import naopolicies
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.simspark.control import motor_speeds
+from naospec import TrainingSpec
+from naosprint.export import export_policy
+from naosprint.export.skill import TARGETS, write_skill
+from naosprint.rl.checkpoint import Manifest
+from naosprint.rl.policy import Policy, load_policy
+from naosprint.tasks.environment import open_environment
+
+
+def random_policy(robot: str, task: str) -> tuple[Policy, Manifest]:
+    """Return a policy of random weights for a task."""
+    spec = TrainingSpec.model_validate({"robot": robot, "task": task})
+    environment = open_environment(spec, 1, threads=1)
+    names, actions = environment.observer.names, environment.actuation.names
+    environment.close()
+    rng = np.random.default_rng(3)
+    layers = tuple(
+        (rng.normal(0.0, 0.05, (after, before)).astype(np.float32), rng.normal(0.0, 0.05, after).astype(np.float32))
+        for before, after in pairwise((len(names), 16, len(actions)))
+    )
+    policy = Policy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
+    return policy, Manifest.model_construct(
+        spec=spec, spec_sha256=spec.digest(), steps=0, stage=0, observations=names, actions=actions
+    )
+
+
+@pytest.fixture(scope="module")
+def numpy_alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder to import from that has NumPy and nothing else."""
+    folder = tmp_path_factory.mktemp("only")
+    package = Path(np.__file__).parent
+    for path in (package, *package.parent.glob("numpy.libs")):
+        (folder / path.name).symlink_to(path)
+    code = "import importlib.util as u, sys; sys.exit(bool(u.find_spec('naosprint')) or not u.find_spec('numpy'))"
+    subprocess.run([sys.executable, "-S", "-c", code], env={"PYTHONPATH": str(folder)}, check=True)
+    return folder
+
+
+def check(folder: Path, numpy_alone: Path) -> subprocess.CompletedProcess[str]:
+    """Run the check of a skill folder as a team does: without the packages of this environment."""
+    return subprocess.run(
+        [sys.executable, "-S", "check.py"],
+        cwd=folder,
+        env={"PYTHONPATH": str(numpy_alone)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def folder_of(robot: str, directory: Path) -> Path:
+    return directory / TARGETS[robots.get(robot).family].folder
+
+
+@pytest.mark.parametrize(
+    ("robot", "task"), [("t1", "velocity"), ("k1", "sprint1"), ("t1", "getup"), ("nao-4", "sprint2")]
+)
+def test_the_skill_is_the_policy(robot: str, task: str, tmp_path: Path, numpy_alone: Path) -> None:
+    policy, manifest = random_policy(robot, task)
+    write_skill(policy, manifest, tmp_path)
+    folder = folder_of(robot, tmp_path)
+    vectors = np.load(folder / "parity.npz")
+    assert len(vectors["observations"]) > 20
+    assert np.ptp(vectors["observations"], axis=0).max() > 0.1
+    checked = check(folder, numpy_alone)
+    assert (checked.returncode, checked.stderr) == (0, ""), checked.stdout + checked.stderr
+
+
+@pytest.mark.parametrize("name", ["t1-sprint", "sprint"])
+def test_the_check_fails_for_another_policy(name: str, tmp_path: Path, numpy_alone: Path) -> None:
+    written = export_policy(naopolicies.folder(name), tmp_path, ["skill"])
+    folder = folder_of(naopolicies.card(name)["robot"], tmp_path)
+    assert {path.name for path in written if path.parent == folder} == {path.name for path in folder.iterdir()}
+    checked = check(folder, numpy_alone)
+    assert (checked.returncode, checked.stdout.startswith("64 cycles")) == (0, True), checked.stderr
+    arrays = dict(np.load(folder / "policy.npz"))
+    arrays["weights_0"] = arrays["weights_0"] * np.float32(1.0001)
+    np.savez(folder / "policy.npz", **arrays)
+    assert check(folder, numpy_alone).returncode == 1
+
+
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], Any]:
+    """Write the skill of a bundled policy and import a module of it, from the folder that holds the team's code."""
+
+    def load(policy: str, module: str) -> Any:
+        write_skill(*load_policy(naopolicies.folder(policy)), tmp_path)
+        base = tmp_path / "mujococodebase" / "mujococodebase" / "skills"
+        if base.exists():  # the one class that a skill needs of that code
+            (base / "skill.py").write_text("class Skill:\n    def __init__(self, agent):\n        self.agent = agent\n")
+        root = next(tmp_path.iterdir())
+        package = module.partition(".")[0]
+        assert package not in sys.modules
+        monkeypatch.syspath_prepend(str(root))
+        found = importlib.import_module(module)
+        for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+            monkeypatch.delitem(sys.modules, name)
+        return found
+
+    return load
+
+
+def begin(policy: str) -> tuple[Any, Policy]:
+    """Return an environment at the start of an episode, and the policy."""
+    loaded, manifest = load_policy(naopolicies.folder(policy))
+    environment = open_environment(manifest.spec, 1, threads=1)
+    environment.load_starts(environment.task.starts(1, 0, 2.0))
+    environment.restart(np.arange(1), np.zeros(1, dtype=np.int64))
+    return environment, loaded
+
+
+class Robot(SimpleNamespace):
+    """What a skill reads and sets of the team's robot."""
+
+    def set_motor_target_position(self, motor_name: str, target_position: float, kp: float, kd: float) -> None:
+        self.targets[motor_name] = (target_position, kp, kd)
+
+
+def test_the_skill_reads_and_commands_the_teams_robot(load: Callable[[str, str], Any]) -> None:
+    """Fed with a run of the simulator in the team's units, it commands what the policy does."""
+    skill = load("t1-sprint", "mujococodebase.skills.naosprint.skill")
+    environment, policy = begin("t1-sprint")
+    perceptors, description = environment.simulator.perceptors, environment.world.robot
+    joints = ["q_" + joint.effector.replace("e", "j") for joint in description.joints]
+    agent = SimpleNamespace(robot=Robot(targets={}), world=SimpleNamespace())
+    made = skill.Naosprint(agent)
+    for step in range(50):
+        w, x, y, z = perceptors["torso_quat"][0]
+        agent.robot.global_orientation_quat = np.array([x, y, z, w])
+        agent.robot.gyroscope = perceptors["gyro"][0]
+        # in another order: it goes by names
+        agent.robot.motor_positions = dict(reversed([*zip(joints, perceptors["joint_angles"][0], strict=True)]))
+        agent.robot.motor_speeds = dict(zip(joints, perceptors["joint_speeds"][0], strict=True))
+        agent.world.global_position = perceptors["torso_pos"][0]
+        assert step or made.is_ready()
+        assert made.execute(step == 0, orientation=0.0, lane=environment.task.start_position()) is False
+        actions = policy.act(environment.observations)
+        expected = np.degrees(environment.actuation.targets(actions)[0])
+        found = [agent.robot.targets[joint.effector] for joint in description.joints]
+        np.testing.assert_allclose([target for target, _, _ in found], expected, atol=1e-3)
+        environment.step(actions)
+    gains = {joint.name: gain[1:] for joint, gain in zip(description.joints, found, strict=True)}
+    assert gains == {name: description.parameters.gains(name) for name in description.joint_names}
+    agent.world.global_position = np.array([0.0, 0.0, 0.2])
+    assert made.execute(False) is True
+    assert not made.is_ready()
+    environment.close()
+
+
+def test_the_behavior_reads_and_commands_the_teams_robot(load: Callable[[str, str], Any]) -> None:
+    """The same for a NAO, whose team code has frames, signs and an order of joints of its own."""
+    module = load("sprint", "behaviors.custom.Naosprint.Naosprint")
+    environment, policy = begin("sprint")
+    perceptors, description = environment.simulator.perceptors, environment.world.robot
+    names = list(description.joint_names)
+    order = {name: number for number, name in enumerate(reversed(names))}
+    turned = {"rlj2", "rlj6", "raj2", "laj3", "laj4"}
+    sign = np.array([-1.0 if name in turned else 1.0 for name in names])
+    robot = SimpleNamespace(type=0, MAP_PERCEPTOR_TO_INDEX=order, FIX_PERCEPTOR_SET=turned, frp={})
+    made = module.Naosprint(SimpleNamespace(world=SimpleNamespace(robot=robot)))
+
+    def theirs(values: np.ndarray) -> np.ndarray:
+        """Return vectors in the team's frame: x to the front, y to the left."""
+        x, y, z = values.reshape(-1, 3).T
+        return np.stack([y, -x, z], axis=1).ravel()
+
+    for step in range(50):
+        robot.imu_torso_orientation = np.degrees(environment.world.yaw(slice(0, 1))[0])
+        robot.imu_weak_torso_position = environment.world.position(slice(0, 1))[0]
+        robot.joints_position = (perceptors["joint_angles"][0] * sign)[::-1]
+        robot.joints_target_speed = np.zeros(len(names))
+        robot.gyro, robot.acc = theirs(perceptors["gyro"][0]), theirs(perceptors["accel"][0])
+        feet = {"lf": perceptors["foot_left"][0], "rf": perceptors["foot_right"][0]}
+        robot.frp = {name: theirs(foot) for name, foot in feet.items() if not np.isnan(foot).any()}
+        assert step or made.is_ready()
+        assert made.execute(step == 0, 0.0) is False
+        actions = policy.act(environment.observations)
+        angles, limits = perceptors["joint_angles"], made.runner.max_speed
+        expected = motor_speeds(environment.actuation.targets(actions), angles, limits)[0]
+        np.testing.assert_allclose(robot.joints_target_speed[::-1] * sign, expected, atol=1e-3)
+        environment.step(actions)
+    environment.close()
+    robot.type = 4
+    with pytest.raises(ValueError, match="the policy is for robot type 0"):
+        made.execute(False)
+
+
+def test_a_robot_without_team_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("naosprint.export.skill.TARGETS", {})
+    policy, manifest = load_policy(naopolicies.folder("sprint"))
+    with pytest.raises(ValueError, match="format skill: no team code for robots of family nao"):
+        write_skill(policy, manifest, tmp_path)
+    assert not any(tmp_path.iterdir())
