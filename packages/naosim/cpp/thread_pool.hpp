@@ -22,7 +22,7 @@ struct Threads {
 
 // Runs a job for every index with the calling thread and `threads - 1` helpers.
 //
-// A round takes microseconds and the next one follows soon, so whoever waits looks for the event for a moment before it sleeps: to be
+// A round takes microseconds and the next one follows soon, so a waiting thread looks for the event for a moment before it sleeps: to be
 // woken up takes as long as a round. With fewer processors than threads it sleeps at once.
 class ThreadPool {
  public:

@@ -90,17 +90,6 @@ class Negligent(CrawlerSimulator):
         starts %= max(loaded, 1)
 
 
-class Moving(CrawlerSimulator):
-    """Claims to keep its arrays, and replaces one in every step."""
-
-    stable_arrays = True
-
-    def step_wait(self, rows: slice) -> None:
-        super().step_wait(rows)
-        self.kept = self.perceptors["joint_angles"]
-        self.perceptors["joint_angles"] = self.kept.copy()
-
-
 @pytest.mark.parametrize(
     ("kind", "caught"),
     [
@@ -111,7 +100,6 @@ class Moving(CrawlerSimulator):
         (Chatty, {"arrays_match_the_robot"}),
         (Immortal, {"a_closed_simulator_refuses_use"}),
         (Negligent, {"unknown_starts_are_refused"}),
-        (Moving, {"stable_arrays_stay_where_they_are"}),
     ],
 )
 def test_what_does_not_conform_is_named(kind: Callable[..., Simulator], caught: set[str]) -> None:

@@ -118,23 +118,6 @@ def arrays_match_the_robot(subject: Subject) -> None:
         _require(simulator.loss_reason(0) == "", "loss_reason: must be empty for a robot that is not lost")
 
 
-def stable_arrays_stay_where_they_are(subject: Subject) -> None:
-    """Check that a simulator with ``stable_arrays`` keeps the memory of its arrays through steps and starts."""
-    with _started(subject) as simulator:
-        if not simulator.stable_arrays:
-            return
-
-        def addresses() -> dict[str, int]:
-            truth = {"torso_position": simulator.truth.torso_position, "torso_rotation": simulator.truth.torso_rotation}
-            return {name: array.ctypes.data for name, array in {**simulator.perceptors, **truth}.items()}
-
-        before = addresses()
-        _walk(simulator, range(2))
-        simulator.start(np.array([1]), np.array([0]))
-        for name, address in addresses().items():
-            _require(address == before[name], f"stable_arrays: {name} has moved; set stable_arrays to False")
-
-
 def groups_hold_every_robot_once(subject: Subject) -> None:
     """Check that every robot is in exactly one group."""
     with _opened(subject) as simulator:
@@ -330,7 +313,6 @@ def a_closed_simulator_refuses_use(subject: Subject) -> None:
 
 CHECKS: tuple[Check, ...] = (
     arrays_match_the_robot,
-    stable_arrays_stay_where_they_are,
     groups_hold_every_robot_once,
     unknown_starts_are_refused,
     robots_start_where_they_should,

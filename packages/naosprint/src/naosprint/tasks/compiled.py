@@ -65,12 +65,12 @@ def columns(
         missing: whether NaN, which stands for a missing value, becomes 0.
     """
     chosen = range(source.size // len(source)) if index is None else index
-    numbers = {
+    numbers: dict[str, Sequence[float]] = {
         "index": list(chosen),
         "sign": [1.0] * len(chosen) if signs is None else list(signs),
         "factor": [factor],
         "offset": [offset],
-        "missing": [missing],
+        "missing": [float(missing)],
     }
     return Operation("columns", {"source": source}, numbers)
 

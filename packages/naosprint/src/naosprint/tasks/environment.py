@@ -87,7 +87,7 @@ class Environment:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
         task, actuation = self.task, self.actuation
         own = any(getattr(type(task), name) is not getattr(Task, name) for name in ("begin", "advance", "ended"))
-        parts = (*task.measurements, *self.observer.blocks, *self._terms)
+        parts: tuple[Any, ...] = (*task.measurements, *self.observer.blocks, *self._terms)
         if own or not self.simulator.stable_arrays or any(part.operation is None for part in parts):
             return None
         from naosprint import _compiled
@@ -297,6 +297,7 @@ class Environment:
 
     def close(self) -> None:
         """Close the simulator."""
+        self._program = None  # it keeps the simulator's arrays, which must be released before the interpreter exits
         self.simulator.close()
 
 
