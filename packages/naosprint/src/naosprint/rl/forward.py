@@ -13,8 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from torch import nn
-
     from naosprint.arrays import Float32Array
 
 
@@ -25,7 +23,7 @@ class Forward:
         layers: weights (out, in) and bias (out,) of each layer. The arrays are kept; when their contents have changed,
             call :meth:`pack`.
         kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
-        threads: address of a simulator's threads; see ``naosim.simulator.Simulator.threads_address``.
+        threads: address of a simulator's threads; see ``naosim.simulator.Simulator.threads``.
     """
 
     def __init__(
@@ -36,11 +34,6 @@ class Forward:
         self._network = _kernel.Forward(list(layers), kernel)
         self._outputs = len(layers[-1][1])
         self._threads = threads
-
-    @classmethod
-    def of(cls, layers: Sequence[nn.Linear], threads: int) -> Forward:
-        """Return a network of torch's layers, whose weights it shares."""
-        return cls([(layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in layers], threads=threads)
 
     def pack(self) -> None:
         """Read the weights again."""
