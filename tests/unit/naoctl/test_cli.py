@@ -651,6 +651,12 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
         "policy.json",
         "policy.h",
         "policy_check.c",
+        "check.py",
+        "runner.py",
+        "Naosprint.py",
+        "play.py",
+        "policy.npz",
+        "parity.npz",
     ]
     unknown = naoctl("policies", "replay", "sprnt")
     assert unknown.code == ExitCode.NOT_FOUND

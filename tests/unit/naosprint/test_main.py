@@ -63,7 +63,7 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
 
     assert main(["export", path, str(tmp_path / "policy")]) == 0
     names = [Path(line).name for line in capsys.readouterr().out.splitlines()]
-    assert names == ["policy.npz", "policy.onnx", "policy.json", "policy.h", "policy_check.c"]
+    assert names[:5] == ["policy.npz", "policy.onnx", "policy.json", "policy.h", "policy_check.c"]
 
 
 def test_replay_films_as_much_as_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -31,7 +31,7 @@ const separated = (text) =>
     .map((part) => part.trim())
     .filter(Boolean);
 
-/** Let the user register a checkpoint as the next version of a policy. */
+/** Ask for a name and register a checkpoint as the next version of a policy. */
 export function registerCheckpoint(job, checkpoint) {
   const name = h("input", {
     id: "policy-name",
@@ -80,7 +80,7 @@ export function registerCheckpoint(job, checkpoint) {
   );
 }
 
-/** Let the user choose an alias for a version; resolves to it, null if none was chosen. */
+/** Ask for an alias of a version; resolves to it, or to null if none was chosen. */
 export function chooseAlias(reference) {
   return new Promise((resolve) => {
     let chosen = null;
