@@ -2,7 +2,7 @@
 
     naoctl submit --recipe sprint                            # train it, hours of a core
     python benchmarks/learning/bundle.py sprint --job JOB # evaluate it, and bundle it
-    python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`
+    python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`, or of a chain
     python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
 
 The service is the one that naoctl talks to. A job's policy is one of its latest checkpoints: of those whose first
@@ -52,7 +52,13 @@ def main() -> int:
     parser.add_argument("names", nargs="+", metavar="NAME", help="name of the policy for users")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--job", help="finished job whose policy it is; its parents are its lineage")
-    source.add_argument("--training", type=Path, metavar="FOLDER", help="folder of a training without the service")
+    source.add_argument(
+        "--training",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="folders of trainings without the service, each of which started from the policy of the one before it",
+    )
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
     parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
@@ -63,10 +69,11 @@ def main() -> int:
         return 0
     (name,) = options.names
     if options.training:
-        checkpoint = max(options.training.glob("step-*"), key=lambda path: read_manifest(path).steps)
-        rows = read_metrics(options.training / "metrics.jsonl")
+        parts = []
+        for folder in options.training:
+            checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
+            parts += stages(folder.name, read_manifest(checkpoint).spec, read_metrics(folder / "metrics.jsonl"))
         put_in_place(name, checkpoint)
-        parts = stages(options.training.name, read_manifest(checkpoint).spec, rows)
         write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
         return 0
 
@@ -156,13 +163,13 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
         if not mine:
             break
         shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
-        names = ("step", *spec.task_class.presentation.listed)
+        names = ("step", *stage.task_class.presentation.listed)
         complete = [row for row in shown if all(name in row for name in names)]
         curve = {name: [round(row[name] - (steps if name == "step" else 0.0), 4) for row in complete] for name in names}
         found.append(
             {
                 "job": job + (f", stage {number}" if spec.stages else ""),
-                "task": spec.task.name,
+                "task": stage.task.name,
                 "robot": stage.robot.name,
                 "preset": spec.algorithm.preset,
                 "seed": stage.seed,

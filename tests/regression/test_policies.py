@@ -36,6 +36,10 @@ def test_an_evaluation_gives_the_recorded_results(found: dict[str, Any], name: s
 def close(recorded: dict[str, Any], evaluated: dict[str, Any], name: str) -> list[str]:
     """Compare results that hardly depend on rounding: the means over the episodes, and the number of falls."""
     lines = differences({"episodes": recorded["episodes"]}, {"episodes": evaluated["episodes"]}, name)
+    if "results" in recorded:
+        old, new = ({result["name"]: result["value"] for result in one["results"]} for one in (recorded, evaluated))
+        lines += outside(old["rmse_mps"], new["rmse_mps"], f"{name}.rmse_mps", relative=0.1)
+        return lines + outside(old["upright_rate"], new["upright_rate"], f"{name}.upright_rate", absolute=0.05)
     for metric in ("distance_m", "speed_mps"):
         lines += outside(recorded[metric]["mean"], evaluated[metric]["mean"], f"{name}.{metric}.mean", relative=0.03)
     lines += outside(recorded["falls"]["rate"], evaluated["falls"]["rate"], f"{name}.falls.rate", absolute=0.05)
