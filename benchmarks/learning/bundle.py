@@ -222,7 +222,8 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
 
 def summary_text(summary: dict[str, Any]) -> str:
     """Return the headline results in one line."""
-    results = ", ".join(f"{one['title'].lower()} {value_text(one)}" for one in headline(summary))
+    titles = ((one["title"], one) for one in headline(summary))
+    results = ", ".join(f"{title if title.isupper() else title.lower()} {value_text(one)}" for title, one in titles)
     return f"{results} over {summary['episodes']:,} episodes"
 
 

@@ -51,7 +51,7 @@ def test_a_folder_comes_back_as_it_was(store: ArtifactStore, tmp_path: Path) -> 
 
 
 def test_large_file_goes_in_one_request(tmp_path: Path) -> None:
-    """An upload in parts that is interrupted leaves parts that no listing shows and nobody deletes."""
+    """An interrupted multipart upload leaves parts that no listing shows and nobody deletes."""
     requests: list[tuple[str, str, int]] = []
 
     class Recorder(BaseHTTPRequestHandler):
