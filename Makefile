@@ -6,6 +6,9 @@ PACKAGES := packages/naospec packages/naopolicies packages/naosim packages/naosp
 SOURCES := $(foreach package,$(PACKAGES),$(package)/pyproject.toml) $(wildcard packages/*/CMakeLists.txt packages/*/cpp/*)
 INSTALLED := $(VENV)/.installed
 
+# Without bytecode each of the tests' thousand processes would compile our packages anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help install demo up test check lint js format types e2e soak readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12

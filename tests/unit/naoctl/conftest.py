@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -91,6 +92,11 @@ class Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", 0), Request)
         self.routes: dict[tuple[str, str], Handler] = {}
         self.received: list[Received] = []
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        # a client that is interrupted leaves without its answer
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     @property
     def url(self) -> str:

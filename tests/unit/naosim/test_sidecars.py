@@ -54,6 +54,7 @@ class Engine(ThreadingHTTPServer):
 
     daemon_threads = True
     address_family = socket.AF_UNIX
+    request_queue_size = 128  # on a busy machine five callers are soon waiting, and the sixth is refused
 
     def __init__(self, path: Path) -> None:
         self.requests: list[tuple[str, str, dict[str, list[str]], Any]] = []

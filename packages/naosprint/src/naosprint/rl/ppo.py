@@ -1,6 +1,6 @@
 """Proximal policy optimization (Schulman et al., 2017), to be read from top to bottom.
 
-Networks and optimizer are those of stable-baselines3, and one update is that of its ``PPO.train``
+Networks are those of stable-baselines3, and one update is that of its ``PPO.train``
 (tests/unit/naosprint/rl/test_ppo.py). The order of work differs: during a rollout only the actor runs, exploration
 noise is drawn once per rollout, values are computed in one pass at its end, and an update works on tensors without
 copies to and from NumPy.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from torch import nn
 
 from naosprint.mirror import Mirror
 from naosprint.rl import schedules
+from naosprint.rl.adam import Adam
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, linear_layers, run_network
@@ -104,6 +105,7 @@ class PPO(Learner):
         self.settings = settings
         self.environment = environment
         self.policy, projections = _build_policy(spec, environment)
+        self._optimizer = cast("Adam", self.policy.optimizer)
         self._gradients: Gradients = (
             KernelGradients(self.policy, settings, projections)
             if spec.runtime.compiled_update
@@ -194,8 +196,7 @@ class PPO(Learner):
         policy, settings, rollout = self.policy, self.settings, self.rollout
         policy.set_training_mode(True)
         rate = schedules.learning_rate(self.spec, self.steps) * self.rate_factor
-        for group in policy.optimizer.param_groups:
-            group["lr"] = rate
+        self._optimizer.lr = rate
         target_kl = schedules.target_kl(self.spec, self.steps)
         samples = Samples(
             **{name: rollout.flat(name) for name in ("observations", "actions", "log_probs", "advantages", "returns")}
@@ -224,7 +225,7 @@ class PPO(Learner):
                     break
                 if settings.max_grad_norm is not None:
                     nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
-                policy.optimizer.step()
+                self._optimizer.step()
             self._n_passes += 1
             if target_kl is not None and kls[-1] > 1.5 * target_kl:
                 break
@@ -292,7 +293,7 @@ class PPO(Learner):
             **{f"latest.{name}": tensor.numpy().copy() for name, tensor in self.policy.state_dict().items()},
         }
         for name, parameter in self.policy.named_parameters():
-            slots = self.policy.optimizer.state.get(parameter)
+            slots = self._optimizer.state.get(parameter)
             for slot in _ADAM:
                 value = slots[slot] if slots else torch.zeros_like(parameter if slot != "step" else torch.zeros(()))
                 state[f"adam.{slot}.{name}"] = value.detach().numpy().copy()
@@ -310,7 +311,7 @@ class PPO(Learner):
         latest = {name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)}
         self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in latest.items()})
         for name, parameter in self.policy.named_parameters():
-            self.policy.optimizer.state[parameter] = {
+            self._optimizer.state[parameter] = {
                 slot: torch.from_numpy(np.array(state[f"adam.{slot}.{name}"], dtype=np.float32)) for slot in _ADAM
             }
 
@@ -333,7 +334,8 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple
             activation_fn=nn.Tanh,
             log_std_init=settings.initial_log_std,
             ortho_init=settings.weight_initialization == "orthogonal",
-            optimizer_kwargs={"eps": settings.adam_epsilon, "fused": True},
+            optimizer_class=cast("Any", Adam),
+            optimizer_kwargs={"eps": settings.adam_epsilon},
         ).to("cpu")
         if settings.weight_initialization == "unit_norm":
             _initialize_unit_norm(policy)
