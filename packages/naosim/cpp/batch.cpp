@@ -1,11 +1,16 @@
 #include "batch.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstring>
 #include <limits>
 
 namespace naosim {
+
+namespace {
+void centres_of_mass_for_others(const void* model, const double* angles_deg, std::ptrdiff_t stride, const std::int64_t* rows, int count, double* out);
+}
 
 Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, const Kernel& kernel)
     : model_(std::move(model)),
@@ -17,7 +22,8 @@ Batch::Batch(Model model, int n, int threads, int digits, bool self_collision, c
       groups_((n + lanes_ - 1) / lanes_),
       words_(new (std::align_val_t{64}) double[static_cast<std::size_t>(groups_) * kWords * lanes_]),
       statistics_(groups_),
-      pool_(threads) {
+      pool_(threads),
+      kinematics_{&model_, centres_of_mass_for_others} {
   const std::size_t rows = static_cast<std::size_t>(n);
   out_.joint_angles.assign(rows * model_.joint_count(), 0.0);
   out_.gyro.assign(rows * 3, 0.0);
@@ -123,7 +129,9 @@ void Batch::publish(int environment) {
   std::memcpy(&out_.torso_rotation[row * 9], r, sizeof r);
 }
 
-int Batch::step(const double* speeds, const std::uint8_t* lanes) {
+// Run a cycle; command(row, joint) is a joint's speed.
+template <class Command>
+int Batch::run(const std::uint8_t* lanes, Command command_of) {
   constexpr int kNone = std::numeric_limits<int>::max();
   const int joints = model_.joint_count();
   std::atomic<int> bad{kNone};
@@ -133,8 +141,8 @@ int Batch::step(const double* speeds, const std::uint8_t* lanes) {
     alignas(64) double command[(kMaxBodies - 1) * 8] = {};
     for (int lane = 0; lane < lanes_; ++lane) {
       if (!(chosen >> lane & 1u)) continue;
-      const double* row = speeds + (static_cast<std::size_t>(index) * lanes_ + lane) * joints;
-      for (int j = 0; j < joints; ++j) command[j * lanes_ + lane] = row[j];
+      const std::size_t row = static_cast<std::size_t>(index) * lanes_ + lane;
+      for (int j = 0; j < joints; ++j) command[j * lanes_ + lane] = command_of(row, j);
     }
     const unsigned failed = kernel_.step(model_, group(index), command, chosen, self_collision_, statistics_[index]);
     for (int lane = 0; lane < lanes_; ++lane) {
@@ -150,6 +158,26 @@ int Batch::step(const double* speeds, const std::uint8_t* lanes) {
     }
   });
   return bad == kNone ? -1 : bad.load();
+}
+
+int Batch::step(const double* speeds, const std::uint8_t* lanes) {
+  const std::size_t joints = static_cast<std::size_t>(model_.joint_count());
+  return run(lanes, [=](std::size_t row, int j) { return speeds[row * joints + j]; });
+}
+
+int Batch::drive(const double* targets, double gain, const double* max_speed, const std::uint8_t* lanes) {
+  const std::size_t joints = static_cast<std::size_t>(model_.joint_count());
+  const double* angles = out_.joint_angles.data();
+  for (std::size_t row = 0; row < static_cast<std::size_t>(n_); ++row) {
+    if (lanes != nullptr && !lanes[row]) continue;
+    double sum = 0.0;  // 0 times a number that is not finite is NaN
+    for (std::size_t j = row * joints; j < (row + 1) * joints; ++j) sum += 0.0 * targets[j] + 0.0 * angles[j];
+    if (sum != 0.0) return kNotFinite;
+  }
+  return run(lanes, [=](std::size_t row, int j) {
+    const double wanted = gain * (targets[row * joints + j] - angles[row * joints + j] * (3.14159265358979323846 / 180.0));
+    return std::min(std::max(wanted, -max_speed[j]), max_speed[j]);
+  });
 }
 
 void Batch::reset(const std::uint8_t* lanes) {
@@ -261,26 +289,76 @@ Statistics Batch::statistics() const {
   return sum;
 }
 
-void centre_of_mass_from_angles(const Model& model, const double* angles_deg, int n, double* out) {
-  const int bodies = model.body_count(), joints = model.joint_count();
+namespace {
+
+// Rows whose centres of mass are computed together.
+constexpr int kTogether = 4;
+typedef double Wide __attribute__((vector_size(8 * kTogether)));
+
+// Sine and cosine of joint angles. The league's servers print angles with two decimals, so the same ones come again and again: those
+// are kept. Every other angle is computed.
+class Sines {
+ public:
+  Sines() : table_(2 * kMost + 1) {
+    for (int k = -kMost; k <= kMost; ++k) table_[k + kMost] = of(k / 100.0);
+  }
+
+  std::pair<double, double> operator()(double angle_deg) const {
+    const double hundredths = std::nearbyint(angle_deg * 100.0);
+    if (std::fabs(hundredths) <= kMost && hundredths / 100.0 == angle_deg) return table_[static_cast<int>(hundredths) + kMost];
+    return of(angle_deg);
+  }
+
+ private:
+  static constexpr int kMost = 18000;
+
+  static std::pair<double, double> of(double angle_deg) {
+    const double angle = angle_deg * 3.14159265358979323846 / 180.0;
+    return {std::sin(angle), std::cos(angle)};
+  }
+
+  std::vector<std::pair<double, double>> table_;
+};
+
+// Row k is angles_deg + rows[k] * stride, or angles_deg + k * stride without rows.
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)
+__attribute__((target_clones("avx2", "default")))
+#endif
+void centres_of_mass(const Model& model, const double* angles_deg, std::ptrdiff_t stride, const std::int64_t* rows, int count, double* out) {
+  static const Sines sines;
   struct Pose {
-    double r[9], x[3];
+    Wide r[9], x[3];
   };
-  std::vector<Pose> pose(bodies);
-  for (int e = 0; e < n; ++e, angles_deg += joints, out += 3) {
-    double mass = 0, sum[3] = {};
+  const int bodies = model.body_count();
+  Pose pose[kMaxBodies];
+  for (int first = 0; first < count; first += kTogether) {
+    const int lanes = std::min(kTogether, count - first);
+    const double* angles[kTogether];
+    for (int lane = 0; lane < kTogether; ++lane) {
+      const int k = first + (lane < lanes ? lane : 0);
+      angles[lane] = angles_deg + (rows == nullptr ? k : rows[k]) * stride;
+    }
+    double mass = 0;
+    Wide sum[3] = {};
     for (int i = 0; i < bodies; ++i) {
       const Body& body = model.bodies[i];
       Pose& p = pose[i];
       if (body.parent < 0) {
-        p = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}};
+        p = {};
+        p.r[0] = p.r[4] = p.r[8] = Wide{} + 1.0;
       } else {
         const Pose& q = pose[body.parent];
-        const double angle = angles_deg[body.joint] * 3.14159265358979323846 / 180.0;
-        const double c = std::cos(angle), s = std::sin(angle), v = 1 - c, *u = body.axis;
-        const double turn[9] = {c + u[0] * u[0] * v,        u[0] * u[1] * v - u[2] * s, u[0] * u[2] * v + u[1] * s,
-                                u[1] * u[0] * v + u[2] * s, c + u[1] * u[1] * v,        u[1] * u[2] * v - u[0] * s,
-                                u[2] * u[0] * v - u[1] * s, u[2] * u[1] * v + u[0] * s, c + u[2] * u[2] * v};
+        Wide c, s;
+        for (int lane = 0; lane < kTogether; ++lane) {
+          const auto [sine, cosine] = sines(angles[lane][body.joint]);
+          s[lane] = sine;
+          c[lane] = cosine;
+        }
+        const Wide v = 1.0 - c;
+        const double* u = body.axis;
+        const Wide turn[9] = {c + u[0] * u[0] * v,        u[0] * u[1] * v - u[2] * s, u[0] * u[2] * v + u[1] * s,
+                              u[1] * u[0] * v + u[2] * s, c + u[1] * u[1] * v,        u[1] * u[2] * v - u[0] * s,
+                              u[2] * u[0] * v - u[1] * s, u[2] * u[1] * v + u[0] * s, c + u[2] * u[2] * v};
         for (int a = 0; a < 3; ++a)
           for (int b = 0; b < 3; ++b)
             p.r[3 * a + b] = q.r[3 * a] * turn[b] + q.r[3 * a + 1] * turn[3 + b] + q.r[3 * a + 2] * turn[6 + b];
@@ -292,8 +370,20 @@ void centre_of_mass_from_angles(const Model& model, const double* angles_deg, in
       mass += body.mass;
       for (int a = 0; a < 3; ++a) sum[a] += body.mass * p.x[a];
     }
-    for (int a = 0; a < 3; ++a) out[a] = sum[a] / mass;
+    for (int a = 0; a < 3; ++a) sum[a] /= mass;
+    for (int lane = 0; lane < lanes; ++lane)
+      for (int a = 0; a < 3; ++a) out[3 * (first + lane) + a] = sum[a][lane];
   }
+}
+
+void centres_of_mass_for_others(const void* model, const double* angles_deg, std::ptrdiff_t stride, const std::int64_t* rows, int count, double* out) {
+  centres_of_mass(*static_cast<const Model*>(model), angles_deg, stride, rows, count, out);
+}
+
+}  // namespace
+
+void centre_of_mass_from_angles(const Model& model, const double* angles_deg, int n, double* out) {
+  centres_of_mass(model, angles_deg, model.joint_count(), nullptr, n, out);
 }
 
 }  // namespace naosim

@@ -1,6 +1,7 @@
 // Many independent environments stepped together in groups that share vector registers; groups spread over threads that stay alive.
 #pragma once
 #include <atomic>
+#include <cstddef>
 #include <memory>
 #include <new>
 #include <vector>
@@ -20,6 +21,12 @@ struct BatchArrays {
   std::vector<double> torso_rotation;        // (n, 3, 3)
 };
 
+// The function below for other modules, which get the address of such a table. Row k is angles_deg + rows[k] * stride.
+struct Kinematics {
+  const void* model;
+  void (*centre_of_mass)(const void* model, const double* angles_deg, std::ptrdiff_t stride, const std::int64_t* rows, int count, double* out);
+};
+
 class Batch {
  public:
   static constexpr int kBodyState = 13;  // position, quaternion wxyz, velocity, angular velocity
@@ -31,10 +38,16 @@ class Batch {
   const Kernel& kernel() const { return kernel_; }
   BatchArrays& arrays() { return out_; }
   Statistics statistics() const;
+  const Threads* threads() const { return pool_.table(); }
+  const Kinematics* kinematics() const { return &kinematics_; }
 
   // `lanes` below: one byte an environment, or nullptr for all.
   // Returns the first environment whose state is no longer finite or whose equations did not settle, or -1.
   int step(const double* speeds, const std::uint8_t* lanes);
+  // Drive the joints to target angles by a proportional controller: speed = gain * (target - perceived angle), (n, joints) rad, limited to
+  // max_speed, (joints,) rad/s. Returns kNotFinite, and steps nothing, if a target or perceived angle is not finite.
+  int drive(const double* targets, double gain, const double* max_speed, const std::uint8_t* lanes);
+  static constexpr int kNotFinite = -2;
   void reset(const std::uint8_t* lanes);
   void beam(const double* position, const double* yaw_deg, const std::uint8_t* lanes);  // (n, 3), (n,)
   void set_bodies(const double* bodies, const std::uint8_t* lanes);                    // (n, bodies, 13)
@@ -50,6 +63,8 @@ class Batch {
   void gather(int environment, std::size_t first, std::size_t count, void* to) const;
   void store(int environment, const Environment& state);
   unsigned lanes_of(int group, const std::uint8_t* lanes) const;
+  template <class Command>
+  int run(const std::uint8_t* lanes, Command command);
   template <class Change>
   void edit(const std::uint8_t* lanes, Change change);
   Environment spawned() const;
@@ -69,6 +84,7 @@ class Batch {
   std::vector<Statistics> statistics_;
   BatchArrays out_;
   ThreadPool pool_;
+  Kinematics kinematics_;
 };
 
 // Centre of mass in the torso's frame from joint angles in degrees, (n, joints) -> (n, 3).

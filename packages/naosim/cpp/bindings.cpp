@@ -13,6 +13,7 @@ using namespace naosim;
 
 using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Bytes = nb::ndarray<const std::uint8_t, nb::c_contig, nb::device::cpu>;
+using Index = nb::ndarray<const std::int64_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 using ByteOutput = nb::ndarray<std::uint8_t, nb::c_contig, nb::device::cpu>;
 
@@ -114,6 +115,15 @@ NB_MODULE(_core, m) {
              nb::gil_scoped_release release;
              return self.step(data, lanes);
            }, nb::arg("speeds"), nb::arg("mask").none())
+      .def("drive",
+           [](Batch& self, const Doubles& targets, double gain, const Doubles& max_speed, const std::optional<Bytes>& mask) {
+             const std::size_t joints = static_cast<std::size_t>(self.model().joint_count());
+             require(targets.size() == self.size() * joints && max_speed.size() == joints, "targets, max_speed: wrong shape");
+             const std::uint8_t* lanes = lanes_of(self, mask);
+             const double *data = targets.data(), *limits = max_speed.data();
+             nb::gil_scoped_release release;
+             return self.drive(data, gain, limits, lanes);
+           }, nb::arg("targets"), nb::arg("gain"), nb::arg("max_speed"), nb::arg("mask").none())
       .def("reset", [](Batch& self, const std::optional<Bytes>& mask) { self.reset(lanes_of(self, mask)); }, nb::arg("mask").none())
       .def("beam",
            [](Batch& self, const Doubles& position, const Doubles& yaw_deg, const std::optional<Bytes>& mask) {
@@ -165,6 +175,21 @@ NB_MODULE(_core, m) {
              std::memcpy(static_cast<void*>(&state), from.data(), sizeof state);
              self.restore(environment, state);
            })
+      .def("restore_from",
+           [](Batch& self, const Index& rows, const Bytes& states, const Index& chosen) {
+             const std::int64_t count = static_cast<std::int64_t>(states.size() / sizeof(Environment));
+             require(states.size() == static_cast<std::size_t>(count) * sizeof(Environment) && rows.size() == chosen.size(), "states: wrong shape");
+             for (std::size_t k = 0; k < rows.size(); ++k)
+               require(rows.data()[k] >= 0 && rows.data()[k] < self.size() && chosen.data()[k] >= 0 && chosen.data()[k] < count,
+                       "rows, chosen: out of range");
+             for (std::size_t k = 0; k < rows.size(); ++k) {
+               Environment state;
+               std::memcpy(static_cast<void*>(&state), states.data() + static_cast<std::size_t>(chosen.data()[k]) * sizeof state, sizeof state);
+               self.restore(static_cast<int>(rows.data()[k]), state);
+             }
+           }, nb::arg("rows"), nb::arg("states"), nb::arg("chosen"))
+      .def_prop_ro("threads", [](const Batch& self) { return reinterpret_cast<std::uintptr_t>(self.threads()); })
+      .def_prop_ro("kinematics", [](const Batch& self) { return reinterpret_cast<std::uintptr_t>(self.kinematics()); })
       .def_prop_ro("snapshot_size", [](const Batch&) { return sizeof(Environment); })
       .def_prop_ro("kernel", [](const Batch& self) { return self.kernel().name; })
       .def_prop_ro("statistics",

@@ -104,6 +104,7 @@ class Worlds {
   int size() const { return static_cast<int>(worlds_.size()); }
   int substeps() const { return substeps_; }
   const Layout& layout() const { return layout_; }
+  const naosim::Threads* threads() const { return pool_.table(); }
 
   // Step the rows from `first` on with (count, J) target angles, except those that `active` leaves out and those that have diverged.
   // Without targets the worlds keep their commands.
@@ -265,6 +266,7 @@ NB_MODULE(_mujoco, m) {
            })
       .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
       .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
+      .def_prop_ro("threads", [](const Worlds& self) { return reinterpret_cast<std::uintptr_t>(self.threads()); })
       .def_prop_ro("row_size", [](const Worlds& self) { return self.layout().row(); })
       .def("views", [](nb::handle self) {
         Worlds& w = nb::cast<Worlds&>(self);

@@ -11,6 +11,7 @@
 #include <tuple>
 #include <vector>
 
+#include "forward_bindings.hpp"
 #include "network.hpp"
 
 namespace nb = nanobind;
@@ -161,4 +162,5 @@ NB_MODULE(_kernel, m) {
       if (naosprint::runs_here(kernel->name)) names.push_back(kernel->name);
     return names;
   });
+  naosprint::bind_forward(m);
 }

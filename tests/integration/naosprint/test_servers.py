@@ -15,13 +15,14 @@ import pytest
 from naosim import robots
 from naosim.launchers import ProcessLauncher, ServerHandle
 from naosim.simspark import RCSSSERVER3D, EmbeddedSimulator, RemoteSimulator, embedded_launcher
+from naosim.simspark.control import motor_speeds
 from naosim.simspark.server_robot import SPAWN
 from naosim.simulator import ServerLostError
 from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
 from naosprint import NullReporter, evaluate, train
 from naosprint.__main__ import main
-from naosprint.arrays import BoolArray, FloatArray, IntArray
+from naosprint.arrays import FloatArray, IntArray
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 
@@ -45,12 +46,14 @@ class Engine(EmbeddedSimulator):
     def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Leave the robot where it stands."""
 
-    def step_async(self, targets_rad: FloatArray, rows: slice, active: BoolArray | None = None) -> None:
-        """Begin a step with joint speeds as they are sent."""
-        super().step_async(targets_rad, rows, active)
-        assert self._pending is not None
-        self.sent = self._pending[0].astype(np.float32).astype(np.float64)
-        self._pending = (self.sent, active)
+    def step_wait(self, rows: slice) -> None:
+        """Run a step with joint speeds as they are sent."""
+        if self._pending is not None:
+            targets, active = self._pending
+            self._pending = None
+            speeds = motor_speeds(targets, self.perceptors["joint_angles"], self._max_speed)
+            self.sent = speeds.astype(np.float32).astype(np.float64)
+            self._engine.step(self.sent, active)
 
 
 class Server(RemoteSimulator):

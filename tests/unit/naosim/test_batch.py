@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from naosim.robots import nao_model
 from naosim.simspark import BatchSimulator, centre_of_mass
+from naosim.simspark.control import GAIN, motor_speeds
 from naosim.simspark.motion import stepping_speeds
 from numpy.typing import NDArray
 
@@ -316,3 +317,49 @@ def test_fuzzed_arguments_raise_python_errors(value: object) -> None:
     for call in (sim.step, sim.set_bodies, sim.restore):
         with pytest.raises((ValueError, TypeError)):
             call(value)  # type: ignore[operator]
+
+
+def test_the_compiled_controller_drives_as_the_python_one() -> None:
+    driven, stepped = BatchSimulator(9, threads=2), BatchSimulator(9)
+    limits = driven.model.max_speed
+    rng = np.random.default_rng(1)
+    mask = np.arange(9) != 4
+    for _ in range(30):
+        targets = rng.uniform(-2.0, 2.0, (9, JOINTS))
+        driven.drive(targets, GAIN, limits, mask)
+        stepped.step(motor_speeds(targets, stepped.perceptors.joint_angles, limits), mask)
+    np.testing.assert_array_equal(driven.snapshot(), stepped.snapshot())
+
+
+def test_targets_that_are_not_finite_are_named() -> None:
+    sim = BatchSimulator(3)
+    targets = np.zeros((3, JOINTS))
+    targets[1, 4] = np.nan
+    before = sim.snapshot()
+    with pytest.raises(ValueError, match=r"targets_rad\[1, 4\]: environment 1, joint .*: .* nan"):
+        sim.drive(targets, GAIN, sim.model.max_speed)
+    np.testing.assert_array_equal(sim.snapshot(), before)
+    sim.drive(targets, GAIN, sim.model.max_speed, np.array([True, False, True]))
+
+
+def test_environments_are_restored_from_chosen_snapshots() -> None:
+    sim = BatchSimulator(4)
+    run(sim, [1, 2, 3, 4], 30)
+    saved = sim.snapshot()
+    run(sim, [5, 6, 7, 8], 30)
+    later = sim.snapshot()
+    sim.restore_from(np.array([3, 0]), saved, np.array([1, 2]))
+    np.testing.assert_array_equal(sim.snapshot(), np.stack([saved[2], later[1], later[2], saved[1]]))
+    with pytest.raises(ValueError, match="out of range"):
+        sim.restore_from(np.array([0]), saved, np.array([4]))
+
+
+@pytest.mark.parametrize("robot_type", [0, 4])
+def test_centres_of_mass_do_not_depend_on_neighbours_or_decimals(robot_type: int) -> None:
+    """Angles with two decimals are looked up, those beside them computed."""
+    joints = len(nao_model.model(robot_type).joints)
+    rounded = np.round(np.random.default_rng(2).uniform(-190.0, 190.0, (7, joints)), 2)
+    together = centre_of_mass(robot_type, rounded)
+    for angles, found in zip(rounded, together, strict=True):
+        np.testing.assert_array_equal(centre_of_mass(robot_type, angles[None])[0], found)
+    np.testing.assert_allclose(centre_of_mass(robot_type, rounded + 1e-9), together, atol=1e-10)

@@ -52,6 +52,7 @@ class FleetSimulator(Simulator):
 
     # a reply describes the state before the cycle that its command starts
     latency_steps = 2
+    stable_arrays = True
 
     def __init__(
         self,

@@ -120,6 +120,10 @@ class Simulator(ABC):
         perceptors: by name, (n, width) arrays in the units of ``robot.perceptors``. NaN where
             a perceptor reports nothing. Valid until the next call.
         truth: the robots' poses; valid until the next call.
+        stable_arrays: whether the arrays of :attr:`perceptors` and :attr:`truth` are the same ones for the simulator's
+            whole life, so that compiled code may keep their addresses.
+        threads_address: address of the simulator's threads, on which compiled code of others may work between two calls
+            (``Threads`` in packages/naosim/cpp/thread_pool.hpp); 0 without any. Valid as long as the simulator exists.
         latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
             command already does.
     """
@@ -127,6 +131,8 @@ class Simulator(ABC):
     perceptors: Mapping[str, Floats]
     truth: Truth
     latency_steps: int = 1
+    stable_arrays: bool = False
+    threads_address: int = 0
 
     def __init__(self, robot: Robot, n: int) -> None:
         self.robot = robot

@@ -116,7 +116,7 @@ class RuntimeSettings(BaseModel):
     compiled_update: bool = Field(
         default=True,
         title="Compiled update",
-        description="Compute gradients by the compiled kernel, rather than by PyTorch; the last digits differ.",
+        description="Compute actions and gradients by compiled kernels, not by PyTorch; the last digits differ.",
     )
     checkpoint_interval_steps: int = Field(
         default=1_000_000,

@@ -137,8 +137,8 @@ def test_time_limit_bootstraps_the_value_of_what_would_have_followed(
     seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     step_wait = environment.step_wait
 
-    def watch(group: slice) -> object:
-        transition = step_wait(group)
+    def watch(group: slice, out: np.ndarray) -> object:
+        transition = step_wait(group, out)
         seen.append((transition.rewards.copy(), transition.bootstrapped, transition.last_observations))
         return transition
 

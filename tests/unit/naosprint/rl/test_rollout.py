@@ -9,6 +9,7 @@ import pytest
 from naospec import TrainingSpec
 from naosprint.rl.rollout import TrainingEnvironment, Transition
 from naosprint.tasks.environment import open_training_environment
+from naosprint.tasks.sprint import Sprint1
 
 Open = Callable[..., TrainingEnvironment]
 
@@ -124,11 +125,13 @@ def test_state_carries_over(open_env: Open) -> None:
 
 
 @pytest.mark.parametrize("bootstrap", [True, False])
-def test_end_that_is_no_failure_is_bootstrapped_if_set(open_env: Open, bootstrap: bool) -> None:
+def test_end_that_is_no_failure_is_bootstrapped_if_set(
+    open_env: Open, bootstrap: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """At the finish line the last observation is returned to estimate the next value; after a fall it is not."""
-    env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
     # a finish line so near that the first stumbles cross it
-    env.environment.task.finish_x_m = -13.95
+    monkeypatch.setattr(Sprint1, "finish_x_m", -13.95)
+    env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
     env.reset()
     ended: dict[str, list[int]] = {}
     measure = env.environment.task.measure

@@ -132,12 +132,19 @@ def test_erect_limit_ends_it_earlier() -> None:
 
 def test_finish_line_ends_the_episode() -> None:
     """Passing the line is an end without a fall."""
-    environment = environment_of(4)
-    environment.task.finish_x_m = -14.2
-    environment.step(hold(environment))
-    assert environment.terminated.all()
-    assert environment.ends["arrived"].all()
-    assert not environment.ends["fallen"].any()
+    environment = environment_of(4, variant(Sprint1, finish_x_m=-13.95))
+    rng = np.random.default_rng(4)
+    arrivals = 0
+    for _ in range(200):
+        environment.step(rng.uniform(-1, 1, (4, 20)))
+        x, _, z = environment.simulator.truth.torso_position.T
+        arrived = (x > -13.95) & (z >= 0.27)
+        assert np.array_equal(environment.ends["arrived"], arrived)
+        assert np.array_equal(environment.terminated, arrived | (z < 0.27))
+        arrivals += int(arrived.sum())
+        over = np.flatnonzero(environment.terminated)
+        environment.restart(over, over)
+    assert arrivals > 0
 
 
 def test_horizon_of_task_two_terminates_and_that_of_task_one_truncates() -> None:

@@ -107,6 +107,11 @@ class MujocoBatch:
         return self._worlds.warning(row)
 
     @property
+    def threads_address(self) -> int:
+        """Address of the batch's threads; see ``naosim.simulator.Simulator.threads_address``."""
+        return self._worlds.threads
+
+    @property
     def row_size(self) -> int:
         """Number of values in a world's state: integration state, sensor data and pending command."""
         return self._worlds.row_size

@@ -42,6 +42,8 @@ class MujocoSimulator(Simulator):
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
     """
 
+    stable_arrays = True
+
     def __init__(self, robot: Robot, n: int, parameters: EmbeddedParameters = _EXACT, *, threads: int = 1) -> None:
         super().__init__(robot, n)
         self.parameters = parameters
@@ -54,6 +56,7 @@ class MujocoSimulator(Simulator):
         self._starts: Floats | None = None
         self._failures = 0
         self._pending: tuple[Floats, Flags | None] | None = None
+        self.threads_address = self.batch.threads_address
 
     def _new_batch(self, n: int) -> MujocoBatch:
         settings = self.parameters

@@ -25,6 +25,9 @@ class Actuation:
         sign: (A,) factor between the simulator's angle and the policy's.
         low_rad, high_rad: (A,) ends of the joints' ranges, policy convention.
         nominal: (A,) nominal angles, policy convention.
+        action_range_rad: (A,) angles from the nominal one that an action of 1 stands for; None if it stands for the end
+            of the joint's range.
+        signed_half_range, signed_low: (A,) half of the joints' ranges and their lower ends, in the simulator's signs.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -40,10 +43,10 @@ class Actuation:
         self.nominal: Floats = robot.nominal[self.index] * self.sign
         self._half_range = (self.high_rad - self.low_rad) / 2.0
         # in the simulator's signs, which changes no bit
-        self._signed_half_range, self._signed_low = self._half_range * self.sign, self.low_rad * self.sign
-        self._range: Floats | None = None
+        self.signed_half_range, self.signed_low = self._half_range * self.sign, self.low_rad * self.sign
+        self.action_range_rad: Floats | None = None
         if robot.action_range_rad is not None:
-            self._range = np.array([robot.action_range_rad[name] for name in self.names])
+            self.action_range_rad = np.array([robot.action_range_rad[name] for name in self.names])
 
     @property
     def mirror(self) -> tuple[tuple[str, ...], tuple[float, ...]]:
@@ -54,7 +57,11 @@ class Actuation:
     @property
     def rest(self) -> Floats:
         """(A,) actions that stand for angle 0 of every joint, or the nearest that an action reaches."""
-        unit = -self.low_rad / self._half_range - 1.0 if self._range is None else -self.nominal / self._range
+        unit = (
+            -self.low_rad / self._half_range - 1.0
+            if self.action_range_rad is None
+            else -self.nominal / self.action_range_rad
+        )
         rest: Floats = np.clip(unit, -1.0, 1.0)
         return rest
 
@@ -71,12 +78,12 @@ class Actuation:
         targets = np.empty((len(actions), self.n_joints))
         targets[:] = self.robot.nominal
         unit = np.clip(actions, -1.0, 1.0)
-        if self._range is None:
+        if self.action_range_rad is None:
             unit += 1.0
-            unit *= self._signed_half_range
-            unit += self._signed_low
+            unit *= self.signed_half_range
+            unit += self.signed_low
         else:
-            unit = np.clip(self.nominal + unit * self._range, self.low_rad, self.high_rad) * self.sign
+            unit = np.clip(self.nominal + unit * self.action_range_rad, self.low_rad, self.high_rad) * self.sign
         targets[:, self.index] = unit
         return targets
 

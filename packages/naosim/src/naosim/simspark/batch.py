@@ -20,6 +20,8 @@ DIGITS = (2, 3, None)
 BODY_STATE = 13
 """Values per body: position xyz (m), quaternion wxyz, velocity xyz (m/s), angular velocity xyz (rad/s); world frame."""
 
+_NOT_FINITE = -2
+
 _SHAPES = {"box": 1, "sphere": 2, "capsule": 3}
 _LIMBS = {"rarm": 0, "larm": 1, "rleg": 2, "lleg": 3}
 _SENSORS = ("rf", "lf", "rf1", "lf1")
@@ -142,6 +144,11 @@ class BatchSimulator:
         return str(self._core.kernel)
 
     @property
+    def threads_address(self) -> int:
+        """Return the address of the batch's threads; see ``naosim.simulator.Simulator.threads_address``."""
+        return int(self._core.threads)
+
+    @property
     def statistics(self) -> dict[str, int]:
         """Return counts since construction: groups of eight stepped, linear solves, rounds of single pivots."""
         return dict(zip(("steps", "solves", "fallback"), self._core.statistics, strict=True))
@@ -168,7 +175,37 @@ class BatchSimulator:
                     f"joint {self.model.joints[joint].name}: "
                     f"must be a finite number, not {commands[environment, joint]}"
                 )
-        failed = self._core.step(commands, lanes)
+        self._require_finite(self._core.step(commands, lanes))
+
+    def drive(self, targets_rad: ArrayLike, gain: float, max_speed: Floats, mask: ArrayLike | None = None) -> None:
+        """Drive joints to target angles by a proportional controller and run one cycle.
+
+        Args:
+            targets_rad: (n, joints); speed = gain * (target - perceived angle).
+            gain: 1/s.
+            max_speed: (joints,) largest speeds, rad/s.
+            mask: (n,), which environments to step; the others keep still. Default all.
+
+        Raises:
+            ValueError: wrong shape, or a target or angle is not finite; nothing has been stepped then.
+            FloatingPointError: an environment's state is no longer finite; the message names it, the others step.
+        """
+        targets = self._array("targets_rad", targets_rad, (self.n, len(self.model.joints)))
+        failed = self._core.drive(targets, gain, max_speed, self._lanes(mask))
+        if failed == _NOT_FINITE:
+            wrong = ~np.isfinite(targets + self.perceptors.joint_angles)
+            if mask is not None:
+                wrong &= np.asarray(mask, bool)[:, None]
+            environment, joint = (int(k) for k in np.argwhere(wrong)[0])
+            raise ValueError(
+                f"targets_rad[{environment}, {joint}]: environment {environment}, "
+                f"joint {self.model.joints[joint].name}: target and perceived angle must be finite numbers, not "
+                f"{targets[environment, joint]} and {self.perceptors.joint_angles[environment, joint]}"
+            )
+        self._require_finite(failed)
+
+    @staticmethod
+    def _require_finite(failed: int) -> None:
         if failed >= 0:
             raise FloatingPointError(f"environment {failed}: its state is no longer finite; reset or restore it")
 
@@ -257,6 +294,14 @@ class BatchSimulator:
         for k, environment in enumerate(chosen):
             self._core.restore(int(environment), rows[k if len(rows) > 1 else 0])
 
+    def restore_from(self, rows: NDArray[np.int64], snapshots: NDArray[np.uint8], chosen: NDArray[np.int64]) -> None:
+        """Restore the (k,) environments ``rows``, bit for bit, from the (k,) ``chosen`` ones of (m, size) snapshots.
+
+        Raises:
+            ValueError: wrong shape, or an index is out of range.
+        """
+        self._core.restore_from(np.asarray(rows, np.int64), snapshots, np.asarray(chosen, np.int64))
+
     def _indices(self, mask: ArrayLike | None) -> NDArray[np.intp]:
         lanes = self._lanes(mask)
         return np.arange(self.n) if lanes is None else np.flatnonzero(lanes)
@@ -290,11 +335,7 @@ def centre_of_mass(robot_type: int, joint_angles_deg: ArrayLike) -> Floats:
     Raises:
         ValueError: unknown type, wrong shape, or an angle that is not finite.
     """
-    kinematics = _KINEMATICS.get(robot_type)
-    if kinematics is None:
-        kinematics = _KINEMATICS[robot_type] = _core.Batch(
-            engine_table(nao_model.model(robot_type)), 1, 1, -1, False, ""
-        )
+    kinematics = _kinematics(robot_type)
     angles = np.ascontiguousarray(_finite("joint_angles_deg", joint_angles_deg))
     joints = len(nao_model.model(robot_type).joints)
     if angles.ndim != 2 or angles.shape[1] != joints:
@@ -302,6 +343,22 @@ def centre_of_mass(robot_type: int, joint_angles_deg: ArrayLike) -> Floats:
     out = np.empty((len(angles), 3))
     kinematics.centre_of_mass_from_angles(angles, out)
     return out
+
+
+def kinematics_address(robot_type: int) -> int:
+    """Return the address of a table with the function behind :func:`centre_of_mass`, for other compiled modules.
+
+    It is ``Kinematics`` in packages/naosim/cpp/batch.hpp, and stays valid.
+    """
+    return int(_kinematics(robot_type).kinematics)
+
+
+def _kinematics(robot_type: int) -> _core.Batch:
+    kinematics = _KINEMATICS.get(robot_type)
+    if kinematics is None:
+        table = engine_table(nao_model.model(robot_type))
+        kinematics = _KINEMATICS[robot_type] = _core.Batch(table, 1, 1, -1, False, "")
+    return kinematics
 
 
 _KINEMATICS: dict[int, _core.Batch] = {}

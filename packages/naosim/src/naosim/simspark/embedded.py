@@ -8,7 +8,7 @@ import numpy as np
 
 from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
-from naosim.simspark.control import motor_speeds, settle
+from naosim.simspark.control import GAIN, settle
 from naosim.simulator import CONTACT_N, Simulator, Truth
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ class EmbeddedSimulator(Simulator):
 
     # a reply describes the state before the cycle that its command starts
     latency_steps = 2
+    stable_arrays = True
 
     def __init__(self, robot: Robot, n: int, *, sensor_digits: int | None = 2, threads: int = 1) -> None:
         super().__init__(robot, n)
@@ -43,21 +44,22 @@ class EmbeddedSimulator(Simulator):
         self.truth = Truth(truth.torso_position, truth.torso_rotation)
         self._pending: tuple[Floats, Flags | None] | None = None
         self._starts: Bytes | None = None
+        self.threads_address = self._engine.threads_address
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
-        """Compute the joint speeds of a step, which :meth:`step_wait` uses: all robots are one group."""
+        """Store the targets of a step for :meth:`step_wait`: all robots are one group."""
         self.require_open()
         self.require_group(rows)
-        self._pending = motor_speeds(targets_rad, self.perceptors["joint_angles"], self._max_speed), active
+        self._pending = np.array(targets_rad, dtype=np.float64), active
 
     def step_wait(self, rows: slice) -> None:
         """Run the step that :meth:`step_async` began."""
         self.require_open()
         self.require_group(rows)
         if self._pending is not None:
-            speeds, active = self._pending
+            targets, active = self._pending
             self._pending = None
-            self._engine.step(speeds, active)
+            self._engine.drive(targets, GAIN, self._max_speed, active)
 
     def load_starts(self, starts: Starts) -> None:
         """Simulate the starts and keep snapshots of the settled robots.
@@ -78,11 +80,7 @@ class EmbeddedSimulator(Simulator):
         self.require_open()
         self.require_starts(starts, 0 if self._starts is None else len(self._starts))
         assert self._starts is not None
-        mask = np.zeros(self.n, dtype=np.bool_)
-        mask[rows] = True
-        # restore fills the masked robots in ascending order
-        order = np.argsort(rows, kind="stable")
-        self._engine.restore(self._starts[starts[order]], mask=mask)
+        self._engine.restore_from(rows, self._starts, starts)
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""

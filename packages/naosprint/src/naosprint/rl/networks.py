@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
+    from naosprint.arrays import Float32Array
 
 FEW_ROWS = 64
 """oneDNN's operator takes at least 20 microseconds a call; with fewer rows than these plain torch is faster."""
@@ -49,6 +50,35 @@ def run_network(layers: Sequence[nn.Linear], inputs: Tensor, *, fused: bool = Tr
     for i, layer in enumerate(layers):
         values = cast("Any", run_layer)(values, layer.weight, layer.bias, i < last)
     return values
+
+
+class TorchForward:
+    """A network's outputs by torch, as :class:`naosprint.rl.forward.Forward` gives them.
+
+    Args:
+        layers: the network's linear layers, tanh between them.
+        fused: whether oneDNN may compute it.
+    """
+
+    def __init__(self, layers: Sequence[nn.Linear], *, fused: bool = True) -> None:
+        self._layers, self._fused = layers, fused
+
+    def pack(self) -> None:
+        """Do nothing: the layers are used as they are."""
+
+    def __call__(
+        self, inputs: Float32Array, added: Float32Array | None = None, out: Float32Array | None = None
+    ) -> Float32Array:
+        """Return the (n, outputs) outputs for (n, inputs) inputs; see :meth:`Forward.__call__`."""
+        with torch.no_grad():
+            outputs = run_network(self._layers, torch.from_numpy(inputs), fused=self._fused)
+            if added is not None:
+                outputs = outputs + torch.from_numpy(added)
+            values: Float32Array = outputs.numpy()
+            if out is None:
+                return values
+            out[:] = values
+            return out
 
 
 class _Dense(torch.autograd.Function):

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint import _compiled
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -30,30 +32,23 @@ class RunningMoments:
     Args:
         width: numbers in a sample.
         mirror: if given, the moments are those of the samples and their mirror images together.
+
+    Attributes:
+        mean: (width,) mean.
+        variance: (width,) variance.
+        count: (1,) number of samples.
     """
 
     def __init__(self, width: int, mirror: Mirror | None = None) -> None:
-        self._mirror = mirror
+        self.mirror = mirror
         self.mean: FloatArray = np.zeros(width)
         self.variance: FloatArray = np.ones(width)
-        self.count = 1e-4
+        self.count: FloatArray = np.array([1e-4])
 
-    def update(self, batch: FloatArray) -> None:
-        """Merge (k, width) samples."""
-        k = len(batch)
-        mean = batch.mean(axis=0)
-        centred = batch - mean
-        squares = np.einsum("ij,ij->j", centred, centred)
-        if self._mirror is not None:
-            image = self._mirror.apply(mean)
-            half_gap = 0.5 * (mean - image)
-            squares = 0.5 * (squares + squares[self._mirror.index]) + k * half_gap * half_gap
-            mean = 0.5 * (mean + image)
-        total = self.count + k
-        delta = mean - self.mean
-        self.mean = self.mean + delta * (k / total)
-        self.variance = (self.variance * self.count + squares + delta * delta * (self.count * k / total)) / total
-        self.count = total
+    def update(self, batch: FloatArray, threads: int = 0) -> None:
+        """Merge (k, width) samples, on the threads at this address."""
+        index, sign = (None, None) if self.mirror is None else (self.mirror.index, self.mirror.sign)
+        _compiled.merge(self.mean, self.variance, self.count, index, sign, batch, threads)
 
 
 class Normalizer:
@@ -67,6 +62,7 @@ class Normalizer:
         rewards: whether rewards are scaled.
         gamma: discount factor of the return whose spread is estimated; may change during a training.
         mirror: if given, observations are standardized alike on both sides.
+        threads: address of a simulator's threads; see ``naosim.simulator.Simulator.threads_address``.
     """
 
     def __init__(
@@ -79,6 +75,7 @@ class Normalizer:
         rewards: bool,
         gamma: float,
         mirror: Mirror | None = None,
+        threads: int = 0,
     ) -> None:
         self.observation_moments = RunningMoments(width, mirror)
         self.return_moments = RunningMoments(1)
@@ -87,33 +84,33 @@ class Normalizer:
         self._clip = observation_clip
         self._rewards = rewards
         self.gamma = gamma
+        self._threads = threads
 
     def update_observations(self, observations: FloatArray) -> None:
         """Merge (k, width) raw observations into the statistics."""
         if self._observations:
-            self.observation_moments.update(observations)
+            self.observation_moments.update(observations, self._threads)
 
-    def observations(self, observations: FloatArray) -> Float32Array:
-        """Return (k, width) raw observations as the policy sees them."""
-        if not self._observations:
-            return observations.astype(np.float32)
-        moments = self.observation_moments
-        scaled = (observations - moments.mean) / np.sqrt(moments.variance + EPSILON)
-        clipped: Float32Array = np.clip(scaled, -self._clip, self._clip).astype(np.float32)
-        return clipped
+    def observations(self, observations: FloatArray, out: Float32Array | None = None) -> Float32Array:
+        """Return (k, width) raw observations as the policy sees them, in ``out`` if it is given."""
+        if out is None:
+            out = np.empty(observations.shape, np.float32)
+        if self._observations:
+            moments = self.observation_moments
+            _compiled.standardize(moments.mean, moments.variance, observations, self._clip, out, self._threads)
+        else:
+            out[:] = observations
+        return out
 
     def rewards(self, rewards: FloatArray, dones: BoolArray, rows: slice = _ALL) -> Float32Array:
         """Merge (k,) raw rewards of the environments ``rows`` and return them as the learner sees them."""
-        if not self._rewards:
-            return rewards.astype(np.float32)
-        returns = self._returns[rows]
-        returns *= self.gamma
-        returns += rewards
-        self.return_moments.update(returns[:, None])
-        scaled = rewards / np.sqrt(self.return_moments.variance[0] + EPSILON)
-        returns[dones] = 0.0
-        clipped: Float32Array = np.clip(scaled, -REWARD_CLIP, REWARD_CLIP).astype(np.float32)
-        return clipped
+        scaled: Float32Array = rewards.astype(np.float32)
+        if self._rewards:
+            moments, returns = self.return_moments, self._returns[rows]
+            _compiled.scale_rewards(
+                moments.mean, moments.variance, moments.count, returns, rewards, dones, self.gamma, REWARD_CLIP, scaled
+            )
+        return scaled
 
     def state(self) -> dict[str, AnyArray]:
         """Return all statistics."""
@@ -121,10 +118,10 @@ class Normalizer:
         return {
             "observation_mean": seen.mean.copy(),
             "observation_variance": seen.variance.copy(),
-            "observation_count": np.array([seen.count]),
+            "observation_count": seen.count.copy(),
             "return_mean": returned.mean.copy(),
             "return_variance": returned.variance.copy(),
-            "return_count": np.array([returned.count]),
+            "return_count": returned.count.copy(),
             "returns": self._returns.copy(),
         }
 
@@ -138,4 +135,4 @@ class Normalizer:
         for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
             moments.mean = np.array(state[f"{name}_mean"], dtype=np.float64)
             moments.variance = np.array(state[f"{name}_variance"], dtype=np.float64)
-            moments.count = float(np.asarray(state[f"{name}_count"], dtype=np.float64)[0])
+            moments.count = np.array(state[f"{name}_count"], dtype=np.float64)

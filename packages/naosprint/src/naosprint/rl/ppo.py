@@ -22,9 +22,10 @@ from torch import nn
 from naosprint.mirror import Mirror
 from naosprint.rl import schedules
 from naosprint.rl.adam import Adam
+from naosprint.rl.forward import Forward
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
 from naosprint.rl.learner import Learner, TrainingDivergedError
-from naosprint.rl.networks import FEW_ROWS, linear_layers, run_network
+from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
 from naosprint.rl.symmetry import Projections, tie_weights
 
 if TYPE_CHECKING:
@@ -111,8 +112,16 @@ class PPO(Learner):
             if spec.runtime.compiled_update
             else TorchGradients(self.policy, settings)
         )
-        self._actor = linear_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
-        self._critic = linear_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
+        actor = linear_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
+        critic = linear_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
+        self._actor: Forward | TorchForward
+        self._critic: Forward | TorchForward
+        if spec.runtime.compiled_update:
+            threads = environment.environment.simulator.threads_address
+            self._actor, self._critic = Forward.of(actor, threads), Forward.of(critic, threads)
+        else:
+            self._actor = TorchForward(actor, fused=environment.n >= FEW_ROWS)
+            self._critic = TorchForward(critic)
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
         self.generator = torch.Generator()
         self.generator.manual_seed(spec.seed)
@@ -136,8 +145,8 @@ class PPO(Learner):
 
     def act(self, observations: Float32Array) -> Float32Array:
         """Return the (n, A) mean actions for (n, D) normalized observations."""
-        with torch.no_grad():
-            return np.asarray(run_network(self._actor, torch.from_numpy(observations)).numpy(), dtype=np.float32)
+        self._actor.pack()
+        return self._actor(observations)
 
     # --- collection ---------------------------------------------------------------------------------------------------
 
@@ -147,43 +156,43 @@ class PPO(Learner):
         n, n_steps = environment.n, self.settings.n_steps
         gamma = environment.normalizer.gamma = schedules.discount(self.spec, self.steps)
         policy.set_training_mode(False)
+        self._actor.pack()
+        self._critic.pack()
         with torch.no_grad():
             if self.settings.final_log_std is not None:
                 policy.log_std.fill_(schedules.log_std(self.spec, self.steps))
             log_std = policy.log_std.detach()
             noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
-            scaled_noise = noise * log_std.exp()
-            actions = torch.from_numpy(rollout.actions)
-            observations, starts = self._observations.copy(), self._starts.copy()
-            fused = n >= FEW_ROWS
-            # while the simulator computes for one group, another is processed here
-            for step in range(n_steps + 1):
-                if step < n_steps and stop():
-                    for group in environment.groups if step else ():
-                        environment.step_wait(group)
-                    return False
-                for group in environment.groups:
-                    if step:
-                        transition = environment.step_wait(group)
-                        if not np.isfinite(transition.observations.sum()):
-                            raise TrainingDivergedError(_locate(environment, transition.observations, group))
-                        observations[group], starts[group] = transition.observations, transition.dones
-                        rewards = rollout.rewards[step - 1, group]
-                        rewards[:] = transition.rewards
-                        if len(transition.bootstrapped):
-                            last = torch.from_numpy(transition.last_observations)
-                            rewards[transition.bootstrapped] += gamma * run_network(self._critic, last).numpy()[:, 0]
-                    if step < n_steps:
-                        rollout.observations[step, group] = observations[group]
-                        rollout.episode_starts[step, group] = starts[group]
-                        mean = run_network(self._actor, torch.from_numpy(observations[group]), fused=fused)
-                        torch.add(mean, scaled_noise[step, group], out=actions[step, group])
-                        environment.step_async(rollout.actions[step, group], group)
-            values = run_network(self._critic, rollout.flat("observations"))
-            rollout.values[:] = values.numpy().reshape(n_steps, n)
+            scaled_noise = (noise * log_std.exp()).numpy()
+        observations, starts = self._observations.copy(), self._starts.copy()
+        rollout.observations[0], rollout.episode_starts[0] = observations, starts
+        # while the simulator computes for one group, another is processed here
+        for step in range(n_steps + 1):
+            if step < n_steps and stop():
+                for group in environment.groups if step else ():
+                    environment.step_wait(group)
+                return False
+            for group in environment.groups:
+                seen = rollout.observations[step, group] if step < n_steps else observations[group]
+                if step:
+                    transition = environment.step_wait(group, seen)
+                    if not np.isfinite(seen.sum()):
+                        raise TrainingDivergedError(_locate(environment, seen, group))
+                    starts[group] = transition.dones
+                    rewards = rollout.rewards[step - 1, group]
+                    rewards[:] = transition.rewards
+                    if len(transition.bootstrapped):
+                        rewards[transition.bootstrapped] += gamma * self._critic(transition.last_observations)[:, 0]
+                if step < n_steps:
+                    rollout.episode_starts[step, group] = starts[group]
+                    actions = self._actor(seen, scaled_noise[step, group], rollout.actions[step, group])
+                    environment.step_async(actions, group)
+        with torch.no_grad():
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - environment.n_actions * _HALF_LOG_TWO_PI
             rollout.log_probs[:] = density.numpy()
-            last_values = run_network(self._critic, torch.from_numpy(observations)).numpy()[:, 0]
+        samples = rollout.observations.reshape(n_steps * n, -1)
+        rollout.values[:] = self._critic(samples).reshape(n_steps, n)
+        last_values = self._critic(observations)[:, 0]
         rollout.estimate_advantages(last_values, starts, gamma, self.settings.gae_lambda)
         self._observations, self._starts = observations, starts
         self.steps += n * n_steps

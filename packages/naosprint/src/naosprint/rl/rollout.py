@@ -90,6 +90,7 @@ class TrainingEnvironment:
             rewards=settings.normalize_rewards,
             gamma=settings.gamma,
             mirror=environment.observer.mirror if settings.symmetric_policy else None,
+            threads=environment.simulator.threads_address,
         )
         return cls(
             environment,
@@ -108,10 +109,15 @@ class TrainingEnvironment:
 
     def step_async(self, actions: FloatArray | Float32Array, rows: slice) -> None:
         """Begin a step of one group with (k, A) actions."""
-        self.environment.step_async(np.asarray(actions, dtype=np.float64), rows)
+        self.environment.step_async(actions, rows)
 
-    def step_wait(self, rows: slice) -> Transition:
-        """Finish the step that :meth:`step_async` began; rows of the transition count from the group's first."""
+    def step_wait(self, rows: slice, out: Float32Array | None = None) -> Transition:
+        """Finish the step that :meth:`step_async` began; rows of the transition count from the group's first.
+
+        Args:
+            rows: the group.
+            out: (k, D) array for the transition's observations; a new one by default.
+        """
         environment = self.environment
         environment.step_wait(rows)
         self._rewards[rows] += environment.rewards[rows]
@@ -128,7 +134,7 @@ class TrainingEnvironment:
         observations = environment.observations[rows]
         self.normalizer.update_observations(observations)
         return Transition(
-            observations=self.normalizer.observations(observations),
+            observations=self.normalizer.observations(observations, out),
             rewards=rewards,
             dones=dones,
             bootstrapped=bootstrapped,
@@ -146,9 +152,9 @@ class TrainingEnvironment:
             self.on_loss(row, environment.simulator.loss_reason(row))
 
     def _restart(self, rows: IntArray) -> None:
-        starts, following = (
-            choose_starts(self._seed, self._n_starts, rows, self._episode[rows] + ahead) for ahead in (0, 1)
-        )
+        episodes = self._episode[rows]
+        both = np.concatenate([episodes, episodes + 1])
+        starts, following = choose_starts(self._seed, self._n_starts, np.tile(rows, 2), both).reshape(2, -1)
         self.environment.restart(rows, starts, following)
         self._episode[rows] += 1
         self._rewards[rows] = 0.0

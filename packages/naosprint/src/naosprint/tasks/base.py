@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from naosim.simulator import Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+    from naosprint.tasks.compiled import Operation
     from naosprint.tasks.episodes import Episodes, Statistics
+    from naosprint.tasks.measurements import Measurement
     from naosprint.tasks.observations import ObservationBlock
 
 
@@ -37,11 +39,13 @@ class RewardTerm:
         name: name for users.
         weight: factor, negative for a penalty; a term of weight 0 is not computed.
         value: called with the rows of some robots, returns one number for each.
+        operation: its compiled form, if it has one.
     """
 
     name: str
     weight: float
     value: Callable[[slice], FloatArray]
+    operation: Operation | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,10 @@ class Task:
     between steps is an array with one row per robot in :attr:`arrays`: such arrays are part of checkpoints, and keep
     their values for a robot that is lost.
 
+    What a step computes is either written in :meth:`begin`, :meth:`advance` and :meth:`ended`, or made of
+    :attr:`measurements` and :attr:`flags`, which these methods use by default. A task of the second kind runs compiled
+    where its observation blocks and reward terms have a compiled form, too.
+
     Attributes:
         name: how specifications refer to it; equal to the entry point's name.
         version: raise it when the task changes so that results no longer compare; a worker runs only the versions that
@@ -130,6 +138,8 @@ class Task:
         max_steps: length limit of an episode in steps.
         horizon_is_terminal: whether reaching ``max_steps`` belongs to the task; otherwise it is a time limit.
         trace: names of what :meth:`trace_row` returns in evaluations.
+        measurements: what it takes of every step, in order.
+        flags: for each of ``ends``, (n,) robots that the latest step brought there.
     """
 
     name: ClassVar[str]
@@ -176,6 +186,8 @@ class Task:
         self.robot = world.robot
         self.n = world.n
         self.arrays: dict[str, AnyArray] = {}
+        self.measurements: Sequence[Measurement] = ()
+        self.flags: Sequence[BoolArray] = ()
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return what a policy observes, in order; the robot's usual observations by default."""
@@ -199,13 +211,17 @@ class Task:
 
     def begin(self, rows: IntArray) -> None:
         """Reset what is stored for the robots ``rows``, whose episode begins now."""
+        for measurement in self.measurements:
+            measurement.begin(rows)
 
     def advance(self, rows: slice) -> None:
         """Update what is stored for the robots ``rows`` after a step, before anything else is computed."""
+        for measurement in self.measurements:
+            measurement.update(rows)
 
     def ended(self, rows: slice) -> Sequence[BoolArray]:
         """Return for each of :attr:`ends` which of the robots ``rows`` reached it."""
-        return ()
+        return [flag[rows] for flag in self.flags]
 
     def measure(self, rows: IntArray) -> FloatArray:
         """Return the (k, M) live :attr:`metrics` of the episodes of the robots ``rows``, which have just ended."""

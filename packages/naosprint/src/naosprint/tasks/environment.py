@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from naosim.simulator import Simulator, Starts
     from naospec import TrainingSpec
 
-    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
 SHORT_EPISODE_STEPS = 100
 """Steps after which short episodes are truncated: by then a robot runs."""
@@ -34,6 +34,13 @@ class Environment:
     Robots are started by :meth:`restart` and stepped together. A robot whose episode has ended stays where it is while
     the ``active`` mask leaves it out, until it is restarted.
 
+    Args:
+        simulator: the robots.
+        task_class: the task.
+        parameters: its settings.
+        seed: seed of what the task draws.
+        compiled: whether steps run compiled if every part of the task has a compiled form; the bits are the same.
+
     Attributes:
         observations: (n, D) the latest observations.
         rewards: (n,) rewards of the latest step.
@@ -45,9 +52,12 @@ class Environment:
         lost: (n,) whether the latest step lost the robot; its observation is the one before the step.
         short: (n,) environments whose episodes are truncated after ``SHORT_EPISODE_STEPS``.
         simulator_s: seconds that steps have waited for the simulator so far.
+        compiled: whether steps run compiled.
     """
 
-    def __init__(self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0) -> None:
+    def __init__(
+        self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0, *, compiled: bool = True
+    ) -> None:
         n = simulator.n
         self.n = n
         self.simulator = simulator
@@ -69,6 +79,52 @@ class Environment:
         self.lost: BoolArray = np.zeros(n, dtype=np.bool_)
         self.ends: dict[str, BoolArray] = {end.name: np.zeros(n, dtype=np.bool_) for end in self.task.ends}
         self.short: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._targets: FloatArray = np.zeros((n, self.actuation.n_joints))
+        self._program = self._compile() if compiled else None
+        self.compiled = self._program is not None
+
+    def _compile(self) -> Any:
+        """Return the task's step as a compiled program; None if a part of it exists in Python only."""
+        task, actuation = self.task, self.actuation
+        own = any(getattr(type(task), name) is not getattr(Task, name) for name in ("begin", "advance", "ended"))
+        parts: tuple[Any, ...] = (*task.measurements, *self.observer.blocks, *self._terms)
+        if own or not self.simulator.stable_arrays or any(part.operation is None for part in parts):
+            return None
+        from naosprint import _compiled
+
+        def built(part: Any) -> Any:
+            return part.operation.build()
+
+        names = ("rewards", "terminated", "truncated", "failed", "lost", "short")
+        arrays = {
+            **{name: getattr(self, name) for name in names},
+            "observations": self.observer.observations,
+            "values": self.observer.values,
+            "steps": self.world.steps,
+            "actions": self.world.actions,
+            "previous_actions": self.world.previous_actions,
+            "targets": self._targets,
+        }
+        reach = actuation.action_range_rad
+        joints = (
+            (actuation.index, actuation.signed_half_range, actuation.signed_low, actuation.high_rad)
+            if reach is None
+            else (actuation.index, reach, actuation.low_rad, actuation.high_rad)
+        )
+        return _compiled.Step(
+            [built(measurement) for measurement in task.measurements],
+            [
+                (built(block), first, block.rates, block.angular, value)
+                for block, first, value in self.observer.places()
+            ],
+            [(built(term), term.weight) for term in self._terms],
+            [(flag, self.ends[end.name], end.failure) for end, flag in zip(task.ends, task.flags, strict=True)],
+            arrays,
+            self._scale,
+            self.world.robot.nominal.tolist(),
+            reach is not None,
+            np.stack([*joints, actuation.nominal, actuation.sign], axis=1).tolist(),
+        )
 
     @property
     def observations(self) -> FloatArray:
@@ -109,20 +165,23 @@ class Environment:
             return
         world = self.world
         self.simulator.start(rows, starts, following)
+        self.disturbances.begin(rows)
+        if self._program is not None:
+            self._program.begin(rows)
+            return
         world.steps[rows] = 0
         world.actions[rows] = 0.0
         world.previous_actions[rows] = 0.0
-        self.disturbances.begin(rows)
         self.task.begin(rows)
         self.observer.begin(rows)
         for flags in (self.failed, *self.ends.values()):
             flags[rows] = False
 
-    def step(self, actions: FloatArray, active: BoolArray | None = None) -> FloatArray:
+    def step(self, actions: FloatArray | Float32Array, active: BoolArray | None = None) -> FloatArray:
         """Take one step of 20 ms with every active robot.
 
         Args:
-            actions: (n, A) actions, clipped to [-1, 1].
+            actions: (n, A) actions, 32 or 64 bits, clipped to [-1, 1].
             active: (n,) robots to step; None for all. The attributes of the others are meaningless.
 
         Returns:
@@ -133,19 +192,24 @@ class Environment:
         self.step_wait(everyone)
         return self.observer.observations
 
-    def step_async(self, actions: FloatArray, rows: slice, active: BoolArray | None = None) -> None:
+    def step_async(self, actions: FloatArray | Float32Array, rows: slice, active: BoolArray | None = None) -> None:
         """Begin a step of one of the simulator's groups with (k, A) actions; :meth:`step_wait` finishes it."""
         world = self.world
-        world.previous_actions[rows] = world.actions[rows]
-        np.clip(actions, -1.0, 1.0, out=world.actions[rows])
-        targets = self.disturbances.delayed(self.actuation.targets(world.actions[rows]), rows)
+        if self._program is not None:
+            self._program.act(rows.start, actions)
+            targets = self._targets[rows]
+        else:
+            world.previous_actions[rows] = world.actions[rows]
+            np.clip(actions, -1.0, 1.0, out=world.actions[rows])
+            targets = self.actuation.targets(world.actions[rows])
+        targets = self.disturbances.delayed(targets, rows)
         began = perf_counter()
         self.simulator.step_async(targets, rows, active)
         self.simulator_s += perf_counter() - began
 
     def step_wait(self, rows: slice) -> None:
         """Finish the step that :meth:`step_async` began; the group's rows of all attributes are those after it."""
-        simulator, task, world = self.simulator, self.task, self.world
+        simulator, task = self.simulator, self.task
         began = perf_counter()
         simulator.step_wait(rows)
         self.simulator_s += perf_counter() - began
@@ -156,6 +220,26 @@ class Environment:
             # the last report of a failing server is not used for learning
             last_observations = self.observer.observations[gone]
             remembered = {name: array[gone] for name, array in task.arrays.items()}
+        if self._program is None:
+            self._step_in_python(rows, lost)
+        else:
+            self._program.step(
+                rows.start,
+                rows.stop - rows.start,
+                lost if len(gone) else None,
+                task.max_steps,
+                SHORT_EPISODE_STEPS,
+                task.horizon_is_terminal,
+                simulator.threads_address,
+            )
+        if len(gone):
+            self.observer.observations[gone] = last_observations
+            for name, array in task.arrays.items():
+                array[gone] = remembered[name]
+
+    def _step_in_python(self, rows: slice, lost: BoolArray) -> None:
+        """Compute what follows from a step of the simulator, as packages/naosprint/cpp/program.cpp does."""
+        task, world = self.task, self.world
         world.steps[rows] += 1
         task.advance(rows)
         self.observer.update(rows)
@@ -165,7 +249,7 @@ class Environment:
             if term.weight != 1.0:
                 value = term.weight * value
             rewards = value if number == 0 else rewards + value
-        self.rewards[rows] = rewards * self._scale
+        self.rewards[rows] = np.where(lost, 0.0, rewards * self._scale)
         over = np.zeros(len(lost), dtype=np.bool_)
         failed = np.zeros(len(lost), dtype=np.bool_)
         for end, reached in zip(task.ends, task.ended(rows), strict=True):
@@ -174,11 +258,6 @@ class Environment:
             over |= reached
             if end.failure:
                 failed |= reached
-        if len(gone):
-            self.observer.observations[gone] = last_observations
-            for name, array in task.arrays.items():
-                array[gone] = remembered[name]
-            self.rewards[gone] = 0.0
         late = world.steps[rows] >= task.max_steps
         if task.horizon_is_terminal:
             terminated = (over | late) & ~lost
@@ -218,6 +297,7 @@ class Environment:
 
     def close(self) -> None:
         """Close the simulator."""
+        self._program = None  # it keeps the simulator's arrays, which must be released before the interpreter exits
         self.simulator.close()
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from naosim.simulator import STEP_S
 
 from naosprint.mirror import Mirror
+from naosprint.tasks.compiled import Operation, columns, joint_angles
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,6 +38,7 @@ class ObservationBlock:
         begin: called with the rows of robots whose episode begins, before they are measured.
         update: called with the rows of robots that have taken a step, before they are measured.
         arrays: what the block stores, one row per robot.
+        operation: its compiled form, if it has one.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class ObservationBlock:
         begin: Callable[[IntArray], None] | None = None,
         update: Callable[[slice], None] | None = None,
         arrays: Mapping[str, AnyArray] | None = None,
+        operation: Operation | None = None,
     ) -> None:
         self.names = tuple(names)
         self.measure = measure
@@ -61,6 +64,7 @@ class ObservationBlock:
         self.begin = begin
         self.update = update
         self.arrays: dict[str, AnyArray] = dict(arrays or {})
+        self.operation = operation
 
 
 class Observer:
@@ -69,6 +73,7 @@ class Observer:
     Attributes:
         names: names of the D observations.
         observations: (n, D) the latest observations.
+        values: (n, V) the latest values of the observations whose rates follow.
         mirror: their mirror image.
     """
 
@@ -109,7 +114,17 @@ class Observer:
         self._value_columns = np.array(value_columns, dtype=np.int64)
         self._rate_columns = np.array(rate_columns, dtype=np.int64)
         self._angular = np.array(angular, dtype=np.int64)
-        self._values: FloatArray = np.zeros((n, len(value_columns)))
+        self.values: FloatArray = np.zeros((n, len(value_columns)))
+
+    def places(self) -> list[tuple[ObservationBlock, int, int]]:
+        """Return each block with its first column, and with that of its values among those whose rates follow."""
+        first = value = 0
+        found = []
+        for block in self.blocks:
+            found.append((block, first, value))
+            first += len(block.names) * (2 if block.rates else 1)
+            value += len(block.names) if block.rates else 0
+        return found
 
     @property
     def mirror(self) -> Mirror:
@@ -125,11 +140,11 @@ class Observer:
         for block in self._beginning:
             block.begin(rows)  # type: ignore[misc]
         values = self._measure(rows)
-        self._values[rows] = values
+        self.values[rows] = values
         first = np.zeros((len(rows), len(self.names)))
         first[:, self._value_columns] = values
-        for block, columns in self._plain:
-            first[:, columns] = block.measure(rows)
+        for block, at in self._plain:
+            first[:, at] = block.measure(rows)
         self.observations[rows] = first
 
     def update(self, rows: slice) -> None:
@@ -137,28 +152,28 @@ class Observer:
         for block in self._updating:
             block.update(rows)  # type: ignore[misc]
         values = self._measure(rows)
-        rates = values - self._values[rows]
+        rates = values - self.values[rows]
         if len(self._angular):
             # the short way round, also where an angle passes from pi to -pi
             turns = rates[:, self._angular]
             rates[:, self._angular] = (turns + np.pi) % (2.0 * np.pi) - np.pi
-        self._values[rows] = values
+        self.values[rows] = values
         observations = self.observations[rows]
         observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
-        for block, columns in self._plain:
-            observations[:, columns] = block.measure(rows)
+        for block, at in self._plain:
+            observations[:, at] = block.measure(rows)
 
     def _measure(self, rows: slice | IntArray) -> FloatArray:
         k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-        values = np.empty((k, self._values.shape[1]))
-        for block, columns in self._rated:
-            values[:, columns] = block.measure(rows)
+        values = np.empty((k, self.values.shape[1]))
+        for block, at in self._rated:
+            values[:, at] = block.measure(rows)
         return values
 
     def state(self) -> dict[str, AnyArray]:
         """Return everything that the next observation depends on."""
-        state: dict[str, AnyArray] = {"observations": self.observations.copy(), "features": self._values.copy()}
+        state: dict[str, AnyArray] = {"observations": self.observations.copy(), "features": self.values.copy()}
         for block in self.blocks:
             state.update({name: array.copy() for name, array in block.arrays.items()})
         return state
@@ -166,7 +181,7 @@ class Observer:
     def load_state(self, state: Mapping[str, AnyArray]) -> None:
         """Restore what :meth:`state` returned."""
         self.observations[:] = state["observations"]
-        self._values[:] = state["features"]
+        self.values[:] = state["features"]
         for block in self.blocks:
             for name, array in block.arrays.items():
                 array[:] = state[name]
@@ -186,7 +201,11 @@ def blocks(world: World, names: Sequence[str]) -> list[ObservationBlock]:
 
 def _step(world: World) -> ObservationBlock:
     """Return the number of steps of the episode."""
-    return ObservationBlock(("step",), lambda rows: world.steps[rows][:, None].astype(np.float64))
+    return ObservationBlock(
+        ("step",),
+        lambda rows: world.steps[rows][:, None].astype(np.float64),
+        operation=Operation("counts", {"source": world.steps}),
+    )
 
 
 def _joints(world: World, prefix: str = "") -> dict[str, tuple[str, ...] | tuple[float, ...]]:
@@ -205,6 +224,7 @@ def _joint_angles(world: World) -> ObservationBlock:
     return ObservationBlock(
         **_joints(world),  # type: ignore[arg-type]
         measure=lambda rows: actuation.angles(world.perceptors["joint_angles"][rows]),
+        operation=joint_angles(world.perceptors["joint_angles"], actuation.index.tolist(), actuation.sign.tolist()),
         rates="joint_speeds" not in world.perceptors,
     )
 
@@ -215,17 +235,31 @@ def _joint_speeds(world: World) -> ObservationBlock:
     return ObservationBlock(
         **_joints(world, "speed_"),  # type: ignore[arg-type]
         measure=lambda rows: actuation.angles(world.perceptors["joint_speeds"][rows]),
+        operation=joint_angles(world.perceptors["joint_speeds"], actuation.index.tolist(), actuation.sign.tolist()),
     )
 
 
 def _last_action(world: World) -> ObservationBlock:
     """Latest action."""
-    return ObservationBlock(**_joints(world, "action_"), measure=lambda rows: world.actions[rows])  # type: ignore[arg-type]
+    return ObservationBlock(
+        **_joints(world, "action_"),  # type: ignore[arg-type]
+        measure=lambda rows: world.actions[rows],
+        operation=columns(world.actions),
+    )
 
 
 def _yaw(world: World) -> ObservationBlock:
     """Angle in radians from the running direction to the torso's front, counter-clockwise, with its rate."""
-    return ObservationBlock(("yaw",), lambda rows: world.yaw(rows)[:, None], signs=(-1.0,), rates=True, angular=True)
+    return ObservationBlock(
+        ("yaw",),
+        lambda rows: world.yaw(rows)[:, None],
+        signs=(-1.0,),
+        rates=True,
+        angular=True,
+        operation=Operation(
+            "yaw", {"rotation": world.simulator.truth.torso_rotation}, {"front": [world.robot.front_axis]}
+        ),
+    )
 
 
 def _heading(world: World) -> ObservationBlock:
@@ -235,19 +269,31 @@ def _heading(world: World) -> ObservationBlock:
         yaw = perceived_yaw(world, rows)
         return np.stack([np.sin(yaw), np.cos(yaw)], axis=1)
 
-    return ObservationBlock(("heading_sin", "heading_cos"), measure, signs=(-1.0, 1.0))
+    perceived = {"quaternion": world.perceptors["torso_quat"]} if "torso_quat" in world.perceptors else None
+    arrays = perceived or {"rotation": world.simulator.truth.torso_rotation}
+    operation = Operation("heading", arrays, {"front": [world.robot.front_axis]})
+    return ObservationBlock(("heading_sin", "heading_cos"), measure, signs=(-1.0, 1.0), operation=operation)
 
 
 def _height(world: World) -> ObservationBlock:
     """Height of the torso in metres: perceived if possible, else the true one, with its rate."""
     if "torso_pos" in world.perceptors:
-        return ObservationBlock(("height",), lambda rows: world.perceptors["torso_pos"][rows, 2:3])
-    return ObservationBlock(("height",), lambda rows: world.position(rows)[:, 2:3], rates=True)
+        return ObservationBlock(
+            ("height",),
+            lambda rows: world.perceptors["torso_pos"][rows, 2:3],
+            operation=columns(world.perceptors["torso_pos"], [2]),
+        )
+    return ObservationBlock(
+        ("height",),
+        lambda rows: world.position(rows)[:, 2:3],
+        rates=True,
+        operation=columns(world.simulator.truth.torso_position, [2]),
+    )
 
 
 def _centre_of_mass(world: World) -> ObservationBlock:
     """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
-    from naosim.simspark import centre_of_mass
+    from naosim.simspark.batch import centre_of_mass, kinematics_address
 
     kind = int(world.robot.name.rsplit("-", 1)[1])
     names = tuple(f"com_{axis}" for axis in _AXES)
@@ -256,6 +302,9 @@ def _centre_of_mass(world: World) -> ObservationBlock:
         lambda rows: centre_of_mass(kind, world.perceptors["joint_angles"][rows]),
         signs=_vector_signs(world),
         rates=True,
+        operation=Operation(
+            "centre_of_mass", {"angles": world.perceptors["joint_angles"]}, function=kinematics_address(kind)
+        ),
     )
 
 
@@ -266,6 +315,7 @@ def _gyro(world: World) -> ObservationBlock:
         lambda rows: np.deg2rad(world.perceptors["gyro"][rows]),
         signs=tuple(-sign for sign in _vector_signs(world)),  # axial vectors turn the other way
         rates="joint_speeds" not in world.perceptors,
+        operation=columns(world.perceptors["gyro"], factor=np.pi / 180.0),
     )
 
 
@@ -276,17 +326,18 @@ def _accel(world: World) -> ObservationBlock:
         lambda rows: world.perceptors["accel"][rows],
         signs=_vector_signs(world),
         rates="joint_speeds" not in world.perceptors,
+        operation=columns(world.perceptors["accel"]),
     )
 
 
 def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBlock]:
-    columns = slice(0, 3) if kind == "origin" else slice(3, 6)
+    part = slice(0, 3) if kind == "origin" else slice(3, 6)
 
     def block(world: World) -> ObservationBlock:
         """Centre of pressure in metres in the foot's frame, or force in newtons; zero without contact; with rates."""
 
         def measure(rows: slice | IntArray) -> FloatArray:
-            values = world.perceptors[f"foot_{side}"][rows, columns]
+            values = world.perceptors[f"foot_{side}"][rows, part]
             return np.where(values == values, values, 0.0)  # NaN differs from itself
 
         return ObservationBlock(
@@ -295,6 +346,7 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
             partners=tuple(f"{other}_foot_{kind}_{axis}" for axis in _AXES),
             signs=_vector_signs(world),
             rates=True,
+            operation=columns(world.perceptors[f"foot_{side}"], range(part.start, part.stop), missing=True),
         )
 
     return block
@@ -330,6 +382,15 @@ def _foot_counters(world: World) -> ObservationBlock:
         begin=begin,
         update=update,
         arrays={"counters": counters, "feet_loaded": loaded_before},
+        operation=Operation(
+            "foot_counters",
+            {
+                "foot_left": world.perceptors["foot_left"],
+                "foot_right": world.perceptors["foot_right"],
+                "counters": counters,
+                "feet_loaded": loaded_before,
+            },
+        ),
     )
 
 
@@ -340,7 +401,12 @@ def _gravity(world: World) -> ObservationBlock:
         w, x, y, z = world.perceptors["torso_quat"][rows].T
         return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
-    return ObservationBlock(tuple(f"gravity_{axis}" for axis in _AXES), measure, signs=_vector_signs(world))
+    return ObservationBlock(
+        tuple(f"gravity_{axis}" for axis in _AXES),
+        measure,
+        signs=_vector_signs(world),
+        operation=Operation("gravity", {"quaternion": world.perceptors["torso_quat"]}),
+    )
 
 
 def _velocity(world: World) -> ObservationBlock:
@@ -369,6 +435,15 @@ def _velocity(world: World) -> ObservationBlock:
         begin=begin,
         update=update,
         arrays={"velocity": velocity, "velocity_position": before},
+        operation=Operation(
+            "velocity",
+            {
+                "position": world.perceptors["torso_pos"],
+                "quaternion": world.perceptors["torso_quat"],
+                "before": before,
+                "velocity": velocity,
+            },
+        ),
     )
 
 

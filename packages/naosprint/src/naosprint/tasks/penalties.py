@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
+from naosprint.tasks.compiled import Operation
 from naosprint.tasks.disturbances import DisturbanceSettings
 
 if TYPE_CHECKING:
@@ -58,6 +59,11 @@ def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]
 
     return (
         RewardTerm("torque", -settings.torque_penalty, world.torque_share),
-        RewardTerm("smoothness", -settings.smoothness_penalty, smoothness),
-        RewardTerm("action", -settings.action_penalty, action),
+        RewardTerm(
+            "smoothness",
+            -settings.smoothness_penalty,
+            smoothness,
+            Operation("mean_square", {"values": world.actions, "less": world.previous_actions}),
+        ),
+        RewardTerm("action", -settings.action_penalty, action, Operation("mean_square", {"values": world.actions})),
     )

@@ -14,7 +14,9 @@ from naosim.simulator import STEP_S
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
+from naosprint.tasks.compiled import Operation, columns
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
+from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.penalties import penalties
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
     from naosim.robots import Robot
 
-    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.arrays import FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.observations import ObservationBlock
 
@@ -223,14 +225,14 @@ class Sprint(Task):
 
     def __init__(self, parameters: SprintSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
-        self._x: FloatArray = np.zeros(self.n)
-        self._start_x: FloatArray = np.zeros(self.n)
-        self._aside: FloatArray = np.zeros(self.n)  # distance from the line straight ahead of the start, metres
-        self.arrays = {"x": self._x, "start_x": self._start_x, "aside": self._aside}
-        self._forward: FloatArray = np.zeros(self.n)
-        self._drift: FloatArray = np.zeros(self.n)
-        self._fallen: BoolArray = np.zeros(self.n, dtype=np.bool_)
-        self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
+        self._along = Displacement(world)
+        self._aside = Deviation(world, self.start_position()[1])
+        self._fallen = Below(world, float(parameters.min_height_m or 0.0))  # resolve has filled it in
+        finish = np.inf if self.finish_x_m is None else self.finish_x_m
+        arrived = Beyond(self._along.now, finish, self._fallen.flag)
+        self.measurements = (self._along, self._aside, self._fallen, arrived)
+        self.flags = (self._fallen.flag, arrived.flag)
+        self.arrays = {"x": self._along.now, "start_x": self._along.start, "aside": self._aside.now}
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations, and the distance from the line if the robot perceives where it is."""
@@ -242,7 +244,10 @@ class Sprint(Task):
             lane = self.start_position()[1]
             usual.append(
                 ObservationBlock(
-                    ("line_offset",), lambda rows: perceptors["torso_pos"][rows, 1:2] - lane, signs=(-1.0,)
+                    ("line_offset",),
+                    lambda rows: perceptors["torso_pos"][rows, 1:2] - lane,
+                    signs=(-1.0,),
+                    operation=columns(perceptors["torso_pos"], [1], offset=lane),
                 )
             )
         return usual
@@ -254,41 +259,23 @@ class Sprint(Task):
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return forward displacement and the penalties, in metres."""
         parameters = self.parameters
+        forward, drift, fallen = self._along.change, self._aside.change, self._fallen.flag
         return (
-            RewardTerm("forward", 1.0, lambda rows: self._forward[rows]),
-            RewardTerm("drift", -parameters.drift_penalty, lambda rows: self._drift[rows]),
-            RewardTerm("fall", -parameters.fall_penalty_m, lambda rows: self._fallen[rows].astype(np.float64)),
+            RewardTerm("forward", 1.0, lambda rows: forward[rows], columns(forward)),
+            RewardTerm("drift", -parameters.drift_penalty, lambda rows: drift[rows], columns(drift)),
+            RewardTerm(
+                "fall",
+                -parameters.fall_penalty_m,
+                lambda rows: fallen[rows].astype(np.float64),
+                Operation("flags", {"source": fallen}),
+            ),
             *penalties(self.world, parameters),
         )
 
-    def begin(self, rows: IntArray) -> None:
-        """Store where the robots start."""
-        position = self.world.position(rows)
-        self._x[rows] = self._start_x[rows] = position[:, 0]
-        self._aside[rows] = np.abs(position[:, 1] - self.start_position()[1])
-        self._fallen[rows] = False
-
-    def advance(self, rows: slice) -> None:
-        """Compute how far the step went forward and aside."""
-        position = self.world.position(rows)
-        x = position[:, 0]
-        aside = np.abs(position[:, 1] - self.start_position()[1])
-        self._forward[rows] = x - self._x[rows]
-        self._drift[rows] = aside - self._aside[rows]
-        self._x[rows], self._aside[rows] = x, aside
-        self._fallen[rows] = position[:, 2] < self._min_height
-
-    def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return which robots have fallen, and which have passed the finish line without falling."""
-        fallen = self._fallen[rows]
-        if self.finish_x_m is None:
-            return fallen, np.zeros_like(fallen)
-        return fallen, (self._x[rows] > self.finish_x_m) & ~fallen
-
     def measure(self, rows: IntArray) -> FloatArray:
         """Return distance, fall and speed."""
-        distance = self._x[rows] - self._start_x[rows]
-        return np.stack([distance, self._fallen[rows], distance / seconds(self.world.steps[rows])], axis=1)
+        distance = self._along.now[rows] - self._along.start[rows]
+        return np.stack([distance, self._fallen.flag[rows], distance / seconds(self.world.steps[rows])], axis=1)
 
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return the paper's statistics, those over all episodes, and the league's run challenge."""

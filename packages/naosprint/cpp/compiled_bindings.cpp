@@ -1,0 +1,233 @@
+// The module naosprint._compiled; naosprint.tasks.compiled and naosprint.rl.normalization document it.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "normalization.hpp"
+#include "operations.hpp"
+#include "program.hpp"
+
+namespace nb = nanobind;
+
+using Any = nb::ndarray<nb::device::cpu>;
+using Doubles = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Inputs = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Floats = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
+using FloatInputs = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
+using Index = nb::ndarray<const std::int64_t, nb::c_contig, nb::device::cpu>;
+using Flags = nb::ndarray<const bool, nb::c_contig, nb::device::cpu>;
+
+namespace naosprint {
+namespace {
+
+void require(bool holds, const std::string& what) {
+  if (!holds) throw nb::value_error(what.c_str());
+}
+
+// A view of an array with one row per robot, the numbers of a row side by side.
+template <class Number>
+Table<Number> table_of(const Any& array, const std::string& name) {
+  require(array.ndim() >= 1 && array.dtype() == nb::dtype<Number>(), name + ": wrong type");
+  std::int64_t width = 1;
+  for (std::size_t axis = array.ndim(); axis-- > 1;) {
+    require(array.stride(axis) == width || array.shape(axis) <= 1, name + ": the numbers of a row must be side by side");
+    width *= static_cast<std::int64_t>(array.shape(axis));
+  }
+  return {static_cast<Number*>(array.data()), static_cast<std::ptrdiff_t>(array.stride(0)), static_cast<std::int64_t>(array.shape(0)),
+          static_cast<int>(width)};
+}
+
+struct OperationHolder {
+  std::shared_ptr<Operation> operation;
+  std::int64_t rows = -1;
+  std::map<std::string, Any> arrays;  // keeps them
+};
+
+OperationHolder make_holder(const std::string& name, const std::map<std::string, Any>& arrays, const std::map<std::string, std::vector<double>>& numbers,
+                            std::uint64_t function) {
+  Arguments arguments;
+  arguments.operation = name;
+  arguments.numbers = numbers;
+  arguments.function = function;
+  OperationHolder holder;
+  for (const auto& [key, array] : arrays) {
+    if (array.dtype() == nb::dtype<double>())
+      arguments.reals[key] = table_of<double>(array, key);
+    else if (array.dtype() == nb::dtype<std::int64_t>())
+      arguments.integers[key] = table_of<std::int64_t>(array, key);
+    else
+      arguments.flags[key] = table_of<bool>(array, key);
+    const std::int64_t rows = static_cast<std::int64_t>(array.shape(0));
+    require(holder.rows < 0 || holder.rows == rows, "operation " + name + ": " + key + ": wrong number of robots");
+    holder.rows = rows;
+  }
+  holder.arrays = arrays;
+  try {
+    holder.operation = make_operation(arguments);
+  } catch (const std::invalid_argument& error) {
+    throw nb::value_error(error.what());
+  }
+  return holder;
+}
+
+// A program, and the targets of its actions.
+class Step {
+ public:
+  Step(const std::vector<OperationHolder>& measurements, const nb::list& blocks, const nb::list& terms, const nb::list& ends, const nb::dict& arrays,
+       double scale, const std::vector<double>& nominal, bool around_nominal, const std::vector<std::vector<double>>& joints) {
+    const auto given = [&](const char* name) { return nb::cast<Any>(arrays[name]); };
+    const auto reals = [&](const char* name) { return kept(table_of<double>(given(name), name)); };
+    const auto flags = [&](const char* name) { return kept(table_of<bool>(given(name), name)); };
+    auto& a = program_.arrays;
+    a.steps = table_of<std::int64_t>(given("steps"), "steps");
+    n_ = a.steps.rows;
+    a.observations = reals("observations");
+    a.values = reals("values");
+    a.rewards = reals("rewards");
+    a.actions = reals("actions");
+    a.previous_actions = reals("previous_actions");
+    a.targets = reals("targets");
+    a.terminated = flags("terminated");
+    a.truncated = flags("truncated");
+    a.failed = flags("failed");
+    a.lost = flags("lost");
+    a.short_episode = flags("short");
+    arrays_ = arrays;
+    program_.scale = scale;
+    program_.nominal = nominal;
+    program_.around_nominal = around_nominal;
+    require(static_cast<int>(nominal.size()) == a.targets.width && static_cast<int>(joints.size()) == a.actions.width &&
+                a.previous_actions.width == a.actions.width,
+            "joints: wrong shape");
+    for (const std::vector<double>& joint : joints) {
+      require(joint.size() == 6 && joint[0] >= 0 && joint[0] < static_cast<double>(nominal.size()), "joints: index out of range");
+      program_.joints.push_back({static_cast<int>(joint[0]), joint[1], joint[2], joint[3], joint[4], joint[5]});
+    }
+    for (const OperationHolder& each : measurements) program_.measurements.push_back(kept(each));
+    for (nb::handle each : blocks) {
+      const auto [holder, first, rates, angular, value] = nb::cast<std::tuple<OperationHolder, int, bool, bool, int>>(each);
+      const int width = holder.operation->width() * (rates ? 2 : 1);
+      require(first >= 0 && first + width <= a.observations.width, "blocks: column out of range");
+      require(!rates || (value >= 0 && value + holder.operation->width() <= a.values.width), "blocks: value out of range");
+      program_.blocks.push_back({kept(holder), first, rates, angular, value});
+    }
+    for (nb::handle each : terms) {
+      const auto [holder, weight] = nb::cast<std::tuple<OperationHolder, double>>(each);
+      require(holder.operation->width() == 1, "terms: one number per robot is needed");
+      program_.terms.push_back({kept(holder), weight});
+    }
+    for (nb::handle each : ends) {
+      const auto [flag, reached, failure] = nb::cast<std::tuple<Any, Any, bool>>(each);
+      program_.ends.push_back({kept(table_of<bool>(flag, "flag")), kept(table_of<bool>(reached, "reached")), failure});
+      flags_.push_back(flag);
+      flags_.push_back(reached);
+    }
+  }
+
+  template <class Array>
+  void act(std::int64_t first, const Array& actions) const {
+    require(actions.ndim() == 2 && static_cast<int>(actions.shape(1)) == program_.arrays.actions.width, "actions: wrong shape");
+    require(first >= 0 && first + static_cast<std::int64_t>(actions.shape(0)) <= n_, "rows: out of range");
+    program_.act(first, static_cast<int>(actions.shape(0)), actions.data());
+  }
+
+  void step(std::int64_t first, int count, const std::optional<Flags>& lost, std::int64_t max_steps, std::int64_t short_steps,
+            bool horizon_is_terminal, std::uint64_t threads) const {
+    require(first >= 0 && count >= 0 && first + count <= n_, "rows: out of range");
+    require(!lost || static_cast<int>(lost->size()) == count, "lost: one flag per robot is needed");
+    const bool* gone = lost ? lost->data() : nullptr;
+    nb::gil_scoped_release release;
+    program_.step(first, count, gone, {max_steps, short_steps, horizon_is_terminal}, threads);
+  }
+
+  void begin(const Index& rows) const {
+    for (std::size_t k = 0; k < rows.size(); ++k) require(rows.data()[k] >= 0 && rows.data()[k] < n_, "rows: out of range");
+    program_.begin({rows.data(), 0, static_cast<int>(rows.size())});
+  }
+
+ private:
+  template <class Number>
+  const Table<Number>& kept(const Table<Number>& table) const {
+    require(table.rows == n_, "arrays: one row per robot is needed");
+    return table;
+  }
+  std::shared_ptr<Operation> kept(const OperationHolder& holder) {
+    require(holder.rows == n_, "operations: one row per robot is needed");
+    holders_.push_back(holder);
+    return holder.operation;
+  }
+
+  Program program_;
+  std::int64_t n_ = 0;
+  nb::dict arrays_;
+  std::vector<OperationHolder> holders_;
+  std::vector<Any> flags_;
+};
+
+Moments moments_of(const Doubles& mean, const Doubles& variance, const Doubles& count) {
+  require(mean.size() == variance.size() && count.size() == 1, "moments: wrong shape");
+  return {mean.data(), variance.data(), count.data(), static_cast<int>(mean.size())};
+}
+
+}  // namespace
+}  // namespace naosprint
+
+NB_MODULE(_compiled, m) {
+  using namespace naosprint;
+  nb::class_<OperationHolder>(m, "Operation")
+      .def("__init__",
+           [](OperationHolder* self, const std::string& name, const std::map<std::string, Any>& arrays,
+              const std::map<std::string, std::vector<double>>& numbers,
+              std::uint64_t function) { new (self) OperationHolder(make_holder(name, arrays, numbers, function)); },
+           nb::arg("name"), nb::arg("arrays"), nb::arg("numbers"), nb::arg("function"))
+      .def_prop_ro("width", [](const OperationHolder& self) { return self.operation->width(); });
+  nb::class_<Step>(m, "Step")
+      .def(nb::init<const std::vector<OperationHolder>&, const nb::list&, const nb::list&, const nb::list&, const nb::dict&, double,
+                    const std::vector<double>&, bool, const std::vector<std::vector<double>>&>(),
+           nb::arg("measurements"), nb::arg("blocks"), nb::arg("terms"), nb::arg("ends"), nb::arg("arrays"), nb::arg("scale"),
+           nb::arg("nominal"), nb::arg("around_nominal"), nb::arg("joints"))
+      .def("act", &Step::act<Inputs>, nb::arg("first"), nb::arg("actions"))  // first: what is neither type becomes this one
+      .def("act", &Step::act<FloatInputs>, nb::arg("first"), nb::arg("actions"))
+      .def("step", &Step::step, nb::arg("first"), nb::arg("count"), nb::arg("lost").none(), nb::arg("max_steps"), nb::arg("short_steps"),
+           nb::arg("horizon_is_terminal"), nb::arg("threads"))
+      .def("begin", &Step::begin, nb::arg("rows"));
+  m.def("merge",
+        [](const Doubles& mean, const Doubles& variance, const Doubles& count, const std::optional<Index>& index, const std::optional<Inputs>& sign,
+           const Inputs& samples, std::uint64_t threads) {
+          const Moments moments = moments_of(mean, variance, count);
+          require(samples.ndim() == 2 && samples.shape(0) > 0 && static_cast<int>(samples.shape(1)) == moments.width, "samples: wrong shape");
+          require(index.has_value() == sign.has_value() && (!index || (index->size() == mean.size() && sign->size() == mean.size())),
+                  "mirror: wrong shape");
+          for (std::size_t j = 0; index && j < index->size(); ++j)
+            require(index->data()[j] >= 0 && index->data()[j] < moments.width, "mirror: out of range");
+          merge(moments, {index ? index->data() : nullptr, sign ? sign->data() : nullptr}, samples.data(), static_cast<std::int64_t>(samples.shape(0)),
+                threads);
+        },
+        nb::arg("mean"), nb::arg("variance"), nb::arg("count"), nb::arg("index").none(), nb::arg("sign").none(), nb::arg("samples"), nb::arg("threads"));
+  m.def("standardize",
+        [](const Doubles& mean, const Doubles& variance, const Inputs& samples, double clip, const Floats& out, std::uint64_t threads) {
+          require(mean.size() == variance.size() && samples.ndim() == 2 && samples.shape(1) == mean.size() && out.size() == samples.size(),
+                  "samples: wrong shape");
+          standardize({mean.data(), variance.data(), nullptr, static_cast<int>(mean.size())}, samples.data(),
+                      static_cast<std::int64_t>(samples.shape(0)), clip, out.data(), threads);
+        },
+        nb::arg("mean"), nb::arg("variance"), nb::arg("samples"), nb::arg("clip"), nb::arg("out"), nb::arg("threads"));
+  m.def("scale_rewards",
+        [](const Doubles& mean, const Doubles& variance, const Doubles& count, const Doubles& returns, const Inputs& rewards, const Flags& dones,
+           double gamma, double clip, const Floats& out) {
+          const Moments moments = moments_of(mean, variance, count);
+          require(moments.width == 1 && returns.size() == rewards.size() && dones.size() == rewards.size() && out.size() == rewards.size(),
+                  "rewards: wrong shape");
+          scale_rewards(moments, returns.data(), rewards.data(), dones.data(), static_cast<std::int64_t>(rewards.size()), gamma, clip, out.data());
+        },
+        nb::arg("mean"), nb::arg("variance"), nb::arg("count"), nb::arg("returns"), nb::arg("rewards"), nb::arg("dones"), nb::arg("gamma"),
+        nb::arg("clip"), nb::arg("out"));
+}

@@ -1,0 +1,62 @@
+"""What environments compute, compiled; naosprint.tasks.compiled and naosprint.rl.normalization document it."""
+
+from collections.abc import Mapping, Sequence
+
+from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+
+class Operation:
+    def __init__(
+        self, name: str, arrays: Mapping[str, AnyArray], numbers: Mapping[str, Sequence[float]], function: int
+    ) -> None: ...
+    @property
+    def width(self) -> int: ...
+
+class Step:
+    def __init__(
+        self,
+        measurements: Sequence[Operation],
+        blocks: Sequence[tuple[Operation, int, bool, bool, int]],
+        terms: Sequence[tuple[Operation, float]],
+        ends: Sequence[tuple[BoolArray, BoolArray, bool]],
+        arrays: Mapping[str, AnyArray],
+        scale: float,
+        nominal: Sequence[float],
+        around_nominal: bool,
+        joints: Sequence[Sequence[float]],
+    ) -> None: ...
+    def act(self, first: int, actions: FloatArray | Float32Array) -> None: ...
+    def step(
+        self,
+        first: int,
+        count: int,
+        lost: BoolArray | None,
+        max_steps: int,
+        short_steps: int,
+        horizon_is_terminal: bool,
+        threads: int,
+    ) -> None: ...
+    def begin(self, rows: IntArray) -> None: ...
+
+def merge(
+    mean: FloatArray,
+    variance: FloatArray,
+    count: FloatArray,
+    index: IntArray | None,
+    sign: FloatArray | None,
+    samples: FloatArray,
+    threads: int,
+) -> None: ...
+def standardize(
+    mean: FloatArray, variance: FloatArray, samples: FloatArray, clip: float, out: Float32Array, threads: int
+) -> None: ...
+def scale_rewards(
+    mean: FloatArray,
+    variance: FloatArray,
+    count: FloatArray,
+    returns: FloatArray,
+    rewards: FloatArray,
+    dones: BoolArray,
+    gamma: float,
+    clip: float,
+    out: Float32Array,
+) -> None: ...

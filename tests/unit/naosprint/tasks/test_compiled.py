@@ -1,0 +1,223 @@
+"""Compiled steps: the bits of the Python code, chosen where every part of a task has a compiled form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.simspark import EmbeddedSimulator
+from naosim.simulator import Simulator
+from naosprint.rl.normalization import Normalizer, RunningMoments
+from naosprint.tasks import ObservationBlock, RewardTerm, Task
+from naosprint.tasks.compiled import Operation
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
+
+NAO = robots.get("nao-0")
+FULL = {"drift_penalty": 0.7, "fall_penalty_m": 0.3, "smoothness_penalty": 0.2, "action_penalty": 0.1}
+
+
+def opened(simulator: Simulator, task: type[Task] = Sprint1, *, compiled: bool = True, **settings: Any) -> Environment:
+    chosen = SprintSettings(name=task.name).model_copy(update=settings)
+    environment = Environment(simulator, task, task.resolve(chosen, simulator.robot), compiled=compiled)
+    n = environment.n
+    environment.short[: n // 3] = True
+    environment.load_starts(environment.task.starts(8, 0, 2.0))
+    environment.restart(np.arange(n), np.arange(n) % 8)
+    return environment
+
+
+def run(environment: Environment, steps: int) -> list[np.ndarray]:
+    """Return everything that the steps of an environment computed, with restarts as they come."""
+    rng = np.random.default_rng(5)
+    found = []
+    for step in range(steps):
+        width = environment.actuation.n_actions
+        actions = rng.normal(0.0, 0.6, (environment.n, width)).astype(np.float32 if step % 2 else np.float64)
+        observations = environment.step(actions).copy()
+        flags = (environment.terminated, environment.truncated, environment.failed, environment.lost)
+        found += [observations, environment.rewards.copy(), *(flag.copy() for flag in flags)]
+        found += [flag.copy() for flag in environment.ends.values()]
+        over = np.flatnonzero(environment.terminated | environment.truncated)
+        found.append(environment.task.measure(over))
+        environment.restart(over, over % 8)
+        found.append(environment.observations.copy())
+    found += [array for _, array in sorted(environment.state().items())]
+    environment.close()
+    return found
+
+
+def same(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> None:
+    assert len(ours) == len(theirs)
+    for number, (one, other) in enumerate(zip(ours, theirs, strict=True)):
+        np.testing.assert_array_equal(one, other, err_msg=str(number))
+        assert one.tobytes() == other.tobytes() or np.isnan(one.astype(np.float64)).any() or (one == 0).any()
+
+
+@pytest.mark.parametrize("robot", ["nao-0", "nao-4"])
+@pytest.mark.parametrize("task", [Sprint1, Sprint2])
+def test_a_compiled_step_has_the_bits_of_the_python_code(robot: str, task: type[Task]) -> None:
+    compiled, plain = (
+        opened(EmbeddedSimulator(robots.get(robot), 19, threads=2), task, compiled=wanted, **FULL)
+        for wanted in (True, False)
+    )
+    assert compiled.compiled
+    assert not plain.compiled
+    assert compiled.load_starts is not None
+    ours, theirs = run(compiled, 130), run(plain, 130)
+    same(ours, theirs)
+    assert compiled.ends["fallen"].dtype == np.bool_
+
+
+def test_a_mujoco_robot_too() -> None:
+    mujoco = pytest.importorskip("naosim.mujoco.embedded")
+    robot = robots.get("t1")
+    compiled, plain = (opened(mujoco.MujocoSimulator(robot, 3), compiled=wanted) for wanted in (True, False))
+    assert compiled.compiled
+    same(run(compiled, 45), run(plain, 45))
+
+
+class OwnAdvance(Sprint1):
+    """A sprint that computes something of its own after each step."""
+
+    advances = 0
+
+    def advance(self, rows: slice) -> None:
+        """Count, too."""
+        super().advance(rows)
+        self.advances += 1
+
+
+class OwnTerm(Sprint1):
+    """A sprint with a term that exists in Python only."""
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return one term more."""
+        return (*super().reward_terms(), RewardTerm("own", 0.5, lambda rows: self.world.steps[rows] % 2))
+
+
+class OwnBlock(Sprint1):
+    """A sprint with an observation that exists in Python only."""
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return one block more."""
+        return (*super().observation_blocks(), ObservationBlock(("own",), lambda rows: self.world.steps[rows][:, None]))
+
+
+class Composed(Sprint1):
+    """A sprint with another choice of the project's blocks, and a weight of its own."""
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the usual blocks, and the latest action."""
+        from naosprint.tasks import blocks
+
+        return (*super().observation_blocks(), *blocks(self.world, ["last_action"]))
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return half of each term."""
+        return [RewardTerm(term.name, 0.5 * term.weight, term.value, term.operation) for term in super().reward_terms()]
+
+
+@pytest.mark.parametrize("task", [OwnAdvance, OwnTerm, OwnBlock])
+def test_a_task_with_a_part_in_python_only_runs_in_python(task: type[Task]) -> None:
+    environment = opened(EmbeddedSimulator(NAO, 3), task)
+    assert not environment.compiled
+    run(environment, 3)
+    assert getattr(environment.task, "advances", 4) == 4  # once when the starts are loaded
+
+
+def test_a_task_of_the_projects_parts_runs_compiled() -> None:
+    compiled, plain = (opened(EmbeddedSimulator(NAO, 5), Composed, compiled=wanted, **FULL) for wanted in (True, False))
+    assert compiled.compiled
+    same(run(compiled, 60), run(plain, 60))
+
+
+def test_lost_robots_keep_what_they_had(make_losing: Callable[[int], Simulator]) -> None:
+    same(*(run(opened(make_losing(6), compiled=wanted), 40) for wanted in (True, False)))
+
+
+@pytest.fixture
+def make_losing() -> Callable[[int], Simulator]:
+    class Losing(EmbeddedSimulator):
+        steps = 0
+
+        @property
+        def lost(self) -> np.ndarray:
+            return (np.arange(self.n) + self.steps) % 7 == 0
+
+        def step_wait(self, rows: slice) -> None:
+            super().step_wait(rows)
+            self.steps += 1
+
+    return lambda n: Losing(NAO, n)
+
+
+def test_an_unknown_or_incomplete_operation_is_named() -> None:
+    with pytest.raises(ValueError, match="operation fly: there is none of this name"):
+        Operation("fly", {"source": np.zeros(3)}).build()
+    with pytest.raises(ValueError, match="operation gravity: quaternion is missing"):
+        Operation("gravity", {"source": np.zeros((3, 4))}).build()
+    with pytest.raises(ValueError, match="operation gravity: quaternion: 4 numbers per robot"):
+        Operation("gravity", {"quaternion": np.zeros((3, 3))}).build()
+    with pytest.raises(ValueError, match="side by side"):
+        Operation("gravity", {"quaternion": np.zeros((4, 3)).T}).build()
+
+
+def reference_merge(moments: RunningMoments, batch: np.ndarray) -> None:
+    """Merge samples with NumPy, operation by operation."""
+    k = len(batch)
+    mean = batch.mean(axis=0)
+    centred = batch - mean
+    squares = np.einsum("ij,ij->j", centred, centred)
+    if moments.mirror is not None:
+        half_gap = 0.5 * (mean - moments.mirror.apply(mean))
+        squares = 0.5 * (squares + squares[moments.mirror.index]) + k * half_gap * half_gap
+        mean = 0.5 * (mean + moments.mirror.apply(mean))
+    count = moments.count[0]
+    total = count + k
+    delta = mean - moments.mean
+    moments.mean = moments.mean + delta * (k / total)
+    moments.variance = (moments.variance * count + squares + delta * delta * (count * k / total)) / total
+    moments.count = np.array([total])
+
+
+@pytest.mark.parametrize("n", [1, 5, 64, 128, 300])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_normalization_has_the_bits_of_numpy(n: int, mirrored: bool) -> None:
+    simulator = EmbeddedSimulator(NAO, 1, threads=2)
+    observer = opened(simulator).observer
+    width = len(observer.names)
+    mirror = observer.mirror if mirrored else None
+    normalizer = Normalizer(
+        n,
+        width,
+        observations=True,
+        observation_clip=3.0,
+        rewards=True,
+        gamma=0.97,
+        mirror=mirror,
+        threads=simulator.threads_address,
+    )
+    seen, returned = RunningMoments(width, mirror), RunningMoments(1)
+    returns = np.zeros(n)
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        raw = rng.normal(rng.normal(size=width), rng.uniform(0.1, 30.0, width), (n, width))
+        reference_merge(seen, raw)
+        scaled = (raw - seen.mean) / np.sqrt(seen.variance + 1e-8)
+        normalizer.update_observations(raw)
+        np.testing.assert_array_equal(normalizer.observations(raw), np.clip(scaled, -3.0, 3.0).astype(np.float32))
+        rewards, dones = rng.normal(0.0, 2.0, n), rng.random(n) < 0.2
+        returns = returns * 0.97 + rewards
+        reference_merge(returned, returns[:, None])
+        expected = np.clip(rewards / np.sqrt(returned.variance[0] + 1e-8), -10.0, 10.0).astype(np.float32)
+        np.testing.assert_array_equal(normalizer.rewards(rewards, dones), expected)
+        returns[dones] = 0.0
+    state = normalizer.state()
+    np.testing.assert_array_equal(state["observation_mean"], seen.mean)
+    np.testing.assert_array_equal(state["observation_variance"], seen.variance)
+    np.testing.assert_array_equal(state["return_variance"], returned.variance)
+    simulator.close()
