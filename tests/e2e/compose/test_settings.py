@@ -70,7 +70,9 @@ def test_new_env_fills_in_secrets_of_its_own_and_keeps_a_file_that_is_there(tmp_
     assert made[0].read_text() == before
 
 
-@pytest.mark.parametrize("secret", ["POSTGRES_PASSWORD", "BROKER_PASSWORD", "S3_SECRET_ACCESS_KEY"])
+@pytest.mark.parametrize(
+    "secret", ["POSTGRES_PASSWORD", "POSTGRES_WORKER_PASSWORD", "BROKER_API_PASSWORD", "S3_SECRET_ACCESS_KEY"]
+)
 def test_compose_names_the_secret_that_is_missing(engine: str, secret: str, tmp_path: Path) -> None:
     path = tmp_path / "some.env"
     subprocess.run([ROOT / "deploy" / "new-env", path], check=True, timeout=20)

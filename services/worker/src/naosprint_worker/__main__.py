@@ -10,8 +10,7 @@ import logging
 import sys
 from collections.abc import Sequence
 
-from naojobs.settings import settings_words
-from pydantic import ValidationError
+from naojobs.settings import SETTINGS_ERRORS, settings_words
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,7 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     try:
         return _health() if arguments.command == "health" else _run()
-    except ValidationError as error:
+    except SETTINGS_ERRORS as error:
         sys.stderr.write(settings_words(error))
         return 2
 
