@@ -177,6 +177,22 @@ def test_a_token_in_the_address_signs_in_and_leaves_the_address(browser: Browser
     assert token not in browser.driver.current_url
 
 
+def test_a_token_in_the_address_replaces_another_one_only_on_request(
+    browser: Browser, stack: Stack, token: str
+) -> None:
+    other = stack.make_token("somebody-else", "read")
+    browser.sign_in(token)
+    stored = "return sessionStorage.getItem('naosprint.token') ?? localStorage.getItem('naosprint.token')"
+    before = browser.js(stored)
+    assert before == token
+    for value, expected in (("no", token), ("yes", other)):
+        browser.js(f"location.hash = '#/?token={other}'")
+        browser.find(f"dialog button[value={value}]").click()
+        browser.until(lambda: not browser.js("return document.querySelector('dialog')"))
+        assert browser.js(stored) == expected
+        assert other not in browser.driver.current_url
+
+
 def test_empty_pages_say_what_to_do(browser: Browser, token: str) -> None:
     browser.sign_in(token)
     browser.shows("Submit one and watch a robot learn to run")
@@ -335,7 +351,7 @@ def test_a_comparison_lays_curves_and_evaluations_over_each_other(
 ) -> None:
     token, jobs = pair
     with stack.client(token) as client:
-        summaries = [client.get(f"/jobs/{job['id']}/evaluations").json()[0]["summary"] for job in jobs]
+        summaries = [client.get(f"/jobs/{job['id']}/evaluations").json()["items"][0]["summary"] for job in jobs]
     column = "All episodes"
     tables = [{c["title"]: c["results"] for c in summary["tables"][0]["columns"]} for summary in summaries]
     means = [[result["value"] for result in table[column]] for table in tables]
@@ -410,12 +426,12 @@ def test_the_newest_checkpoint_of_a_running_job_can_be_watched(
     browser.until(lambda: browser.find(record).is_enabled(), timeout_s=240, message="no checkpoint came")
     browser.find(record).click()
     browser.find(".stage canvas", timeout_s=240)
-    (evaluation,) = client.get(f"/jobs/{job_id}/evaluations").json()
+    (evaluation,) = client.get(f"/jobs/{job_id}/evaluations").json()["items"]
     assert evaluation["state"] == "succeeded"
     assert client.get(f"/jobs/{job_id}").json()["state"] == "running"
     step = next(
         checkpoint["step"]
-        for checkpoint in client.get(f"/jobs/{job_id}/checkpoints").json()
+        for checkpoint in client.get(f"/jobs/{job_id}/checkpoints").json()["items"]
         if checkpoint["id"] == evaluation["checkpoint_id"]
     )
     assert f"Step {step:,}" in browser.text("select[aria-label='Which recording']")
@@ -529,7 +545,7 @@ def test_checkpoints_download_as_they_were_stored(
     browser.sign_in(token)
     browser.open(f"/jobs/{job['id']}/checkpoints")
     with stack.client(token) as client:
-        newest = client.get(f"/jobs/{job['id']}/checkpoints").json()[0]
+        newest = client.get(f"/jobs/{job['id']}/checkpoints").json()["items"][0]
     row = browser.find(f"tr[data-checkpoint={newest['id']}]")
     row.find_element("css selector", "summary").click()
     for file in newest["files"]:
@@ -547,7 +563,7 @@ def test_the_evaluation_shows_the_service_s_numbers(
 ) -> None:
     token, job = finished
     with stack.client(token) as client:
-        evaluation = client.get(f"/jobs/{job['id']}/evaluations").json()[0]
+        evaluation = client.get(f"/jobs/{job['id']}/evaluations").json()["items"][0]
     results = {result["title"]: result for result in evaluation["summary"]["results"]}
     browser.sign_in(token)
     browser.open(f"/jobs/{job['id']}/evaluation")
@@ -593,7 +609,7 @@ def test_a_finished_job_shows_its_evaluation_in_list_and_tiles(
     browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
     score = values.get("run_challenge_score") or {"value": None}
     with stack.client(token) as client:
-        (evaluation,) = client.get(f"/jobs/{job['id']}/evaluations").json()
+        (evaluation,) = client.get(f"/jobs/{job['id']}/evaluations").json()["items"]
     explained = [r["description"] for r in evaluation["summary"]["results"] if r["value"] == 0 and r["description"]]
     assert explained or score["value"]
     for description in explained:
@@ -616,7 +632,7 @@ def test_the_replay_plays_a_recorded_episode(
 ) -> None:
     token, job = finished
     with stack.client(token) as client:
-        files = client.get(f"/jobs/{job['id']}/evaluations").json()[0]["files"]
+        files = client.get(f"/jobs/{job['id']}/evaluations").json()["items"][0]["files"]
         replay = client.get(next(file["url"] for file in files if file["name"] == "replay.json")).json()
     browser.allowed += ["GPU stall", "software WebGL"]
     browser.sign_in(token)

@@ -302,6 +302,12 @@ def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
     assert drawn >= 900, "zooming in does not show more points"
 
 
+def test_text_in_csv_is_no_formula(page: Browser) -> None:
+    rows = [["=1+1", "@a", "+b", "-c", "-1", "a=b"], [-1, 2.5, None, 'x,"y"', "", 0]]
+    text = page.module("return (await import('/ui/js/format.js')).csv(args[0])", rows)
+    assert text == '\'=1+1,\'@a,\'+b,\'-c,-1,a=b\n-1,2.5,,"x,""y""",,0\n'
+
+
 def test_metrics_are_written_as_their_descriptions_say(page: Browser) -> None:
     metrics = [
         {"name": "a", "unit": "m/s", "digits": 2},

@@ -42,7 +42,7 @@ def checkpoint(lease: Lease, save_checkpoint: Callable[..., str]) -> str:
 
 
 def test_a_checkpoint_is_listed_and_downloaded_as_it_is(client: httpx.Client, lease: Lease, checkpoint: str) -> None:
-    (listed,) = client.get(f"/jobs/{lease.job_id}/checkpoints").json()
+    (listed,) = client.get(f"/jobs/{lease.job_id}/checkpoints").json()["items"]
     assert client.get(f"/checkpoints/{checkpoint}").json() == listed
     assert (listed["id"], listed["step"], listed["attempt"]) == (checkpoint, 100, 1)
     assert listed["size"] == sum(map(len, CONTENT.values()))
@@ -63,7 +63,7 @@ def test_the_newest_checkpoint_comes_first(
 ) -> None:
     for step in (5, 50, 10):
         save_checkpoint(lease, step, {"a": b"a"})
-    steps = [item["step"] for item in client.get(f"/jobs/{lease.job_id}/checkpoints").json()]
+    steps = [item["step"] for item in client.get(f"/jobs/{lease.job_id}/checkpoints").json()["items"]]
     assert steps == [50, 10, 5]
 
 
@@ -215,7 +215,9 @@ def test_an_evaluation_from_request_to_report(
     assert report.content == b"<html>"
     assert report.headers["content-type"] == "application/octet-stream", "no page of a user may run here"
     assert client.get(done["archive_url"]).status_code == 200
-    assert [item["id"] for item in client.get(f"/jobs/{lease.job_id}/evaluations").json()] == [evaluation["id"]]
+    assert [item["id"] for item in client.get(f"/jobs/{lease.job_id}/evaluations").json()["items"]] == [
+        evaluation["id"]
+    ]
 
 
 def test_a_jobs_result_is_its_newest_evaluation_with_the_most_episodes(

@@ -366,7 +366,7 @@ def test_workers_show_only_ones_own_jobs(
     capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
     registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
     for who, sees in ((client, True), (admin, True), (make_client("mallory", "read"), False)):
-        (worker,) = who.get("/workers").json()
+        (worker,) = who.get("/workers").json()["items"]
         assert (worker["id"], worker["alive"]) == ("worker-1", True)
         assert (worker["tasks"], worker["robots"], worker["simulators"]) == ({"sprint1": 1}, ["nao-0"], ["embedded"])
         assert (lease.job_id in worker["jobs"]) is sees

@@ -76,7 +76,7 @@ def test_a_link_shows_one_job_and_changes_nothing(
     for path in ("", "/metrics", "/logs", "/events", "/checkpoints", "/evaluations", "/stream"):
         assert guest.get(f"/jobs/{other}{path}").status_code == 404, path
     lease = run_job()
-    assert all(worker["jobs"] == [] for worker in guest.get("/workers").json()), lease.job_id
+    assert all(worker["jobs"] == [] for worker in guest.get("/workers").json()["items"]), lease.job_id
     assert guest.post(f"/jobs/{shared}/cancel").status_code == 403
     assert guest.post(f"/jobs/{shared}/share").status_code == 403
     assert client.delete(f"/jobs/{shared}/share").status_code == 204

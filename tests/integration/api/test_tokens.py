@@ -19,11 +19,11 @@ def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> No
         assert carol.get("/whoami").json() == {"owner": "carol", "scopes": ["read"], "job_id": None, "docs_url": ""}
         listed = admin.get("/tokens")
         assert made["token"] not in listed.text
-        (shown,) = (token for token in listed.json() if token["id"] == made["id"])
+        (shown,) = (token for token in listed.json()["items"] if token["id"] == made["id"])
         assert shown == {name: value for name, value in made.items() if name != "token"}
         assert admin.delete(f"/tokens/{made['id']}").status_code == 204
         assert carol.get("/whoami").status_code == 401
-    (shown,) = (token for token in admin.get("/tokens").json() if token["id"] == made["id"])
+    (shown,) = (token for token in admin.get("/tokens").json()["items"] if token["id"] == made["id"])
     assert shown["revoked_at"] is not None
 
 
@@ -35,7 +35,7 @@ def test_a_token_is_for_submitting_and_lasts_unless_told_otherwise(admin: httpx.
 @pytest.mark.parametrize("scope", ["read", "submit"])
 def test_only_an_admin_may(make_client: Callable[..., httpx.Client], admin: httpx.Client, scope: str) -> None:
     mallory = make_client("mallory", scope)
-    token = admin.get("/tokens").json()[0]["id"]
+    token = admin.get("/tokens").json()["items"][0]["id"]
     for body in ({"owner": "mallory", "scopes": ["admin"]}, {"owner": "alice", "scopes": ["read"]}):
         answer = mallory.post("/tokens", json=body)
         assert answer.status_code == 403
@@ -52,7 +52,7 @@ def test_a_user_shares_all_own_jobs_with_a_read_token(make_client: Callable[...,
         assert [item["id"] for item in guest.get("/jobs").json()["items"]] == [job]
         assert guest.post(f"/jobs/{job}/cancel").status_code == 403
         assert guest.post("/tokens", json={"owner": "erin", "scopes": ["read"]}).status_code == 403
-        assert {token["owner"] for token in erin.get("/tokens").json()} == {"erin"}
+        assert {token["owner"] for token in erin.get("/tokens").json()["items"]} == {"erin"}
         assert erin.delete(f"/tokens/{made['id']}").status_code == 204
         assert guest.get("/jobs").status_code == 401
 

@@ -258,7 +258,7 @@ def test_cancel_ends_a_running_job(naoctl: Shell, stack: dict[str, Any]) -> None
 
 
 def test_a_killed_worker_is_replaced(naoctl: Shell, stack: dict[str, Any]) -> None:
-    (before,) = naoctl.api("/workers")
+    (before,) = naoctl.api("/workers")["items"]
     os.kill(before["pid"], signal.SIGKILL)
     # The next job is a new worker's, and a killed worker's registration changes nothing about that.
     submitted = naoctl.json("submit", *ENDLESS, "--name", "kept", "--no-evaluate")

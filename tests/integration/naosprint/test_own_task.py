@@ -97,7 +97,7 @@ def trained(installed: Installation) -> tuple[dict[str, Any], dict[str, Any]]:
     path = f"/jobs/{submitted['id']}"
     installed.naoctl("watch", submitted["id"], "--json")  # returns when the job has succeeded
     job = installed.client.get(path).json()
-    (evaluation,) = installed.client.get(f"{path}/evaluations").json()
+    (evaluation,) = installed.client.get(f"{path}/evaluations").json()["items"]
     return job, evaluation
 
 

@@ -274,7 +274,9 @@ def test_compare_and_download_use_the_newest_evaluation_with_the_most_episodes(
     other = job(id="job_" + "2" * 26, name="other")
     for one, evaluations in ((job(), made), (other, [])):
         server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
-        server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request, found=evaluations: request.json(found))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(
+            lambda request, found=evaluations: request.json({"items": found, "next_cursor": None})
+        )
     out = naoctl("compare", job()["id"], other["id"]).out
     lines = [line.split() for line in out.splitlines()]
     assert ["Evaluation", "eval_3", "-"] in lines
@@ -376,8 +378,8 @@ def test_download_checks_every_file(server: Any, naoctl: Callable[..., Ran], job
         {"id": "ckpt_2", "attempt": 1, "step": 20, "files": [file], "size": 7},
     ]
     server.on("GET", path)(lambda request: request.json(job()))
-    server.on("GET", f"{path}/checkpoints")(lambda request: request.json(points))
-    server.on("GET", f"{path}/evaluations")(lambda request: request.json([]))
+    server.on("GET", f"{path}/checkpoints")(lambda request: request.json({"items": points, "next_cursor": None}))
+    server.on("GET", f"{path}/evaluations")(lambda request: request.json({"items": [], "next_cursor": None}))
     columns = {"step": [10, 20], "reward": [None, 1.5]}
     server.on("GET", f"{path}/metrics")(lambda request: request.json({"columns": columns, "rows": 2, "total_rows": 2}))
     server.on("GET", file["url"])(lambda request: request.raw(content))
@@ -465,7 +467,9 @@ def test_the_report_is_the_one_that_the_service_has_drawn(
     }
     evaluated = {"id": "eval_1", "state": "succeeded", "files": [file], "finished_at": "2026-01-02T03:04:05Z"}
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
-    server.on("GET", f"/jobs/{job()['id']}/evaluations")(lambda request: request.json([evaluated]))
+    server.on("GET", f"/jobs/{job()['id']}/evaluations")(
+        lambda request: request.json({"items": [evaluated], "next_cursor": None})
+    )
     server.on("GET", file["url"])(lambda request: request.raw(page))
     ran = naoctl("report", job()["id"], "-o", str(tmp_path / "out"), "--json")
     assert ran.code == 0, ran.err
@@ -489,7 +493,7 @@ def test_tokens_are_made_listed_and_revoked_over_http(server: Any, naoctl: Calla
         "revoked_at": None,
     }
     server.on("POST", "/tokens")(lambda request: request.json({**made, "token": "nao_secret"}, 201))
-    server.on("GET", "/tokens")(lambda request: request.json([made]))
+    server.on("GET", "/tokens")(lambda request: request.json({"items": [made], "next_cursor": None}))
     server.on("DELETE", "/tokens/token_1")(lambda request: request.raw(b"", 204))
     words = ("token", "create", "--owner", "bob", "--name", "laptop", "--scope", "read", "--days", "1")
     assert naoctl(*words).out == "nao_secret\n"
@@ -506,7 +510,9 @@ def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job
     other = job(id="job_" + "2" * 26, name="other", spec={**job()["spec"], "algorithm": algorithm})
     for one in (job(), other):
         server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
-        server.on("GET", f"/jobs/{one['id']}/evaluations")(lambda request: request.json([]))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(
+            lambda request: request.json({"items": [], "next_cursor": None})
+        )
     ran = naoctl("compare", job()["id"], other["id"])
     assert "algorithm.learning_rate" in ran.out
     assert "0.0005" in ran.out and "0.001" in ran.out

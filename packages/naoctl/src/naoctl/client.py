@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -107,13 +108,17 @@ class Client:
         cursor: str | None = None
         left = limit
         while left > 0:
-            page = self.get(path, limit=min(left, 100), cursor=cursor, **params)
+            page = self.get(path, limit=min(left, 200), cursor=cursor, **params)
             items = page["items"][:left]
             yield from items
             left -= len(items)
             cursor = page.get("next_cursor")
             if not cursor or not items:
                 return
+
+    def every(self, path: str, **params: Any) -> list[Json]:
+        """Return all items of a paged list."""
+        return list(self.pages(path, limit=sys.maxsize, **params))
 
     def open_stream(self, path: str, headers: Mapping[str, str]) -> Any:
         """Return the context manager of a streamed GET; the caller checks the answer."""

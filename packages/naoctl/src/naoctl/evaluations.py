@@ -42,7 +42,7 @@ def job_evaluation(client: Client, job_id: str) -> dict[str, Any] | None:
 
     The service's ``result`` of a job and the dashboard choose the same one.
     """
-    found: list[dict[str, Any]] = client.get(f"/jobs/{job_id}/evaluations")
+    found = client.every(f"/jobs/{job_id}/evaluations")
     finished = [evaluation for evaluation in found if evaluation["state"] == "succeeded"]
     return max(
         finished,

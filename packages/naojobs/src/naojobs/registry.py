@@ -56,11 +56,19 @@ def forget(sessions: Sessions, *, after_s: float = 86_400.0) -> None:
         session.execute(delete(Worker).where(Worker.heartbeat_at < func.now() - timedelta(seconds=after_s)))
 
 
-def workers(sessions: Sessions, *, stale_s: float = 30.0) -> list[WorkerStatus]:
-    """Return all workers; one whose last heartbeat is older than `stale_s` is not alive."""
+def workers(
+    sessions: Sessions, *, stale_s: float = 30.0, limit: int | None = None, after: str | None = None
+) -> list[WorkerStatus]:
+    """Return all workers by id, or `limit` of them after `after`.
+
+    A worker whose last heartbeat is older than `stale_s` is not alive.
+    """
     with sessions.begin() as session:
         alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
-        rows = session.execute(select(Worker, alive).order_by(Worker.started_at, Worker.id)).all()
+        statement = select(Worker, alive).order_by(Worker.id).limit(limit)
+        if after is not None:
+            statement = statement.where(Worker.id > after)
+        rows = session.execute(statement).all()
         held: dict[str, list[str]] = {}
         for owner, job_id in session.execute(select(Job.lease_owner, Job.id).where(Job.lease_owner.is_not(None))):
             held.setdefault(str(owner), []).append(job_id)

@@ -144,11 +144,17 @@ def get_token(sessions: Sessions, token_id: str) -> Token:
     return token
 
 
-def list_tokens(sessions: Sessions, owner: str | None = None) -> list[Token]:
-    """Return all tokens, or those of an owner, oldest first; without their secrets."""
-    wanted = () if owner is None else (Token.owner == owner,)
+def list_tokens(
+    sessions: Sessions, owner: str | None = None, *, limit: int | None = None, after: str | None = None
+) -> list[Token]:
+    """Return all tokens, or those of an owner, or `limit` of them after the token `after`; oldest first."""
+    statement = select(Token).order_by(Token.id).limit(limit)
+    if owner is not None:
+        statement = statement.where(Token.owner == owner)
+    if after is not None:
+        statement = statement.where(Token.id > after)
     with sessions.begin() as session:
-        return list(session.scalars(select(Token).where(*wanted).order_by(Token.created_at, Token.id)))
+        return list(session.scalars(statement))
 
 
 def _sha256(secret: str) -> str:

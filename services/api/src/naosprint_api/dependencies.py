@@ -157,6 +157,8 @@ EvaluationId = Annotated[str, Path(pattern=PATTERN, description="Id of the evalu
 FileName = Annotated[str, Path(max_length=900, description="Name of the file as in the list of files.")]
 After = Annotated[int, Query(ge=0, le=MAX_BIGINT, description="Only items after this id.")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Maximum number of items.")]
+PageLimit = Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")]
+Cursor = Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")]
 IdempotencyKey = Annotated[
     str | None,
     Header(

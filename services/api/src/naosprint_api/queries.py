@@ -256,24 +256,24 @@ def logs_tail(sessions: Sessions, job_id: str, *, limit: int, before: int | None
     return list(reversed(rows))
 
 
-def checkpoints_of(sessions: Sessions, job_id: str) -> list[Checkpoint]:
-    """Return the checkpoints of a job, most steps first."""
+def checkpoints_of(
+    sessions: Sessions, job_id: str, *, limit: int, before: tuple[int, int] | None = None
+) -> list[Checkpoint]:
+    """Return up to `limit` checkpoints of a job, those before a step and attempt if given, most steps first."""
+    statement = select(Checkpoint).where(Checkpoint.job_id == job_id).limit(limit)
+    if before is not None:
+        statement = statement.where(tuple_(Checkpoint.step, Checkpoint.attempt) < before)
     with sessions.begin() as session:
-        return list(
-            session.scalars(
-                select(Checkpoint)
-                .where(Checkpoint.job_id == job_id)
-                .order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc()),
-            ),
-        )
+        return list(session.scalars(statement.order_by(Checkpoint.step.desc(), Checkpoint.attempt.desc())))
 
 
-def evaluations_of(sessions: Sessions, job_id: str) -> list[Evaluation]:
-    """Return the evaluations of a job, newest first."""
+def evaluations_of(sessions: Sessions, job_id: str, *, limit: int, before: str | None = None) -> list[Evaluation]:
+    """Return up to `limit` evaluations of a job, those older than the evaluation `before` if given, newest first."""
+    statement = select(Evaluation).where(Evaluation.job_id == job_id).limit(limit)
+    if before is not None:
+        statement = statement.where(Evaluation.id < before)
     with sessions.begin() as session:
-        return list(
-            session.scalars(select(Evaluation).where(Evaluation.job_id == job_id).order_by(Evaluation.id.desc())),
-        )
+        return list(session.scalars(statement.order_by(Evaluation.id.desc())))
 
 
 @dataclass(frozen=True, slots=True)

@@ -304,6 +304,13 @@ class CheckpointPublic(BaseModel):
     archive_url: str = Field(description="Where to download all files as one tar archive.")
 
 
+class CheckpointPage(BaseModel):
+    """Page of checkpoints, most steps first."""
+
+    items: list[CheckpointPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
 class EvaluationPublic(BaseModel):
     """Evaluation of a checkpoint."""
 
@@ -331,6 +338,13 @@ class EvaluationPublic(BaseModel):
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+
+
+class EvaluationPage(BaseModel):
+    """Page of evaluations, newest first."""
+
+    items: list[EvaluationPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class EvaluationCreate(_Request):
@@ -491,6 +505,13 @@ class TokenPublic(_Public):
     revoked_at: datetime | None
 
 
+class TokenPage(BaseModel):
+    """Page of tokens, oldest first."""
+
+    items: list[TokenPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
 class TokenMade(TokenPublic):
     """New token with its secret."""
 
@@ -572,3 +593,10 @@ class WorkerPublic(_Public):
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")
     jobs: list[str] = Field(description="Its leased jobs.")
+
+
+class WorkerPage(BaseModel):
+    """Page of workers, by id."""
+
+    items: list[WorkerPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")

@@ -19,7 +19,15 @@ from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
 from naosprint.analysis.replay import ReplayError, load_replay
-from naosprint.analysis.report import FILM_STEPS, ReportError, film_caption, film_frames, read_metrics, write_report
+from naosprint.analysis.report import (
+    FILM_STEPS,
+    ReportError,
+    _cell,
+    film_caption,
+    film_frames,
+    read_metrics,
+    write_report,
+)
 from naosprint.analysis.results import by_name, interval_text, value_text
 from naosprint.analysis.scene import Camera, robot_collection
 from naosprint.tasks.metrics import Chart, Metric, Reference
@@ -256,3 +264,8 @@ def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> No
     (tmp_path / "evaluation.json").write_text('{"format": 2}')
     with pytest.raises(ReportError, match=r"evaluation.json: training: missing"):
         write_report(tmp_path / "out", evaluation=tmp_path)
+
+
+def test_text_in_csv_is_no_formula() -> None:
+    cells = ["=1+1", "+a", "-a", "@a", "\ta", "-1.5", -1.5, "a", ""]
+    assert [_cell(cell) for cell in cells] == ["'=1+1", "'+a", "'-a", "'@a", "'\ta", "-1.5", -1.5, "a", ""]

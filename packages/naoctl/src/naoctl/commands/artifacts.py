@@ -326,7 +326,7 @@ def choose_checkpoint(client: Client, job: dict[str, Any], wanted: str | None) -
         CliError: if there is none.
     """
     points: list[dict[str, Any]] = sorted(
-        client.get(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
+        client.every(f"/jobs/{job['id']}/checkpoints"), key=lambda p: (p["step"], p["attempt"])
     )
     if not points:
         raise CliError(
@@ -351,7 +351,7 @@ def checkpoints(ctx: typer.Context, job: Job = "last", as_json: JsonFlag = False
     """List a job's checkpoints."""
     context = context_of(ctx)
     with context.client() as client:
-        points = client.get(f"/jobs/{find_job(client, job)['id']}/checkpoints")
+        points = client.every(f"/jobs/{find_job(client, job)['id']}/checkpoints")
     if as_json:
         context.json(points)
         return
@@ -388,7 +388,7 @@ def evaluate(
                 fix=f"`naoctl policies evaluate {job}` evaluates it on this machine.",
             )
         if show:
-            _list_evaluations(context, client.get(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
+            _list_evaluations(context, client.every(f"/jobs/{found['id']}/evaluations"), as_json=as_json)
             return
         body: dict[str, Any] = {} if time_limit is None else {"time_limit_s": time_limit}
         if checkpoint is not None or trained.policy is not None:

@@ -77,7 +77,7 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     """List the workers and their jobs."""
     context = context_of(ctx)
     with context.client() as client:
-        found = client.get("/workers")
+        found = client.every("/workers")
     if as_json:
         context.json(found)
         return
@@ -156,7 +156,7 @@ def token_list(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     """List all tokens without their secrets."""
     context = context_of(ctx)
     with context.client() as client:
-        found = client.get("/tokens")
+        found = client.every("/tokens")
     if as_json:
         context.json(found)
         return

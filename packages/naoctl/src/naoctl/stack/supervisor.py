@@ -254,9 +254,9 @@ class Supervisor:
         if child.process is None:
             return False
         try:
-            response = self._ask("/workers")
+            response = self._ask("/workers?limit=200")
             return response.status_code == 200 and any(
-                worker["pid"] == child.process.pid and worker["alive"] for worker in response.json()
+                worker["pid"] == child.process.pid and worker["alive"] for worker in response.json()["items"]
             )
         except (httpx.TransportError, ValueError):
             return False

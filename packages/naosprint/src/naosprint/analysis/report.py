@@ -246,6 +246,16 @@ def _save(figure: Figure, stem: Path) -> str:
     return text[text.index("<svg") :]
 
 
+def _cell(value: Any) -> Any:
+    """Return `value`, with an apostrophe before text that a spreadsheet would take for a formula."""
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        try:
+            float(value)
+        except ValueError:
+            return f"'{value}"
+    return value
+
+
 def _write_tables(
     directory: Path,
     summary: Mapping[str, Any],
@@ -257,8 +267,7 @@ def _write_tables(
     def write(name: str, header: Sequence[str], lines: Sequence[Sequence[Any]]) -> None:
         with (directory / f"{name}.csv").open("w", newline="") as stream:
             writer = csv.writer(stream)
-            writer.writerow(header)
-            writer.writerows(lines)
+            writer.writerows([_cell(value) for value in line] for line in (header, *lines))
 
     if rows:
         names = sorted({name for row in rows for name in row}, key=lambda name: (name != "step", name))

@@ -12,11 +12,22 @@ from naojobs.states import WorkState
 from naojobs.store import Manifest
 
 from naosprint_api import queries
-from naosprint_api.dependencies import CheckpointId, EvaluationId, FileName, JobId, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import (
+    CheckpointId,
+    Cursor,
+    EvaluationId,
+    FileName,
+    JobId,
+    PageLimit,
+    Reader,
+    ServiceDep,
+    Submitter,
+)
 from naosprint_api.downloads import send_archive, send_file
+from naosprint_api.patterns import STEP
 from naosprint_api.problems import responses
 from naosprint_api.routes.jobs import require_space
-from naosprint_api.schemas import CheckpointPublic, EvaluationCreate, EvaluationPublic
+from naosprint_api.schemas import CheckpointPage, CheckpointPublic, EvaluationCreate, EvaluationPage, EvaluationPublic
 from naosprint_api.views import checkpoint_view
 
 router = APIRouter(tags=["artifacts"])
@@ -42,10 +53,23 @@ Presigned = Annotated[
 
 
 @router.get("/jobs/{job_id}/checkpoints", responses=_READ)
-def list_checkpoints(job_id: JobId, principal: Reader, service: ServiceDep) -> list[CheckpointPublic]:
+def list_checkpoints(
+    job_id: JobId,
+    principal: Reader,
+    service: ServiceDep,
+    limit: PageLimit = 50,
+    cursor: Annotated[str | None, Query(pattern=STEP, description="`next_cursor` of the previous page.")] = None,
+) -> CheckpointPage:
     """List the checkpoints of a job, most steps first."""
     queries.visible_job(service.reads, principal, job_id)
-    return [checkpoint_view(row) for row in queries.checkpoints_of(service.reads, job_id)]
+    step, _, attempt = (cursor or "").partition("-")
+    before = (int(step), int(attempt)) if cursor else None
+    rows = queries.checkpoints_of(service.reads, job_id, limit=limit + 1, before=before)
+    page = rows[:limit]
+    return CheckpointPage(
+        items=[checkpoint_view(row) for row in page],
+        next_cursor=f"{page[-1].step}-{page[-1].attempt}" if len(rows) > limit else None,
+    )
 
 
 @router.get("/checkpoints/{checkpoint_id}", responses=_READ)
@@ -80,10 +104,14 @@ def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, servi
 
 
 @router.get("/jobs/{job_id}/evaluations", responses=_READ)
-def list_evaluations(job_id: JobId, principal: Reader, service: ServiceDep) -> list[EvaluationPublic]:
+def list_evaluations(
+    job_id: JobId, principal: Reader, service: ServiceDep, limit: PageLimit = 50, cursor: Cursor = None
+) -> EvaluationPage:
     """List the evaluations of a job, newest first."""
     queries.visible_job(service.reads, principal, job_id)
-    return service.show_evaluations(queries.evaluations_of(service.reads, job_id))
+    rows = queries.evaluations_of(service.reads, job_id, limit=limit + 1, before=cursor)
+    page = rows[:limit]
+    return EvaluationPage(items=service.show_evaluations(page), next_cursor=page[-1].id if len(rows) > limit else None)
 
 
 @router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})

@@ -16,9 +16,11 @@ from naosprint_api import queries
 from naosprint_api.dependencies import (
     MAX_BIGINT,
     After,
+    Cursor,
     IdempotencyKey,
     JobId,
     Limit,
+    PageLimit,
     Reader,
     ServiceDep,
     Submitter,
@@ -156,8 +158,8 @@ def list_jobs(
         str | None,
         Query(max_length=200, pattern=PLAIN, description="Part of the name or of a tag, or the beginning of the id."),
     ] = None,
-    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
-    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
+    limit: PageLimit = 50,
+    cursor: Cursor = None,
 ) -> JobPage:
     """List jobs, newest first."""
     wanted = job_filter(principal, state, tag, owner, group, parent, q)

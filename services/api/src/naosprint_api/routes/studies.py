@@ -13,7 +13,7 @@ from naojobs.studies import StudyRequest
 from naospec.search import SearchSpec
 
 from naosprint_api import queries
-from naosprint_api.dependencies import IdempotencyKey, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import Cursor, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import StudyCreate, StudyDetails, StudyPage, StudyPublic, TrialPublic
@@ -74,8 +74,8 @@ def list_studies(
         str | None, Query(max_length=200, pattern=PLAIN, description="Studies of this owner; others' need scope admin.")
     ] = None,
     q: Annotated[str | None, Query(max_length=200, pattern=PLAIN, description="Part of the name.")] = None,
-    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
-    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
+    limit: PageLimit = 50,
+    cursor: Cursor = None,
 ) -> StudyPage:
     """List studies, newest first."""
     if not principal.is_admin:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from anyio import to_thread
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials
 from naojobs import registry
 from naojobs.tokens import Scope
 from pydantic import BaseModel, Field
 
 from naosprint_api import __version__
-from naosprint_api.dependencies import Reader, ServiceDep, authenticate, require, service_of
+from naosprint_api.dependencies import PageLimit, Reader, ServiceDep, authenticate, require, service_of
+from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
-from naosprint_api.schemas import WorkerPublic
+from naosprint_api.schemas import WorkerPage
 from naosprint_api.views import worker_view
 
 router = APIRouter(tags=["service"])
@@ -101,11 +102,19 @@ def whoami(principal: Reader, service: ServiceDep) -> Identity:
     )
 
 
-@router.get("/workers", responses=responses(401, 403, 429, 503))
-def list_workers(principal: Reader, service: ServiceDep) -> list[WorkerPublic]:
+@router.get("/workers", responses=responses(401, 403, 422, 429, 503))
+def list_workers(
+    principal: Reader,
+    service: ServiceDep,
+    limit: PageLimit = 50,
+    cursor: Annotated[
+        str | None, Query(max_length=200, pattern=PLAIN, description="`next_cursor` of the previous page.")
+    ] = None,
+) -> WorkerPage:
     """List the workers with their capabilities, and their leased jobs (one's own, unless the token is admin)."""
-    found = registry.workers(service.reads, stale_s=service.settings.lease_s)
+    rows = registry.workers(service.reads, stale_s=service.settings.lease_s, limit=limit + 1, after=cursor)
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
     if mine is not None and principal.job_id is not None:
         mine &= {principal.job_id}
-    return [worker_view(worker, mine) for worker in found]
+    page = [worker_view(worker, mine) for worker in rows[:limit]]
+    return WorkerPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)

@@ -11,9 +11,9 @@ from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.tokens import Scope, create_token, get_token, list_tokens, revoke
 
-from naosprint_api.dependencies import ServiceDep, Submitter, require
+from naosprint_api.dependencies import Cursor, PageLimit, ServiceDep, Submitter, require
 from naosprint_api.problems import responses
-from naosprint_api.schemas import TokenCreate, TokenMade, TokenPublic
+from naosprint_api.schemas import TokenCreate, TokenMade, TokenPage, TokenPublic
 
 router = APIRouter(tags=["tokens"])
 
@@ -43,11 +43,13 @@ def make_token(body: TokenCreate, principal: Submitter, service: ServiceDep) -> 
     return TokenMade(**shown.model_dump(), token=secret)
 
 
-@router.get("/tokens", responses=responses(401, 403, 429, 503))
-def show_tokens(principal: Submitter, service: ServiceDep) -> list[TokenPublic]:
+@router.get("/tokens", responses=responses(401, 403, 422, 429, 503))
+def show_tokens(principal: Submitter, service: ServiceDep, limit: PageLimit = 50, cursor: Cursor = None) -> TokenPage:
     """List one's own tokens, or all with scope admin, oldest first, without their secrets."""
     owner = None if principal.is_admin else principal.owner
-    return [TokenPublic.model_validate(token) for token in list_tokens(service.reads, owner)]
+    rows = list_tokens(service.reads, owner, limit=limit + 1, after=cursor)
+    page = [TokenPublic.model_validate(token) for token in rows[:limit]]
+    return TokenPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
 
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))

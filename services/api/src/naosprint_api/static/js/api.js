@@ -26,9 +26,20 @@ export function token() {
 /** Keep the token for this tab, or for this browser when `remember`. */
 export function setToken(value, remember) {
   clearToken();
+  if (!remember) return useToken(value);
   memory = value;
   try {
-    (remember ? localStorage : sessionStorage).setItem(KEY, value);
+    localStorage.setItem(KEY, value);
+  } catch {
+    /* memory only */
+  }
+}
+
+/** Use a token in this tab; the one that the browser keeps for others stays. */
+export function useToken(value) {
+  memory = value;
+  try {
+    sessionStorage.setItem(KEY, value);
   } catch {
     /* memory only */
   }
@@ -146,6 +157,17 @@ export async function request(
 export async function call(path, options) {
   const response = await request(path, options);
   return response.status === 204 ? null : response.json();
+}
+
+/** Fetch all items of a list that has pages. */
+export async function every(path, options) {
+  const items = [];
+  for (let cursor = null; ; ) {
+    const page = await call(`${path}${query({ limit: 200, cursor })}`, options);
+    items.push(...page.items);
+    cursor = page.next_cursor;
+    if (!cursor) return items;
+  }
 }
 
 /** Return "?a=1&b=2" leaving out empty values; arrays repeat the key. */

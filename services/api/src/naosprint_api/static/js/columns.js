@@ -1,5 +1,7 @@
 /** Metrics by column, growing at the end. */
 
+import { csv } from "./format.js";
+
 const NOT_CURVES = new Set(["step", "attempt"]);
 
 export class Columns {
@@ -53,7 +55,9 @@ export class Columns {
   /** All columns as CSV text. */
   csv() {
     const names = [...this.columns.keys()];
-    const rows = this.step.map((step, i) => [step, ...names.map((n) => this.columns.get(n)[i] ?? "")].join(","));
-    return `${[["step", ...names].join(","), ...rows].join("\n")}\n`;
+    return csv([
+      ["step", ...names],
+      ...this.step.map((step, i) => [step, ...names.map((n) => this.columns.get(n)[i])]),
+    ]);
   }
 }

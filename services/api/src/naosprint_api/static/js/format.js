@@ -125,3 +125,13 @@ export function stamp(iso) {
 
 /** "learning_rate" -> "Learning rate". */
 export const words = (key) => key.replace(/_/g, " ").replace(/^./, (c) => c.toUpperCase());
+
+/** Rows of cells as CSV. Text that a spreadsheet would take for a formula gets an apostrophe; numbers stay numbers. */
+export function csv(rows) {
+  const cell = (value) => {
+    if (typeof value !== "string") return String(value ?? "");
+    const text = /^[=+\-@\t\r]/.test(value) && Number.isNaN(Number(value)) ? `'${value}` : value;
+    return /[",\r\n]/.test(text) ? `"${text.replace(/"/g, '""')}"` : text;
+  };
+  return rows.map((row) => `${row.map(cell).join(",")}\n`).join("");
+}

@@ -12,8 +12,9 @@ import {
   setToken,
   token,
   url,
+  useToken,
 } from "./api.js";
-import { fill, h, icon, isTyping, toast } from "./dom.js";
+import { confirmDialog, fill, h, icon, isTyping, toast } from "./dom.js";
 import { PAGES, pageAt, SHORTCUTS, shortcut } from "./pages.js";
 import { onConnection } from "./stream.js";
 import { setTheme, theme } from "./theme.js";
@@ -23,6 +24,12 @@ const main = document.getElementById("main");
 const top = document.getElementById("top");
 let current = null;
 let turn = 0;
+
+const ANOTHER_TOKEN = {
+  title: "Use the token of this link?",
+  body: "You are signed in already, with another token. The link’s token would replace it in this tab only.",
+  action: "Use the link’s token",
+};
 
 /** Split "#/jobs/x?tab=1" into path and parameters. */
 function place() {
@@ -42,9 +49,12 @@ async function show() {
   const mine = ++turn;
   const { path, params } = place();
   if (params.has("token")) {
-    setToken(params.get("token"), false);
+    const given = params.get("token");
     params.delete("token");
     history.replaceState(null, "", `#${path === "/sign-in" ? "/" : path}${params.size ? `?${params}` : ""}`);
+    // A link from somebody else must not change unnoticed as whom one submits.
+    const stored = token() ?? ((await borrowToken()) ? token() : null);
+    if (!stored || stored === given || (await confirmDialog(ANOTHER_TOKEN))) useToken(given);
     return show();
   }
   if (!token() && !(await borrowToken())) return mine === turn ? signIn() : undefined;

@@ -1,6 +1,6 @@
 /** Comparison of jobs: curves, groups with mean and band, results of their evaluations. */
 
-import { call, query, save } from "../api.js";
+import { call, every, query, save } from "../api.js";
 import { Chart, PALETTE, smooth } from "../charts.js";
 import { Columns } from "../columns.js";
 import { chartOptions, X_AXES } from "../curves.js";
@@ -8,7 +8,7 @@ import { common, descriptions, nameOf } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { headline, meanProfile, profile, representative } from "../evaluation.js";
 import { Figure, resultLines } from "../figures.js";
-import { compact, integer, metricText, shownUnit, withUnit } from "../format.js";
+import { compact, csv, integer, metricText, shownUnit, withUnit } from "../format.js";
 import { latest, progress, summary } from "../jobs.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
 import { follow } from "../stream.js";
@@ -158,7 +158,7 @@ class CompareView {
 
   /** Evaluation that is shown for a job; null without one. */
   async evaluation(id) {
-    return representative(await call(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal }));
+    return representative(await every(`jobs/${encodeURIComponent(id)}/evaluations`, { signal: this.signal }));
   }
 
   destroy() {
@@ -688,15 +688,12 @@ class CompareView {
 
   csv() {
     const names = [...new Set(this.items.flatMap(({ metrics }) => [...metrics.columns.keys()]))];
-    const quote = (v) => (typeof v === "string" && /[",\n]/.test(v) ? `"${v.replace(/"/g, '""')}"` : (v ?? ""));
-    const lines = [["job", "name", "seed", "step", ...names].join(",")];
+    const rows = [["job", "name", "seed", "step", ...names]];
     for (const { job, metrics } of this.items)
       metrics.step.forEach((step, i) =>
-        lines.push(
-          [job.id, quote(job.name), job.spec.seed, step, ...names.map((n) => metrics.get(n)[i] ?? "")].join(","),
-        ),
+        rows.push([job.id, job.name, job.spec.seed, step, ...names.map((n) => metrics.get(n)[i])]),
       );
-    save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), "comparison.csv");
+    save(new Blob([csv(rows)], { type: "text/csv" }), "comparison.csv");
   }
 }
 

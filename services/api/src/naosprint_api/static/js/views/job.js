@@ -1,6 +1,6 @@
 /** One job: metrics, curves, log, checkpoints, timeline, evaluations and specification, all live. */
 
-import { call, may, query } from "../api.js";
+import { call, every, may, query } from "../api.js";
 import { Columns } from "../columns.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText, toast } from "../dom.js";
@@ -115,12 +115,12 @@ class JobStore extends EventTarget {
   }
 
   async loadCheckpoints() {
-    this.checkpoints = await this.get(`${this.path}/checkpoints`);
+    this.checkpoints = await every(`${this.path}/checkpoints`, { signal: this.signal });
     this.notify("checkpoints");
   }
 
   async loadEvaluations() {
-    this.evaluations = await this.get(`${this.path}/evaluations`);
+    this.evaluations = await every(`${this.path}/evaluations`, { signal: this.signal });
     this.notify("evaluations");
     // Evaluations have no stream, so open ones are polled.
     clearTimeout(this.poll);

@@ -1,6 +1,6 @@
 /** Workers: what they can run and when they were last seen. */
 
-import { call } from "../api.js";
+import { every } from "../api.js";
 import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, duration, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
@@ -65,7 +65,7 @@ export async function mount(root, { signal }) {
   const box = h("div", { class: "card" }, loading("Loading workers"));
   fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "Workers")), box);
   const read = async () => {
-    const workers = await call("workers", { signal });
+    const workers = await every("workers", { signal });
     if (!workers.length) return NONE;
     const headings = HEADINGS.map((title, i) => heading(title, i > 4));
     return scroller("Workers", table(headings, workers.map(row)));
