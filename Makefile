@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Without bytecode each of the tests' thousand processes would compile our packages anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo up test check lint js format types e2e soak readme docs bench sanitize clean
+.PHONY: help install demo up test check lint js format types e2e soak audit readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -66,6 +66,16 @@ soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then ch
 # E2E=tests/e2e/compose runs those of one folder, K="healthy" those whose names match.
 e2e: $(INSTALLED)  ## the documents' commands; browser and container tests, where chromium or a container engine is at hand
 	$(BIN)/python -m pytest -m e2e $(E2E) $(if $(K),-k "$(K)")
+
+# Trivy scans images that exist already; `docker compose build` makes them.
+AUDIT := build/audit
+audit: $(INSTALLED)  ## known vulnerabilities in Python packages, dev tools and images (needs the network)
+	@test -x $(AUDIT)/bin/pip-audit || { $(PYTHON) -m venv $(AUDIT) && $(AUDIT)/bin/pip install -q pip-audit==2.10.1; }
+	$(AUDIT)/bin/pip-audit --disable-pip --no-deps -r requirements.txt -r docs/requirements.txt
+	cd services/api && npm audit
+	@if command -v trivy >/dev/null; then \
+	  for image in api worker simserver rcssservermj; do trivy image --exit-code 1 --ignore-unfixed --severity HIGH,CRITICAL naosprint/$$image:0.1.0 || exit 1; done; \
+	else echo "The images were NOT scanned: trivy is not installed."; fi
 
 readme:  ## type what the README says into a fresh clone (about 10 minutes)
 	$(PYTHON) docs/check_documents.py
