@@ -23,25 +23,30 @@ def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
     """Open the service's three ports to other hosts and start a worker with only these settings."""
     inspected = subprocess.run(["docker", "network", "inspect", "bridge"], capture_output=True, check=True, timeout=60)
     address = json.loads(inspected.stdout)[0]["IPAM"]["Config"][0]["Gateway"]
+    subprocess.run([ROOT / "deploy" / "new-certificates", address], check=True, timeout=60)
+    standins = () if project.has_registry else (Path(__file__).parent / "standins-hosts.yml",)
     secrets = dict(line.split("=", 1) for line in project.settings.read_text().splitlines() if line[:1].isupper())
     opened = dataclasses.replace(
         project,
-        files=(project.files[0], ROOT / "deploy" / "hosts.yml", *project.files[1:]),
+        files=(project.files[0], ROOT / "deploy" / "hosts.yml", *project.files[1:], *standins),
         environment={
             **project.environment,
             **{"HOSTS_BIND": address, "POSTGRES_PORT": "0", "BROKER_PORT": "0", "STORE_PORT": "0"},
         },
     )
-    opened.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store", "api", "worker")
+    if standins:
+        opened.compose("build", "store-tls")
+    opened.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store-tls", "api", "worker")
     postgres, broker, store = (
         opened.compose("port", service, port).stdout.strip()
-        for service, port in (("postgres", "5432"), ("broker", "6379"), ("store", "8333"))
+        for service, port in (("postgres", "5432"), ("broker", "6380"), ("store-tls", "8333"))
     )
     settings = tmp_path_factory.mktemp("hosts") / "worker.env"
     settings.write_text(
-        f"DATABASE_URL=postgresql://naosprint:{secrets['POSTGRES_PASSWORD']}@{postgres}/naosprint\n"
-        f"BROKER_URL=redis://:{secrets['BROKER_PASSWORD']}@{broker}/0\n"
-        f"S3_ENDPOINT=http://{store}\n"
+        f"DATABASE_URL=postgresql://naosprint_worker:{secrets['POSTGRES_WORKER_PASSWORD']}@{postgres}/naosprint"
+        "?sslmode=verify-full&sslrootcert=/certificates/ca.crt\n"
+        f"BROKER_URL=rediss://worker:{secrets['BROKER_WORKER_PASSWORD']}@{broker}/0?ssl_ca_certs=/certificates/ca.crt\n"
+        f"S3_ENDPOINT=https://{store}\n"
         f"S3_ACCESS_KEY_ID={secrets['S3_ACCESS_KEY_ID']}\n"
         f"S3_SECRET_ACCESS_KEY={secrets['S3_SECRET_ACCESS_KEY']}\n"
         "WORKER_CPUS=1\n"
@@ -53,6 +58,7 @@ def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
         yield other
     finally:
         other.compose("down", "--volumes", "--timeout", "60", check=False)
+        opened.compose("rm", "--stop", "--force", "store-tls", check=False)
         project.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store", "api", "worker")
         subprocess.run(
             ["docker", "network", "rm", f"{project.name}_hosts"], check=True, capture_output=True, timeout=60

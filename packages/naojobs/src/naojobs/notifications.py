@@ -7,7 +7,9 @@ also poll the table; nothing fails while the broker is down.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+import ssl
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
 
 # Celery is imported where it is used: child processes need the names of the queues, and no broker.
 if TYPE_CHECKING:
@@ -23,9 +25,19 @@ _log = logging.getLogger(__name__)
 
 
 def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
-    """Return a Celery application with all settings that sender and receiver share."""
+    """Return a Celery application with all settings that sender and receiver share.
+
+    A broker at rediss://... must have a certificate for its host, by an authority of the system or of the file
+    that the parameter `ssl_ca_certs` names; no other parameter changes that.
+    """
     from celery import Celery
 
+    parts = urlsplit(broker_url)
+    tls: dict[str, Any] = {"ssl_cert_reqs": ssl.CERT_REQUIRED, "ssl_check_hostname": True}
+    if authority := parse_qs(parts.query).get("ssl_ca_certs"):
+        tls["ssl_ca_certs"] = authority[0]
+    if parts.scheme == "rediss":
+        broker_url = parts._replace(query="").geturl()
     app = Celery(name, broker=broker_url, set_as_current=False)
     app.conf.update(
         task_ignore_result=True,
@@ -37,6 +49,7 @@ def make_celery(broker_url: str, name: str = "naosprint") -> Celery:
         task_track_started=False,
         broker_connection_retry_on_startup=True,
         broker_transport_options={"socket_connect_timeout": 2, "socket_timeout": 5},
+        broker_use_ssl=tls if parts.scheme == "rediss" else None,
         enable_utc=True,
     )
     return app
@@ -50,6 +63,7 @@ class Notifier:
         self._app = make_celery(app.conf.broker_url, f"{app.main}-notifier")
         options = {"max_retries": 0, "interval_start": 0, "interval_step": 0, "interval_max": 0}
         self._app.conf.broker_transport_options |= options
+        self._app.conf.broker_use_ssl = app.conf.broker_use_ssl
 
     def wake_up(self, work_id: str, queue: str) -> str | None:
         """Send a wake-up message for queued work; return none, or the error."""

@@ -1,0 +1,4 @@
+# Debian's Caddy, with the configuration of the official image.
+FROM debian:bookworm-slim
+RUN apt-get update && apt-get install -y --no-install-recommends caddy && rm -rf /var/lib/apt/lists/*
+CMD ["caddy", "run", "--config", "/etc/caddy/Caddyfile", "--adapter", "caddyfile"]
