@@ -77,6 +77,8 @@ def test_only_the_owner_changes_the_schema(database_url: str, statement: str, ro
     [
         (Role.WORKER, "SELECT sha256 FROM tokens"),
         (Role.WORKER, "INSERT INTO tokens (id, name, owner, sha256, scopes) VALUES ('t', '', 'me', '', '{admin}')"),
+        (Role.WORKER, "SELECT secret FROM webhooks"),
+        (Role.WORKER, "UPDATE webhooks SET url = ''"),
         (Role.WORKER, "DELETE FROM jobs"),
         (Role.WORKER, "DELETE FROM events"),
         (Role.WORKER, "UPDATE alembic_version SET version_num = ''"),

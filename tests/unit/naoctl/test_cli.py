@@ -542,7 +542,7 @@ def test_webhooks_are_created_listed_and_deleted(server: Any, naoctl: Callable[.
         "created_at": "2026-01-02T03:04:05Z",
     }
     server.on("POST", "/webhooks")(lambda request: request.json({**made, "secret": "whsec_c2VjcmV0"}, 201))
-    server.on("GET", "/webhooks")(lambda request: request.json([made]))
+    server.on("GET", "/webhooks")(lambda request: request.json({"items": [made], "next_cursor": None}))
     page = {"items": [delivery], "next_cursor": None}
     server.on("GET", "/webhooks/hook_1/deliveries")(lambda request: request.json(page))
     server.on("DELETE", "/webhooks/hook_1")(lambda request: request.raw(b"", 204))

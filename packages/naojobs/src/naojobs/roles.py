@@ -31,12 +31,13 @@ class Role(StrEnum):
     BACKUP = "naosprint_backup"
 
 
-#: Rights on each table: S, I, U and D stand for SELECT, INSERT, UPDATE and DELETE. Rows that a foreign key deletes with
-#: their job need none.
-RIGHTS: Mapping[str, Mapping[Role, str]] = {
+#: Rights on each table: S, I, U and D stand for SELECT, INSERT, UPDATE and DELETE; rights on columns are in full. Rows
+#: that a foreign key deletes with their job need none.
+RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "alembic_version": {Role.API: "S"},
     "backups": {Role.API: "SIUD", Role.WORKER: "S"},
     "checkpoints": {Role.API: "S", Role.WORKER: "SID"},
+    "deliveries": {Role.API: "SIUD", Role.WORKER: "SI"},
     "evaluations": {Role.API: "SIU", Role.WORKER: "SIU"},
     "events": {Role.API: "SI", Role.WORKER: "SI"},
     "jobs": {Role.API: "SIUD", Role.WORKER: "SIU"},
@@ -45,6 +46,8 @@ RIGHTS: Mapping[str, Mapping[Role, str]] = {
     "studies": {Role.API: "SIUD", Role.WORKER: "SU"},
     "tokens": {Role.API: "SIU"},
     "trials": {Role.API: "SU", Role.WORKER: "SIU"},
+    # Workers write messages and see no key of signatures. Locking a row needs the right to update some column.
+    "webhooks": {Role.API: "SIUD", Role.WORKER: ("SELECT (id, owner, events, disabled_at)", "UPDATE (created_at)")},
     "workers": {Role.API: "S", Role.WORKER: "SIUD"},
 }
 
@@ -162,7 +165,10 @@ def grant_rights(url: str) -> None:
             connection.execute(sql.SQL("REVOKE ALL ON ALL TABLES IN SCHEMA public FROM {}").format(name))
             for table, rights in RIGHTS.items():
                 if role in rights and table in tables:
-                    words = sql.SQL(", ".join(_WORDS[letter] for letter in rights[role]))
+                    given = rights[role]
+                    words = sql.SQL(
+                        ", ".join([_WORDS[letter] for letter in given] if isinstance(given, str) else given)
+                    )
                     connection.execute(
                         sql.SQL("GRANT {} ON TABLE {} TO {}").format(words, sql.Identifier("public", table), name)
                     )

@@ -91,11 +91,15 @@ def get_webhook(sessions: Sessions, webhook_id: str) -> Webhook:
     return webhook
 
 
-def list_webhooks(sessions: Sessions, owner: str | None = None) -> list[Webhook]:
-    """Return all webhooks, or those of an owner, oldest first."""
-    wanted = () if owner is None else (Webhook.owner == owner,)
+def list_webhooks(
+    sessions: Sessions, owner: str | None = None, *, limit: int, after: str | None = None
+) -> list[Webhook]:
+    """Return up to `limit` webhooks, or those of an owner, after the webhook `after` if it is given, oldest first."""
+    wanted = [] if owner is None else [Webhook.owner == owner]
+    if after is not None:
+        wanted.append(Webhook.id > after)
     with sessions.begin() as session:
-        return list(session.scalars(select(Webhook).where(*wanted).order_by(Webhook.id)))
+        return list(session.scalars(select(Webhook).where(*wanted).order_by(Webhook.id).limit(limit)))
 
 
 def delete_webhook(sessions: Sessions, webhook_id: str) -> None:

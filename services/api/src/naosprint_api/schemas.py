@@ -551,6 +551,13 @@ class WebhookPublic(_Public):
     created_at: datetime
 
 
+class WebhookPage(BaseModel):
+    """Page of webhooks, oldest first."""
+
+    items: list[WebhookPublic]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
 class WebhookMade(WebhookPublic):
     """New webhook with its secret."""
 

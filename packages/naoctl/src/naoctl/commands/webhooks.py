@@ -74,7 +74,7 @@ def list_webhooks(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     """List webhooks without their secrets."""
     context = context_of(ctx)
     with context.client() as client:
-        found = client.get("/webhooks")
+        found = client.every("/webhooks")
     if as_json:
         context.json(found)
         return

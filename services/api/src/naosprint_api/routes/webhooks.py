@@ -5,17 +5,17 @@ from __future__ import annotations
 import logging
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Path
 from naojobs import webhooks
 from naojobs.errors import InvalidError, NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Webhook
 from naojobs.tokens import Principal
 
-from naosprint_api.dependencies import ServiceDep, Submitter
+from naosprint_api.dependencies import Cursor, PageLimit, ServiceDep, Submitter
 from naosprint_api.outbound import is_refused_literal
 from naosprint_api.problems import responses
-from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPublic
+from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPage, WebhookPublic
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["webhooks"])
@@ -53,11 +53,15 @@ def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep)
     return WebhookMade.model_validate(webhook)
 
 
-@router.get("/webhooks", responses=responses(401, 403, 429, 503))
-def show_webhooks(principal: Submitter, service: ServiceDep) -> list[WebhookPublic]:
+@router.get("/webhooks", responses=responses(401, 403, 422, 429, 503))
+def show_webhooks(
+    principal: Submitter, service: ServiceDep, limit: PageLimit = 50, cursor: Cursor = None
+) -> WebhookPage:
     """List one's own webhooks, or all with scope admin, oldest first, without their secrets."""
     owner = None if principal.is_admin else principal.owner
-    return [WebhookPublic.model_validate(webhook) for webhook in webhooks.list_webhooks(service.reads, owner)]
+    rows = webhooks.list_webhooks(service.reads, owner, limit=limit + 1, after=cursor)
+    page = [WebhookPublic.model_validate(webhook) for webhook in rows[:limit]]
+    return WebhookPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
 
 
 @router.get("/webhooks/{webhook_id}/deliveries", responses=responses(401, 403, 404, 422, 429, 503))
@@ -65,8 +69,8 @@ def show_deliveries(
     webhook_id: WebhookId,
     principal: Submitter,
     service: ServiceDep,
-    limit: Annotated[int, Query(ge=1, le=200, description="Maximum number of items.")] = 50,
-    cursor: Annotated[str | None, Query(pattern=PATTERN, description="`next_cursor` of the previous page.")] = None,
+    limit: PageLimit = 50,
+    cursor: Cursor = None,
 ) -> DeliveryPage:
     """List the messages to a webhook, newest first, with the error of the last attempt."""
     _visible(service, principal, webhook_id)
