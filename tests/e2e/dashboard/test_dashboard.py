@@ -659,7 +659,7 @@ def test_the_replay_plays_a_recorded_episode(
 
 
 def test_the_bundled_policies_are_listed_with_their_results(browser: Browser, token: str, client: httpx.Client) -> None:
-    cards = client.get("/policies").json()
+    cards = client.get("/policies").json()["items"]
     assert [card["name"] for card in cards] == list(naopolicies.names())
     browser.sign_in(token)
     browser.find("#top nav a[href='#/policies']").send_keys(Keys.ENTER)
@@ -764,7 +764,7 @@ def test_a_checkpoint_becomes_a_policy_that_is_compared_and_promoted(
         browser.find("dialog button[type=submit]").click()
         browser.until(lambda: not browser.all("dialog.modal"), message="the dialog stays open")
     with stack.client(token) as client:
-        assert [card["aliases"] for card in client.get("/policies/runner/versions").json()] == [[], ["best"]]
+        assert [card["aliases"] for card in client.get("/policies/runner/versions").json()["items"]] == [[], ["best"]]
         browser.open("/policies")
         browser.shows("runner@2", "[data-policy=runner]")
         for name in ("runner", "sprint"):

@@ -17,7 +17,7 @@ from naosprint_api.settings import ApiSettings
 from sqlalchemy.orm import Session, sessionmaker
 
 #: What is installed with the service, not what users make.
-CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes", "/policies"}
+CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes"}
 COUNT = 5
 
 
@@ -37,7 +37,7 @@ def filled(sessions: sessionmaker[Session]) -> None:
         )
 
 
-@pytest.mark.parametrize("kind", ["tokens", "workers", "checkpoints", "evaluations"])
+@pytest.mark.parametrize("kind", ["tokens", "workers", "checkpoints", "evaluations", "policies", "versions"])
 def test_pages_lead_through_all_items(
     filled: None,
     admin: httpx.Client,
@@ -46,13 +46,21 @@ def test_pages_lead_through_all_items(
     kind: str,
 ) -> None:
     path = f"/{kind}"
-    if kind in ("checkpoints", "evaluations"):
+    if kind not in ("tokens", "workers"):
         lease = run_job(owner="pages")
         made = [save_checkpoint(lease, step, {"policy.npz": b"x"}) for step in range(100, 100 + COUNT)]
-        path = f"/jobs/{lease.job_id}/{kind}"
-        for checkpoint in made if kind == "evaluations" else ():
-            answer = admin.post(path, json={"checkpoint_id": checkpoint, "spec": {"episodes": 1}})
-            assert answer.status_code == 202, answer.text
+        if kind in ("checkpoints", "evaluations"):
+            path = f"/jobs/{lease.job_id}/{kind}"
+        elif kind == "versions":
+            path = "/policies/paged/versions"
+        for number, checkpoint in enumerate(made):
+            if kind == "evaluations":
+                body = {"checkpoint_id": checkpoint, "spec": {"episodes": 1}}
+                assert admin.post(path, json=body).status_code == 202
+            elif kind != "checkpoints":
+                name = "paged" if kind == "versions" else f"paged-{number}"
+                body = {"job_id": lease.job_id, "checkpoint_id": checkpoint}
+                assert admin.post(f"/policies/{name}/versions", json=body).status_code == 201
     whole = admin.get(path, params={"limit": 200}).json()
     assert len(whole["items"]) >= COUNT
     assert whole["next_cursor"] is None

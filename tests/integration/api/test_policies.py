@@ -14,7 +14,7 @@ from naosprint.rl.policy import load_policy
 
 
 def test_cards_of_all_bundled_policies(client: httpx.Client) -> None:
-    cards = client.get("/policies").json()
+    cards = client.get("/policies").json()["items"]
     assert [card["name"] for card in cards] == list(naopolicies.names())
     for card in cards:
         expected = {"motion": {}, "robustness": [], **naopolicies.card(card["name"])}
@@ -25,7 +25,7 @@ def test_cards_of_all_bundled_policies(client: httpx.Client) -> None:
         assert TrainingSpec.model_validate(policy.pop("spec")) == manifest.spec
         assert {file["name"] for file in policy.pop("files")} == {"checkpoint.json", "policy.npz"}
         assert policy == card
-        assert client.get(f"/policies/{card['name']}/versions").json() == [card]
+        assert client.get(f"/policies/{card['name']}/versions").json()["items"] == [card]
 
 
 @pytest.mark.parametrize("name", naopolicies.names())

@@ -86,7 +86,7 @@ def test_versions_and_aliases(client: httpx.Client, name: str, train: Callable[.
     assert client.get(f"/policies/{name}").json() == found["latest"]
     promoted = client.put(f"/policies/{name}/aliases/best", json={"version": 2}).json()
     assert (promoted["version"], promoted["aliases"]) == (2, ["best"])
-    listed = client.get(f"/policies/{name}/versions").json()
+    listed = client.get(f"/policies/{name}/versions").json()["items"]
     assert [(card["version"], card["aliases"]) for card in listed] == [(2, ["best"]), (1, ["match"])]
     refused = client.delete(f"/policies/{name}/versions/1")
     assert (refused.status_code, "match" in refused.json()["detail"]) == (409, True)
@@ -154,7 +154,7 @@ def test_bundled_policies_are_entries_that_no_one_changes(
 ) -> None:
     lease, (point,) = train(100)
     register(client, name, lease, point)
-    cards = client.get("/policies").json()
+    cards = client.get("/policies").json()["items"]
     assert [card["name"] for card in cards if card["owner"] is None] == list(naopolicies.names())
     assert next(card for card in cards if card["name"] == name)["owner"] == "alice"
     body = {"job_id": lease.job_id, "checkpoint_id": point}
@@ -190,7 +190,7 @@ def test_policies_belong_to_the_owner_of_the_job(
     assert reader.get(f"/policies/{name}").status_code == 200
     assert mallory.get(f"/policies/{name}").status_code == 404
     assert mallory.get(f"/policies/{name}", params={"owner": "alice"}).status_code == 404
-    assert name not in [card["name"] for card in mallory.get("/policies").json()]
+    assert name not in [card["name"] for card in mallory.get("/policies").json()["items"]]
     assert mallory.post(f"/policies/{name}/versions", json={"job_id": lease.job_id}).status_code == 404
     changes = (("PUT", "/aliases/best"), ("DELETE", "/aliases/best"), ("DELETE", "/versions/1"), ("DELETE", ""))
     for method, path in changes:

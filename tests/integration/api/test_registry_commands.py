@@ -103,7 +103,7 @@ def test_a_policy_from_registration_to_deletion(
     exported = tmp_path / "fast-2" / "export" / "policy.npz"
     assert exported.is_file()
     evaluation = json.loads(naoctl("eval", "fast@1", "--no-wait", "--json"))
-    points = {point["step"]: point["id"] for point in client.get(f"/jobs/{trained.job_id}/checkpoints").json()}
+    points = {point["step"]: point["id"] for point in client.get(f"/jobs/{trained.job_id}/checkpoints").json()["items"]}
     assert evaluation["checkpoint_id"] == points[100]
     assert "not evaluate" in naoctl("eval", "sprint", code=2)
     summary = json.loads(naoctl("policies", "evaluate", "fast@best", "--episodes", "1", "--json"))

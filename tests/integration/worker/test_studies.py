@@ -16,6 +16,7 @@ import pytest
 from naojobs import lifecycle, records, studies
 from naojobs.errors import ConflictError, InvalidError
 from naojobs.models import Job, Study, StudyState, Trial, TrialState
+from naojobs.roles import Role
 from naojobs.states import ENDED, WorkState
 from naojobs.studies import StudyRequest
 from naojobs.submission import JobRequest
@@ -25,6 +26,8 @@ from naospec.flat import nest
 from naospec.search import SearchSpec
 from naosprint_worker.studies import Conductor
 from sqlalchemy import select
+
+from tests.integration.conftest import as_role
 
 from .conftest import ROLLOUT, TINY, Broker, Service
 
@@ -87,7 +90,8 @@ def test_a_study_survives_the_death_of_worker_broker_and_api(
     )
 
     def start_api() -> subprocess.Popen[bytes]:
-        environment = {**service.environment, "NAOSPRINT_API_PORT": str(port)}
+        database = as_role(service.environment["NAOSPRINT_DATABASE_URL"], Role.API)
+        environment = {**service.environment, "NAOSPRINT_DATABASE_URL": database, "NAOSPRINT_API_PORT": str(port)}
         with (service.folder / "api.log").open("ab") as log:
             api = subprocess.Popen([sys.executable, "-m", "naosprint_api"], env=environment, stdout=log, stderr=log)
         apis.append(api)

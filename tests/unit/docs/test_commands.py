@@ -31,6 +31,8 @@ SYSTEM = {
     "pg_restore",
     "cat",
     "cp",
+    "scp",
+    "mkdir",
     "chmod",
     "echo",
     "git",
@@ -44,6 +46,13 @@ SYSTEM = {
 
 #: Commands of `docker compose` that the documents use.
 COMPOSE = {"up", "down", "exec", "ps", "build", "logs", "stop", "run", "pull"}
+
+
+class ComposeLoader(yaml.SafeLoader):
+    """Loader of compose files, which have a tag that takes back what another file sets."""
+
+
+ComposeLoader.add_constructor("!reset", lambda *_: None)
 
 
 def check_naoctl(words: list[str]) -> None:
@@ -88,7 +97,9 @@ def check_docker(words: list[str]) -> None:
         words.pop(0)
     verb = words.pop(0)
     assert verb in COMPOSE, f"docker compose {verb}"
-    read = [yaml.safe_load((ROOT / file).read_text(encoding="utf-8")) for file in files or ["docker-compose.yml"]]
+    read = [
+        yaml.load((ROOT / file).read_text(encoding="utf-8"), ComposeLoader) for file in files or ["docker-compose.yml"]
+    ]
     services = {name for document in read for name in document["services"]}
     known = {
         profile for document in read for one in document["services"].values() for profile in one.get("profiles", ())

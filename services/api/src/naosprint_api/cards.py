@@ -16,7 +16,7 @@ from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
 from naosprint_api.results import summaries_of
-from naosprint_api.schemas import FilePublic, PolicyCard, PolicyDetails
+from naosprint_api.schemas import FilePublic, PolicyCard, PolicyDetails, PolicyPage
 from naosprint_api.views import files_view
 
 #: Files of a bundled policy that make it a checkpoint.
@@ -63,8 +63,27 @@ def bundled_details(name: str) -> PolicyDetails:
     return PolicyDetails(**dict(bundled_card(name)), spec=naopolicies.spec(name), files=bundled_files(name))
 
 
-def newest_cards(sessions: Sessions, owned: ColumnElement[bool]) -> list[PolicyCard]:
-    """Return the newest version of each registered policy that meets `owned`, by name."""
+def policy_page(sessions: Sessions, owned: ColumnElement[bool], *, limit: int, cursor: str | None) -> PolicyPage:
+    """Return up to `limit` policies after `cursor`: bundled ones by name, then registered ones that meet `owned`.
+
+    Of a registered policy this is its newest version; the oldest policy comes first. A cursor is the name of a bundled
+    policy or the id of a registered one, which no name can be: it has an underscore.
+    """
+    after = cursor if cursor is not None and "_" in cursor else ""
+    names = [] if after else [name for name in naopolicies.names() if name > (cursor or "")]
+    found = [(name, bundled_card(name)) for name in names]
+    if len(found) <= limit:
+        found += _newest_cards(sessions, owned, limit=limit + 1 - len(found), after=after)
+    return PolicyPage(
+        items=[card for _, card in found[:limit]],
+        next_cursor=found[limit - 1][0] if len(found) > limit else None,
+    )
+
+
+def _newest_cards(
+    sessions: Sessions, owned: ColumnElement[bool], *, limit: int, after: str
+) -> list[tuple[str, PolicyCard]]:
+    """Return the id and the newest version of up to `limit` registered policies that meet `owned`, oldest first."""
     newest = (
         select(PolicyVersion.policy_id, func.max(PolicyVersion.number).label("number"))
         .group_by(PolicyVersion.policy_id)
@@ -74,18 +93,24 @@ def newest_cards(sessions: Sessions, owned: ColumnElement[bool]) -> list[PolicyC
         select(Policy, PolicyVersion)
         .join(PolicyVersion, PolicyVersion.policy_id == Policy.id)
         .join(newest, (newest.c.policy_id == PolicyVersion.policy_id) & (newest.c.number == PolicyVersion.number))
-        .where(owned)
-        .order_by(Policy.name, Policy.owner)
+        .where(owned, Policy.id > after)
+        .order_by(Policy.id)
+        .limit(limit)
     )
     with sessions.begin() as session:
-        return _cards(session, [(policy, version) for policy, version in session.execute(statement)])
+        rows = [(policy, version) for policy, version in session.execute(statement)]
+        return [(policy.id, card) for (policy, _), card in zip(rows, _cards(session, rows), strict=True)]
 
 
-def version_cards(sessions: Sessions, policy: Policy) -> list[PolicyCard]:
-    """Return all versions of a registered policy, newest first."""
-    statement = select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc())
+def version_page(sessions: Sessions, policy: Policy, *, limit: int, before: int | None) -> PolicyPage:
+    """Return up to `limit` versions of a registered policy, those before a number if given, newest first."""
+    statement = select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).limit(limit + 1)
+    if before is not None:
+        statement = statement.where(PolicyVersion.number < before)
     with sessions.begin() as session:
-        return _cards(session, [(policy, version) for version in session.scalars(statement)])
+        versions = session.scalars(statement.order_by(PolicyVersion.number.desc())).all()
+        page = _cards(session, [(policy, version) for version in versions[:limit]])
+    return PolicyPage(items=page, next_cursor=str(page[-1].version) if len(versions) > limit else None)
 
 
 def version_details(sessions: Sessions, policy: Policy, version: PolicyVersion) -> PolicyDetails:

@@ -24,6 +24,8 @@ REFERENCE = r"^[a-z0-9-]{1,60}(@[a-z0-9-]{1,60})?$"
 ALIAS = r"^[a-z][a-z0-9-]{0,59}$"
 #: The place of a checkpoint among those of its job: step and attempt.
 STEP = r"^[0-9]{1,18}-[0-9]{1,9}$"
+#: The place of a policy in the list of policies: the name of a bundled one, the id of a registered one.
+PLACE = rf"{POLICY}|{PATTERN}"
 #: What lets a browser open a report: token, time of expiry, signature.
 TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 
@@ -34,6 +36,7 @@ WORDS = {
     PLAIN: "expected text without control characters",
     TEXT: "expected text without control characters",
     STEP: "expected `next_cursor` of the previous page",
+    PLACE: "expected `next_cursor` of the previous page",
     KEY: "expected 1 to 150 ASCII characters without spaces",
     TICKET: "expected the address of a report as the service returned it",
     POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",

@@ -466,6 +466,13 @@ class PolicyCard(BaseModel):
     robustness: list[dict[str, Any]] = Field(default=[], description="Headline results under each disturbance.")
 
 
+class PolicyPage(BaseModel):
+    """Page of policies, or of the versions of one."""
+
+    items: list[PolicyCard]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+
 class PolicyDetails(PolicyCard):
     """Policy with the specification that it was trained by, and its files."""
 

@@ -46,7 +46,7 @@ def list_policies(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     context = context_of(ctx)
     try:
         with context.client() as client:
-            cards = client.get("/policies")
+            cards = client.every("/policies")
     except CliError as error:
         context.note(f"Bundled policies only: {error.message}.")
         cards = [naopolicies.card(name) for name in naopolicies.names()]

@@ -104,7 +104,7 @@ def list_versions(
     """List the versions of a policy with their results."""
     context = context_of(ctx)
     with context.client() as client:
-        cards = client.get(f"{policy_path(name)}/versions")
+        cards = client.every(f"{policy_path(name)}/versions")
     if as_json:
         context.json(cards)
         return

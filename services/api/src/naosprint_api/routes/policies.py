@@ -14,12 +14,12 @@ from naojobs.tokens import Principal
 from pydantic import AfterValidator
 
 from naosprint_api import cards, queries
-from naosprint_api.dependencies import FileName, IdempotencyKey, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import FileName, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.downloads import send_file
-from naosprint_api.patterns import ALIAS, PLAIN, POLICY, REFERENCE
+from naosprint_api.patterns import ALIAS, PLACE, PLAIN, POLICY, REFERENCE
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import finished
-from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, VersionCreate
+from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, PolicyPage, VersionCreate
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["policies"])
@@ -63,10 +63,15 @@ def _own(service: Service, principal: Principal, name: str, owner: str | None) -
 
 
 @router.get("/policies", responses=_LIST)
-def list_policies(principal: Reader, service: ServiceDep, owner: Owner = None) -> list[PolicyCard]:
-    """List the bundled policies, then the newest version of each registered one."""
-    bundled = [cards.bundled_card(name) for name in naopolicies.names()]
-    return bundled + cards.newest_cards(service.reads, queries.owned_policies(principal, owner))
+def list_policies(
+    principal: Reader,
+    service: ServiceDep,
+    owner: Owner = None,
+    limit: PageLimit = 50,
+    cursor: Annotated[str | None, Query(pattern=PLACE, description="`next_cursor` of the previous page.")] = None,
+) -> PolicyPage:
+    """List the bundled policies, then the newest version of each registered one, oldest policy first."""
+    return cards.policy_page(service.reads, queries.owned_policies(principal, owner), limit=limit, cursor=cursor)
 
 
 @router.get("/policies/{reference}", responses=_READ)
@@ -78,11 +83,18 @@ def get_policy(reference: Reference, principal: Reader, service: ServiceDep, own
 
 @router.get("/policies/{reference}/versions", responses=_READ)
 def list_versions(
-    reference: Reference, principal: Reader, service: ServiceDep, owner: Owner = None
-) -> list[PolicyCard]:
+    reference: Reference,
+    principal: Reader,
+    service: ServiceDep,
+    owner: Owner = None,
+    limit: PageLimit = 50,
+    cursor: Annotated[int | None, Query(ge=1, le=2**31 - 1, description="`next_cursor` of the previous page.")] = None,
+) -> PolicyPage:
     """List the versions of a policy, newest first; a bundled one has a single version."""
     found = _registered(service, principal, reference, owner)
-    return cards.version_cards(service.reads, found[0]) if found else [cards.bundled_card(reference)]
+    if found is None:
+        return PolicyPage(items=[cards.bundled_card(reference)], next_cursor=None)
+    return cards.version_page(service.reads, found[0], limit=limit, before=cursor)
 
 
 @router.get(

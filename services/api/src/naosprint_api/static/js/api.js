@@ -160,10 +160,10 @@ export async function call(path, options) {
 }
 
 /** Fetch all items of a list that has pages. */
-export async function every(path, options) {
+export async function every(path, { params, ...options } = {}) {
   const items = [];
   for (let cursor = null; ; ) {
-    const page = await call(`${path}${query({ limit: 200, cursor })}`, options);
+    const page = await call(`${path}${query({ ...params, limit: 200, cursor })}`, options);
     items.push(...page.items);
     cursor = page.next_cursor;
     if (!cursor) return items;

@@ -1,6 +1,6 @@
 /** The policies, bundled and registered: one card each with its results and its lineage; compare some. */
 
-import { call } from "../api.js";
+import { every } from "../api.js";
 import { fill, h, icon } from "../dom.js";
 import { compact, duration, integer } from "../format.js";
 import { loading, refreshed } from "./messages.js";
@@ -100,7 +100,7 @@ export async function mount(root, { signal }) {
     h("div", { class: "row" }, h("a", { class: "button primary", href: "#/submit" }, icon("plus"), "New job")),
   );
   await refreshed(box, async () => {
-    const cards = await call("policies", { signal });
+    const cards = await every("policies", { signal });
     return cards.length
       ? h(
           "div",

@@ -1,6 +1,6 @@
 /** One policy: its replay, results, versions, training, and how to use it. */
 
-import { call, may, query } from "../api.js";
+import { call, every, may, query } from "../api.js";
 import { Chart } from "../charts.js";
 import { chartOptions } from "../curves.js";
 import { descriptions } from "../descriptions.js";
@@ -168,11 +168,12 @@ export async function mount(root, { id, params, signal }) {
     let known;
     let versions;
     const path = `policies/${encodeURIComponent(id)}`;
-    const owner = query({ owner: params?.get("owner") });
+    const whose = { owner: params?.get("owner") };
+    const owner = query(whose);
     try {
       [card, versions, known] = await Promise.all([
         call(`${path}${owner}`, { signal }),
-        call(`${path}/versions${owner}`, { signal }),
+        every(`${path}/versions`, { params: whose, signal }),
         descriptions(),
       ]);
     } catch (error) {
