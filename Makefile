@@ -68,10 +68,11 @@ e2e: $(INSTALLED)  ## the documents' commands; browser and container tests, wher
 	$(BIN)/python -m pytest -m e2e $(E2E) $(if $(K),-k "$(K)")
 
 # Trivy scans images that exist already; `docker compose build` makes them.
+# Strict: a package that the advisory service does not know is an error, not a pass.
 AUDIT := build/audit
 audit: $(INSTALLED)  ## known vulnerabilities in Python packages, dev tools and images (needs the network)
 	@test -x $(AUDIT)/bin/pip-audit || { $(PYTHON) -m venv $(AUDIT) && $(AUDIT)/bin/pip install -q pip-audit==2.10.1; }
-	$(AUDIT)/bin/pip-audit --disable-pip --no-deps -r requirements.txt -r docs/requirements.txt
+	$(AUDIT)/bin/pip-audit --strict --disable-pip --no-deps -r requirements.txt -r docs/requirements.txt
 	cd services/api && npm audit
 	@if command -v trivy >/dev/null; then \
 	  for image in api worker simserver rcssservermj; do trivy image --exit-code 1 --ignore-unfixed --severity HIGH,CRITICAL naosprint/$$image:0.1.0 || exit 1; done; \
