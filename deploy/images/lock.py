@@ -25,8 +25,10 @@ TORCH_INDEX = "https://download.pytorch.org/whl/cpu/torch/"
 PYTHON = "3.11"
 MACHINES = ("x86_64", "aarch64")
 PACKAGES = ["packages/naospec", "packages/naopolicies", "packages/naojobs"]
-API = [*PACKAGES, "packages/naosim", "packages/naosprint", "services/api"]
-WORKER = [*PACKAGES, "packages/naosim[mujoco,launcher]", "services/worker"]
+#: What redis needs before Python 3.11.3, as Debian 12 has it; pip evaluates such conditions for its own Python only.
+OLDER = ["async-timeout"]
+API = [*OLDER, *PACKAGES, "packages/naosim", "packages/naosprint", "services/api"]
+WORKER = [*OLDER, *PACKAGES, "packages/naosim[mujoco,launcher]", "services/worker"]
 
 #: Folders with their extras, or names of packages, by lock.
 IMAGES = {
