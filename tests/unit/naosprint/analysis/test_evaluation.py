@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,10 @@ from naosprint.arrays import FloatArray
 from naosprint.tasks.base import World
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, _deviation_deg, _speeds_beyond
+from numpy._core import _multiarray_umath
+
+DISPATCHED = _multiarray_umath.__cpu_dispatch__
+FEATURES = _multiarray_umath.__cpu_features__
 
 
 def runs_of(*paths: FloatArray, fallen: tuple[int, ...] = (), height: float = 0.36, air: float = 0.0) -> Episodes:
@@ -248,3 +255,31 @@ def test_task_of_the_evaluation_decides_the_end(checkpoint: Path) -> None:
     """A policy trained on task one can be evaluated on task two."""
     evaluation: Any = evaluate(checkpoint, EvaluationSpec(episodes=3, task="sprint2"))
     assert by_name(evaluation.summary)["episode_length"]["high"] <= 400
+
+
+EVALUATE = """
+import hashlib, naopolicies, numpy
+from naospec import EvaluationSpec
+from naosprint import evaluate
+from numpy._core._multiarray_umath import __cpu_features__
+result = evaluate(naopolicies.folder("sprint"), EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100))
+paths = result.trajectories
+arrays = (paths.x, paths.y, paths.height, paths.joint_angles)
+print(__cpu_features__["X86_V3"], hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest())
+"""
+
+
+def test_evaluation_does_not_depend_on_the_instruction_sets_of_the_libraries() -> None:
+    """Each way of OpenBLAS to sum up, and NumPy with or without wide registers, gives the same bits."""
+    narrow = {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in DISPATCHED if FEATURES[name])}
+    variants = ({"OPENBLAS_CORETYPE": "Haswell"}, {"OPENBLAS_CORETYPE": "Prescott", **narrow})
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", EVALUATE], env={**os.environ, **each}, stdout=subprocess.PIPE, text=True
+        )
+        for each in variants
+    ]
+    (wide, one), (plain, other) = (process.communicate(timeout=120)[0].split() for process in running)
+    assert [process.returncode for process in running] == [0, 0]
+    assert one == other
+    assert plain == "False", (wide, plain)

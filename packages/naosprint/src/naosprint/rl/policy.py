@@ -1,13 +1,16 @@
-"""Trained policies, computed with NumPy only."""
+"""Trained policies, which give the same actions, to the bit, on every processor."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from naosprint.rl.checkpoint import POLICY, CheckpointError, Manifest, read_file, read_manifest
+from naosprint.rl.forward import Forward
 from naosprint.rl.normalization import EPSILON
 
 if TYPE_CHECKING:
@@ -35,20 +38,22 @@ class Policy:
     layers: tuple[tuple[Float32Array, Float32Array], ...]
     log_std: Float32Array
 
+    @cached_property
+    def _forward(self) -> Forward:
+        return Forward(self.layers)
+
     def standardize(self, observations: FloatArray) -> Float32Array:
         """Return (n, D) raw observations as the network sees them."""
         scaled = (observations - self.mean) * self.scale
-        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32, order="C")
 
     def act(self, observations: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
         """Return (n, A) actions in [-1, 1] for (n, D) raw observations: the mean, or a draw if given a generator."""
-        hidden = self.standardize(observations)
-        for weights, bias in self.layers[:-1]:
-            hidden = np.tanh(hidden @ weights.T + bias)
-        weights, bias = self.layers[-1]
-        actions = hidden @ weights.T + bias
+        actions = self._forward(self.standardize(observations))
         if rng is not None:
-            actions = actions + np.exp(self.log_std) * rng.standard_normal(actions.shape, dtype=np.float32)
+            # NumPy's own exponential differs between instruction sets.
+            spread = np.array([math.exp(value) for value in self.log_std], np.float32)
+            actions = actions + spread * rng.standard_normal(actions.shape, dtype=np.float32)
         unit: FloatArray = np.clip(actions, -1.0, 1.0).astype(np.float64)
         return unit
 
