@@ -15,6 +15,9 @@ from typing import Any
 
 import httpx
 import pytest
+from naojobs.roles import Role
+
+from tests.integration.conftest import as_role
 
 PACKAGE = Path(__file__).parents[2] / "packages" / "naosprint-backwards"
 TASK = "run-backwards"
@@ -44,7 +47,10 @@ class Installation:
 
 @pytest.fixture(scope="module")
 def installed(
-    service_environment: dict[str, str], make_token: Callable[..., str], tmp_path_factory: pytest.TempPathFactory
+    service_environment: dict[str, str],
+    database_url: str,
+    make_token: Callable[..., str],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Installation]:
     """API, worker and naoctl as processes that find the package, which is installed into a folder of its own."""
     folder = tmp_path_factory.mktemp("backwards")
@@ -75,10 +81,11 @@ def installed(
         }
         processes = []
         try:
-            for module in ("naosprint_api", "naosprint_worker"):
+            for module, role in (("naosprint_api", Role.API), ("naosprint_worker", Role.WORKER)):
                 with (folder / f"{module}.log").open("wb") as log:
                     command = [sys.executable, "-m", module]
-                    processes.append(subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT))
+                    own = {**environment, "NAOSPRINT_DATABASE_URL": as_role(database_url, role)}
+                    processes.append(subprocess.Popen(command, env=own, stdout=log, stderr=subprocess.STDOUT))
             _until(lambda: _ready(client, f"{url}/readyz"), 120)
             client.base_url, client.headers = httpx.URL(url), httpx.Headers({"Authorization": f"Bearer {token}"})
             yield Installation(url, client, environment)

@@ -58,6 +58,8 @@ def serve(app: Celery, worker: Worker, settings: WorkerSettings) -> int:
         hostname=f"naosprint@{worker.id}",
         without_mingle=True,
         without_gossip=True,
+        # nobody reads these events, and the worker's user of the broker may not publish
+        without_heartbeat=True,
         quiet=True,
     )
     controller.start()
