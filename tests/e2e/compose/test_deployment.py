@@ -46,9 +46,9 @@ sys.exit("the store is open to all")
 """
 
 
-def test_everything_is_healthy_and_the_migrations_have_ended(project: Any) -> None:
+def test_everything_is_healthy_and_roles_and_migrations_have_ended(project: Any) -> None:
     states = {one["Config"]["Labels"]["com.docker.compose.service"]: one["State"] for one in project.containers()}
-    assert states.pop("migrate")["ExitCode"] == 0
+    assert [states.pop(name)["ExitCode"] for name in ("roles", "migrate")] == [0, 0]
     assert set(states) == {"postgres", "broker", "store", "api", "worker"}
     assert {name: state["Health"]["Status"] for name, state in states.items()} == dict.fromkeys(states, "healthy")
     ready = httpx.get(f"{project.url}/readyz", timeout=20).json()
