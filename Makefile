@@ -30,7 +30,7 @@ demo: $(INSTALLED)  ## train a real sprint job on this machine, watch it, evalua
 up: $(INSTALLED)  ## start API, worker, Postgres, broker and dashboard on this machine; Ctrl-C stops them
 	$(BIN)/naoctl up
 
-test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 10 minutes)
+test: $(INSTALLED)  ## unit and integration tests with real Postgres, broker, store and processes (under 20 minutes)
 	$(BIN)/python -m pytest -m "not e2e" -n 2 --dist loadfile
 
 check: lint types test  ## everything that must pass before a change lands
