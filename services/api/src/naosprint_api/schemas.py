@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 
 from naojobs.models import DEFAULT_TIME_LIMIT_S, StudyState, TrialState
 from naojobs.policies import Registration, check_alias
@@ -115,6 +115,22 @@ class SharePublic(BaseModel):
     expires_at: datetime
 
 
+Item = TypeVar("Item", bound=BaseModel)
+
+
+class Page(BaseModel, Generic[Item]):
+    """Part of a list."""
+
+    items: list[Item]
+    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
+
+    @classmethod
+    def of(cls, items: list[Item], limit: int) -> Self:
+        """Return the first `limit` items; one more says that there is a next page, which the last one's id finds."""
+        last: Any = items[limit - 1] if len(items) > limit else None
+        return cls(items=items[:limit], next_cursor=last and last.id)
+
+
 class PagePublic(BaseModel):
     """Address of a page that can be opened without a token for a few minutes."""
 
@@ -224,11 +240,8 @@ class JobPublic(_Public):
     updated_at: datetime
 
 
-class JobPage(BaseModel):
+class JobPage(Page[JobPublic]):
     """Page of jobs, newest first."""
-
-    items: list[JobPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class GroupPublic(BaseModel):
@@ -304,11 +317,8 @@ class CheckpointPublic(BaseModel):
     archive_url: str = Field(description="Where to download all files as one tar archive.")
 
 
-class CheckpointPage(BaseModel):
+class CheckpointPage(Page[CheckpointPublic]):
     """Page of checkpoints, most steps first."""
-
-    items: list[CheckpointPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class EvaluationPublic(BaseModel):
@@ -340,11 +350,8 @@ class EvaluationPublic(BaseModel):
     finished_at: datetime | None
 
 
-class EvaluationPage(BaseModel):
+class EvaluationPage(Page[EvaluationPublic]):
     """Page of evaluations, newest first."""
-
-    items: list[EvaluationPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class EvaluationCreate(_Request):
@@ -399,11 +406,8 @@ class StudyDetails(StudyPublic):
     best: list[int] = Field(description="The best complete trial; with several objectives, those of the Pareto front.")
 
 
-class StudyPage(BaseModel):
+class StudyPage(Page[StudyPublic]):
     """Page of studies, newest first."""
-
-    items: list[StudyPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 Alias = Annotated[str, StringConstraints(pattern=ALIAS), AfterValidator(check_alias)]
@@ -466,11 +470,8 @@ class PolicyCard(BaseModel):
     robustness: list[dict[str, Any]] = Field(default=[], description="Headline results under each disturbance.")
 
 
-class PolicyPage(BaseModel):
+class PolicyPage(Page[PolicyCard]):
     """Page of policies, or of the versions of one."""
-
-    items: list[PolicyCard]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class PolicyDetails(PolicyCard):
@@ -512,11 +513,8 @@ class TokenPublic(_Public):
     revoked_at: datetime | None
 
 
-class TokenPage(BaseModel):
+class TokenPage(Page[TokenPublic]):
     """Page of tokens, oldest first."""
-
-    items: list[TokenPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class TokenMade(TokenPublic):
@@ -558,11 +556,8 @@ class WebhookPublic(_Public):
     created_at: datetime
 
 
-class WebhookPage(BaseModel):
+class WebhookPage(Page[WebhookPublic]):
     """Page of webhooks, oldest first."""
-
-    items: list[WebhookPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class WebhookMade(WebhookPublic):
@@ -584,11 +579,8 @@ class DeliveryPublic(_Public):
     created_at: datetime
 
 
-class DeliveryPage(BaseModel):
+class DeliveryPage(Page[DeliveryPublic]):
     """Page of messages to a webhook, newest first."""
-
-    items: list[DeliveryPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")
 
 
 class WorkerPublic(_Public):
@@ -609,8 +601,5 @@ class WorkerPublic(_Public):
     jobs: list[str] = Field(description="Its leased jobs.")
 
 
-class WorkerPage(BaseModel):
+class WorkerPage(Page[WorkerPublic]):
     """Page of workers, by id."""
-
-    items: list[WorkerPublic]
-    next_cursor: str | None = Field(description="Give it as `cursor` to get the next page; null on the last.")

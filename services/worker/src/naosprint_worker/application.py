@@ -58,7 +58,7 @@ def serve(app: Celery, worker: Worker, settings: WorkerSettings) -> int:
         hostname=f"naosprint@{worker.id}",
         without_mingle=True,
         without_gossip=True,
-        # nobody reads these events, and the worker's user of the broker may not publish
+        # nothing reads these events, and the broker does not let workers publish
         without_heartbeat=True,
         quiet=True,
     )

@@ -1,4 +1,4 @@
-"""Trained policies, which give the same actions, to the bit, on every processor."""
+"""Trained policies, which give the same actions, to the bit, on every x86-64 processor."""
 
 from __future__ import annotations
 

@@ -110,8 +110,7 @@ def list_evaluations(
     """List the evaluations of a job, newest first."""
     queries.visible_job(service.reads, principal, job_id)
     rows = queries.evaluations_of(service.reads, job_id, limit=limit + 1, before=cursor)
-    page = rows[:limit]
-    return EvaluationPage(items=service.show_evaluations(page), next_cursor=page[-1].id if len(rows) > limit else None)
+    return EvaluationPage.of(service.show_evaluations(rows), limit)
 
 
 @router.post("/jobs/{job_id}/evaluations", status_code=202, responses={**_READ, **responses(409, 413)})

@@ -164,11 +164,7 @@ def list_jobs(
     """List jobs, newest first."""
     wanted = job_filter(principal, state, tag, owner, group, parent, q)
     rows = queries.list_jobs(service.reads, wanted, limit=limit + 1, before=cursor)
-    page = rows[:limit]
-    return JobPage(
-        items=service.show_jobs(page),
-        next_cursor=page[-1].id if len(rows) > limit else None,
-    )
+    return JobPage.of(service.show_jobs(rows), limit)
 
 
 @router.get("/jobs/{job_id}", responses=READ)

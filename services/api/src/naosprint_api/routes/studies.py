@@ -83,8 +83,7 @@ def list_studies(
             raise NotFoundError(f"no studies of {owner} that this token may see; leave `owner` out")
         owner = principal.owner if principal.job_id is None else ""  # a link to a job shows no study
     rows = queries.list_studies(service.reads, owner=owner, text=q, limit=limit + 1, before=cursor)
-    page = [StudyPublic.model_validate(study) for study in rows[:limit]]
-    return StudyPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+    return StudyPage.of([StudyPublic.model_validate(study) for study in rows], limit)
 
 
 @router.get("/studies/{study_id}", responses=READ)

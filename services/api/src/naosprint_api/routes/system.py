@@ -116,5 +116,4 @@ def list_workers(
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
     if mine is not None and principal.job_id is not None:
         mine &= {principal.job_id}
-    page = [worker_view(worker, mine) for worker in rows[:limit]]
-    return WorkerPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+    return WorkerPage.of([worker_view(worker, mine) for worker in rows], limit)

@@ -48,8 +48,7 @@ def show_tokens(principal: Submitter, service: ServiceDep, limit: PageLimit = 50
     """List one's own tokens, or all with scope admin, oldest first, without their secrets."""
     owner = None if principal.is_admin else principal.owner
     rows = list_tokens(service.reads, owner, limit=limit + 1, after=cursor)
-    page = [TokenPublic.model_validate(token) for token in rows[:limit]]
-    return TokenPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+    return TokenPage.of([TokenPublic.model_validate(token) for token in rows], limit)
 
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))

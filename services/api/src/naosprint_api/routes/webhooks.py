@@ -60,8 +60,7 @@ def show_webhooks(
     """List one's own webhooks, or all with scope admin, oldest first, without their secrets."""
     owner = None if principal.is_admin else principal.owner
     rows = webhooks.list_webhooks(service.reads, owner, limit=limit + 1, after=cursor)
-    page = [WebhookPublic.model_validate(webhook) for webhook in rows[:limit]]
-    return WebhookPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+    return WebhookPage.of([WebhookPublic.model_validate(webhook) for webhook in rows], limit)
 
 
 @router.get("/webhooks/{webhook_id}/deliveries", responses=responses(401, 403, 404, 422, 429, 503))
@@ -75,8 +74,7 @@ def show_deliveries(
     """List the messages to a webhook, newest first, with the error of the last attempt."""
     _visible(service, principal, webhook_id)
     rows = webhooks.list_deliveries(service.reads, webhook_id, limit=limit + 1, before=cursor)
-    page = [DeliveryPublic.model_validate(delivery) for delivery in rows[:limit]]
-    return DeliveryPage(items=page, next_cursor=page[-1].id if len(rows) > limit else None)
+    return DeliveryPage.of([DeliveryPublic.model_validate(delivery) for delivery in rows], limit)
 
 
 @router.delete("/webhooks/{webhook_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
