@@ -145,7 +145,12 @@ def registry() -> Iterator[str]:
     server.server_close()
 
 
-@pytest.mark.skipif(shutil.which("docker") is None, reason="needs the docker command")
+def _has_buildx() -> bool:
+    command = ["docker", "buildx", "version"]
+    return shutil.which("docker") is not None and subprocess.run(command, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not _has_buildx(), reason="needs `docker buildx`")
 def test_digests_are_filled_in_and_refreshed(registry: str, tmp_path: Path) -> None:
     file = tmp_path / "docker-compose.yml"
     old = "@sha256:" + "0" * 64
