@@ -99,6 +99,16 @@ def test_gains_by_group_kind_and_joint() -> None:
         T1.with_parameters({"kp": {"knee_pitch": -1}})
 
 
+def test_the_range_of_actions_is_a_setting() -> None:
+    wide = T1.with_parameters({"action_range_rad": 2.0})
+    for robot, reach in ((T1, 0.75), (wide, 2.0)):
+        actuation = Actuation(robot)
+        ones = actuation.targets(np.ones((1, actuation.n_actions)))[0, actuation.index] * actuation.sign
+        np.testing.assert_allclose(ones, np.minimum(actuation.nominal + reach, actuation.high_rad))
+    with pytest.raises(ValidationError, match="action_range_rad"):
+        T1.with_parameters({"action_range_rad": 0.0})
+
+
 def test_an_action_of_one_is_three_quarters_of_a_radian() -> None:
     actuation = Actuation(T1)
     assert actuation.n_actions == 21 and "head_yaw" not in actuation.names

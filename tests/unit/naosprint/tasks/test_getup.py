@@ -62,6 +62,19 @@ def test_robots_start_lying_on_every_side(robot: Robot) -> None:
     assert "heading_sin" not in environment.observer.names
 
 
+@BOTH
+def test_some_training_episodes_start_from_a_crouch(robot: Robot) -> None:
+    """They are easier; an evaluation has none, and the other starts stay the same."""
+    environment = environment_of(64, robot, crouching_starts=0.5)
+    lying = environment_of(64, robot)
+    crouching = (environment.task.starts(64, 0, 0.0).poses_rad != lying.task.starts(64, 0, 0.0).poses_rad).any(axis=1)
+    assert 16 < crouching.sum() < 48
+    height = environment.simulator.truth.torso_position[:, 2] / robot.standing_height_m
+    assert height[crouching].max() > 0.6 and (height[~crouching] < 0.5).all()
+    settings = environment.task.parameters
+    assert settings.crouching_starts == 0.5 and settings.for_evaluation().crouching_starts == 0.0
+
+
 def test_the_reward_is_for_height_an_upright_torso_and_the_nominal_pose() -> None:
     """Recomputed from what the simulator reports, for lying and for standing robots."""
     lying, upright = environment_of(4, pose_weight=0.7), standing(2, pose_weight=0.7)

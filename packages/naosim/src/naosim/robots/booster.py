@@ -7,8 +7,9 @@ repeated here so that robots can be listed and specifications validated where Mu
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field, field_validator
 
@@ -66,8 +67,6 @@ _NOMINAL: Mapping[str, float] = {
 }
 """Nominal pose in radians, left side: knees slightly bent, upper arms down, forearms forward."""
 
-_ACTION_RANGE_RAD = 0.75
-
 
 def kind_of(joint: str) -> str:
     """Return the kind of a joint: its name without the side."""
@@ -75,8 +74,9 @@ def kind_of(joint: str) -> str:
 
 
 class BoosterParameters(RobotParameters):
-    """Motor gains. Torque = kp (target - angle) - kd speed, every 5 ms, limited to the joint's maximum torque.
+    """Motor gains and the range of actions.
 
+    Torque = kp (target - angle) - kd speed, every 5 ms, limited to the joint's maximum torque.
     A mapping may name a group (``legs``), a kind of joint (``hip_pitch``) or one joint (``left_hip_pitch``); the more
     specific name has precedence, and what is not named keeps its default.
     """
@@ -91,6 +91,21 @@ class BoosterParameters(RobotParameters):
     kd: Mapping[str, float] = Field(
         default={}, validate_default=True, title="Damping", description="N m s/rad by joint."
     )
+
+    action_range_rad: float = Field(
+        default=0.75,
+        ge=0.05,
+        le=4.0,
+        title="Action range",
+        description="Angle between the nominal pose and the target angle for an action of 1; targets stay within the "
+        "joint's range.",
+        json_schema_extra={"unit": "rad"},
+    )
+
+    def description(self, robot: Robot) -> dict[str, Any]:
+        """Return the range of the actions."""
+        names = (joint.name for joint in robot.joints if joint.actuated)
+        return {"action_range_rad": MappingProxyType(dict.fromkeys(names, self.action_range_rad))}
 
     @field_validator("kp")
     @classmethod
@@ -217,7 +232,7 @@ def _robot(
     beam_height_m: float,
 ) -> Robot:
     joints = _joints(table)
-    return Robot(
+    robot = Robot(
         name=name,
         family=FAMILY,
         title=f"Booster {name.upper()}",
@@ -247,11 +262,11 @@ def _robot(
             "joint_speeds",
             "last_action",
         ),
-        action_range_rad=MappingProxyType({joint.name: _ACTION_RANGE_RAD for joint in joints if joint.actuated}),
         parameters=parameters,
         data=MappingProxyType({"model": name.upper(), "beam_height_m": beam_height_m}),
         load_shapes=lambda: _shapes(name.upper()),
     )
+    return replace(robot, **parameters.description(robot))
 
 
 T1 = _robot(

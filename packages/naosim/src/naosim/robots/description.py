@@ -24,6 +24,11 @@ ShapeKind = Literal["box", "sphere", "capsule", "cylinder"]
 class RobotParameters(Section):
     """Base of a robot's settings, for example motor gains; they are part of a training's specification."""
 
+    def description(self, robot: Robot) -> dict[str, Any]:
+        """Return the fields of ``robot`` that these settings determine, with their values; by default none."""
+        del robot
+        return {}
+
 
 @dataclass(frozen=True)
 class JointDescription:
@@ -136,7 +141,8 @@ class Robot:
         Raises:
             pydantic.ValidationError: if a value is out of range or unknown.
         """
-        return replace(self, parameters=type(self.parameters).model_validate(dict(values)))
+        parameters = type(self.parameters).model_validate(dict(values))
+        return replace(self, parameters=parameters, **parameters.description(self))
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

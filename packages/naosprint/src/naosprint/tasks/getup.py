@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S, Starts
@@ -70,6 +70,14 @@ class GetUpSettings(PenaltySettings):
         description="Each joint of a lying robot is offset from its nominal angle by up to this angle.",
         json_schema_extra={"unit": "deg"},
     )
+    crouching_starts: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        title="Crouching starts",
+        description="Share of training episodes that start from a crouch with a tilted torso, which is easier. "
+        "Evaluations have none.",
+    )
     episode_steps: int = Field(
         default=250,
         ge=HOLD_STEPS,
@@ -85,6 +93,20 @@ class GetUpSettings(PenaltySettings):
         title="Pose weight",
         description="Weight of being near the nominal pose while upright.",
     )
+
+    def for_evaluation(self) -> Self:
+        """Return the same settings without disturbances and without easier starts."""
+        return super().for_evaluation().model_copy(update={"crouching_starts": 0.0})
+
+
+_CROUCH = {"hip_pitch": -1.1, "knee_pitch": 1.7, "ankle_pitch": -0.6}
+"""Offsets of the legs' joints from the nominal pose in the deepest crouch, radians, by the end of their names."""
+
+
+def _crouch(robot: Robot) -> FloatArray:
+    """Return the (J,) offsets of the deepest crouch."""
+    ends = [[offset for end, offset in _CROUCH.items() if joint.name.endswith(end)] for joint in robot.joints]
+    return np.array([sum(offsets) for offsets in ends])
 
 
 class GetUp(Task):
@@ -139,6 +161,10 @@ class GetUp(Task):
         around = 0.5 * np.pi * (np.arange(count) % 4) + rng.uniform(-0.3, 0.3, count)
         tilt = np.pi / 2.0 + rng.uniform(-0.2, 0.2, count)
         yaw = rng.uniform(-np.pi, np.pi, count)
+        crouching = rng.uniform(size=count) < self.parameters.crouching_starts
+        tilt = np.where(crouching, tilt * rng.uniform(0.0, 0.5, count), tilt)
+        bent = _crouch(self.robot) * rng.uniform(0.0, 1.0, (count, 1))
+        poses = np.where(crouching[:, None], np.clip(self.robot.nominal + bent + 0.5 * offsets, low, high), poses)
         half = 0.5 * tilt
         tilted = np.stack(
             [np.cos(half), np.sin(half) * np.cos(around), np.sin(half) * np.sin(around), np.zeros(count)], axis=1
