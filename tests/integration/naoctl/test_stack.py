@@ -190,6 +190,17 @@ def test_a_job_from_submit_to_figures(naoctl: Shell, job: dict[str, Any]) -> Non
     assert [line["data"]["step"] for line in steps if line["kind"] == "metrics"] == [128, 256]
 
 
+def test_a_job_is_copied_to_mlflow(naoctl: Shell, job: dict[str, Any]) -> None:
+    uri = f"file:{naoctl.home / 'mlruns'}"
+    for _ in range(2):  # the second time there is nothing to add
+        done = naoctl("mirror", "mlflow", "tiny", MLFLOW_TRACKING_URI=uri, MLFLOW_ALLOW_FILE_STORE="true")
+        assert f"{job['id']}: succeeded" in done.stderr
+    (written,) = naoctl.home.glob("mlruns/*/*/metrics/time_s")
+    assert [line.split()[2] for line in written.read_text().splitlines()] == ["128", "256"]
+    results = {path.name for path in naoctl.home.glob("mlruns/*/*/metrics/evaluation/*")}
+    assert {"distance_m", "fall_rate"} <= results
+
+
 def test_a_downloaded_policy_gives_the_same_figures(naoctl: Shell, job: dict[str, Any]) -> None:
     fetched = {
         item["kind"]: Path(item["path"]) for item in naoctl.json("download", "tiny", "-o", str(naoctl.home / "out"))

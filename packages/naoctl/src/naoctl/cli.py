@@ -9,7 +9,19 @@ from typing import Annotated
 import typer
 
 from naoctl import __version__
-from naoctl.commands import artifacts, jobs, policies, service, spec, studies, submit, tensorboard, watch, webhooks
+from naoctl.commands import (
+    artifacts,
+    jobs,
+    mirror,
+    policies,
+    service,
+    spec,
+    studies,
+    submit,
+    tensorboard,
+    watch,
+    webhooks,
+)
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode
@@ -66,6 +78,7 @@ def build_app() -> typer.Typer:
         watch,
         artifacts,
         tensorboard,
+        mirror,
         policies,
         service,
         webhooks,
