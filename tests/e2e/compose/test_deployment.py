@@ -120,7 +120,7 @@ def test_our_containers_can_change_nothing_of_themselves(project: Any) -> None:
 
 def test_the_api_holds_no_learner_and_the_worker_no_cuda(project: Any) -> None:
     find = "import importlib.util as u, sys; sys.exit(u.find_spec(sys.argv[1]) is not None)"
-    for package in ("torch", "naosim", "naosprint", "naosprint_worker"):
+    for package in ("torch", "stable_baselines3", "mujoco", "naosprint_worker"):
         project.compose("exec", "-T", "api", "python", "-c", find, package)
     project.compose("exec", "-T", "worker", "python", "-c", find, "naosprint_api")
     project.compose(
