@@ -711,7 +711,7 @@ def test_a_bundled_policy_runs_and_is_described(browser: Browser, token: str, cl
         return {text[0]: text[1:] for text in texts}
 
     said = cells("results")
-    assert list(said) == [result["title"] for result in policy["results"]]
+    assert [title.splitlines()[0] for title in said] == [result["title"] for result in policy["results"]]
     speed = next(result for result in policy["results"] if result["name"] == "speed_mps")
     assert said[speed["title"]] == [
         f"{number(speed['value'])} m/s",
@@ -737,7 +737,7 @@ def test_policies_say_what_is_wrong(browser: Browser, token: str) -> None:
     browser.sign_in(token)
     browser.allowed += ["404", "ERR_BLOCKED_BY_CLIENT"]
     browser.open("/policies/sprnt")
-    browser.shows("bundled policies are sprint")
+    browser.shows("bundled policies are k1-sprint")
     browser.driver.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*/policies"]})
     try:
         browser.open("/policies")
@@ -768,7 +768,9 @@ def test_a_checkpoint_becomes_a_policy_that_is_compared_and_promoted(
         browser.open("/policies")
         browser.shows("runner@2", "[data-policy=runner]")
         for name in ("runner", "sprint"):
-            browser.find(f"[data-policy={name}] input[type=checkbox]").click()
+            box = browser.find(f"[data-policy={name}] input[type=checkbox]")
+            browser.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", box)
+            box.click()
         browser.find("a[href*='policies-compared']").click()
         browser.shows("runner@2", "[data-part=comparison] thead")
         browser.shows("Started from", "[data-part=comparison]")
