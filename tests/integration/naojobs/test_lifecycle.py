@@ -177,6 +177,17 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
     assert get(sessions, job.id).postponed == 0
 
 
+def test_a_clock_that_is_set_back_holds_up_no_postponed_job(sessions: Sessions, submit: Callable[..., Job]) -> None:
+    """The job was postponed by seconds while the database's clock was an hour ahead."""
+    job = submit()
+    claim = lifecycle.claim(sessions, Job, job.id, "w")
+    assert claim is not None
+    lifecycle.postpone(sessions, claim.lease, "no Docker")
+    with sessions.begin() as session:
+        session.execute(text("UPDATE jobs SET not_before = not_before + interval '1 h' WHERE id = :id"), {"id": job.id})
+    assert lifecycle.claim(sessions, Job, job.id, "w") is not None
+
+
 class Intruder:
     """Another user's action, started during a deletion, between the lock and the deletion of its rows."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
-from sqlalchemy import Engine, create_engine, event, text
+from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
 from sqlalchemy.exc import InvalidatePoolError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -35,6 +35,14 @@ _TRANSACTION_TIMEOUT_SINCE = 170_000
 _TOO_LONG = (psycopg.errors.TransactionTimeout, psycopg.errors.IdleInTransactionSessionTimeout)
 
 Sessions: TypeAlias = sessionmaker[Session]
+
+
+def is_due(column: Any, longest_s: float) -> ColumnElement[bool]:
+    """Return whether a time has come that was set at most ``longest_s`` seconds ahead.
+
+    One that is further ahead was set before the database's clock was set back; it has come as well.
+    """
+    return or_(column <= func.now(), column > func.now() + timedelta(seconds=longest_s))
 
 
 def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naosprint") -> Engine:

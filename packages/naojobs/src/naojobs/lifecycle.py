@@ -21,7 +21,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
-from naojobs.database import Sessions, notify
+from naojobs.database import Sessions, is_due, notify
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, Policy, PolicyVersion, WorkKind
 from naojobs.quotas import require_free_slot
@@ -435,7 +435,7 @@ def claim_next(
 
 
 def _waiting(model: type[Job] | type[Evaluation], capabilities: Capabilities | None) -> Any:
-    due = or_(model.not_before.is_(None), model.not_before <= func.now())
+    due = or_(model.not_before.is_(None), is_due(model.not_before, LONGEST_POSTPONE_S))
     waiting = select(model).where(model.state == WorkState.QUEUED, due)
     if model is Job:
         waiting = waiting.where(~awaits_policy())

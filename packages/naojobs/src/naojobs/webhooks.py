@@ -20,7 +20,7 @@ from typing import Any
 from sqlalchemy import case, delete, func, select, update
 from sqlalchemy.orm import Session
 
-from naojobs.database import Sessions
+from naojobs.database import Sessions, is_due
 from naojobs.errors import NotFoundError, QuotaError
 from naojobs.ids import new_id
 from naojobs.models import Delivery, Webhook
@@ -135,7 +135,7 @@ def take_due(sessions: Sessions) -> list[Message]:
 
     Several processes may call it at once: each gets other messages.
     """
-    due = Delivery.next_at <= func.now()
+    due = is_due(Delivery.next_at, LONGEST_DELAY_S)
     turn = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at).label("turn")
     ranked = select(Delivery.id, turn, Delivery.next_at).where(due).subquery()
     first = select(ranked.c.id).where(ranked.c.turn <= BATCH_OF_ONE).order_by(ranked.c.next_at).limit(BATCH)
