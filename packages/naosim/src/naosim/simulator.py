@@ -227,20 +227,21 @@ class Simulator(ABC):
         """
         raise ValueError(f"push_mps: {type(self).__name__} cannot push robots; set it to 0")
 
-    def vary(self, mass_variation: float, frictions: Floats, rng: np.random.Generator) -> None:
-        """Change the robots' bodies from now on.
+    def vary(self, mass_variation: float, frictions: Floats, gravities: Floats, rng: np.random.Generator) -> None:
+        """Change the robots' bodies and worlds from now on.
 
         Args:
             mass_variation: largest fraction by which the mass of a body differs.
             frictions: (n,) factors of the friction between robot and ground.
+            gravities: (n,) factors of gravity.
             rng: draws the masses.
 
         Raises:
-            ValueError: if the simulator has fixed bodies.
+            ValueError: if the simulator has fixed bodies and a fixed world.
         """
         raise ValueError(
-            f"mass_variation, friction_min, friction_max: {type(self).__name__} cannot change masses or friction; "
-            "leave them out"
+            f"mass_variation, friction_min, friction_max, gravity_min: {type(self).__name__} cannot change masses, "
+            "friction or gravity; leave them out"
         )
 
     # lost robots

@@ -73,7 +73,7 @@ def test_every_robot_has_its_own_masses_and_friction() -> None:
     assert isinstance(simulator, MujocoSimulator)
     usual = simulator.world
     rng = np.random.default_rng(0)
-    varied = [usual.varied(0.1, 0.6, rng) for _ in range(20)]
+    varied = [usual.varied(0.1, 0.6, 1.0, rng) for _ in range(20)]
     robot = [body for body in range(usual.model.nbody) if usual.model.body(body).name.startswith("robot-")]
     ratios = np.array([world.model.body_mass[robot] / usual.model.body_mass[robot] for world in varied])
     assert 0.9 <= ratios.min() < 0.92 and 1.08 < ratios.max() <= 1.1
@@ -98,6 +98,21 @@ def test_the_ground_is_as_slippery_as_set() -> None:
         assert isinstance(simulator, MujocoSimulator)
         found.append(simulator.batch.data[0].contact.friction[:, 0].max())
     assert found[0] == pytest.approx(0.6 * found[1]) and found[1] > 0.0
+
+
+def test_gravity_rises_from_the_first_robot_to_the_last() -> None:
+    """What falls freely has its robot's acceleration."""
+    environment = environment_of(4, gravity_min=0.1)
+    simulator = environment.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    for data in simulator.batch.data:
+        data.qpos[simulator.world.torso + 2] = 5.0
+        data.qvel[:] = 0.0
+    before = np.array([data.qpos[simulator.world.torso + 2] for data in simulator.batch.data])
+    run(environment, 5)  # 0.1 s
+    fallen = before - [data.qpos[simulator.world.torso + 2] for data in simulator.batch.data]
+    np.testing.assert_allclose(fallen / fallen[-1], [0.1, 0.4, 0.7, 1.0], atol=0.05)
+    assert fallen[-1] == pytest.approx(0.5 * 9.81 * 0.1**2, rel=0.1)
 
 
 def test_an_extra_delay_shifts_commands_by_whole_steps() -> None:

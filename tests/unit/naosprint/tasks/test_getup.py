@@ -88,7 +88,8 @@ def test_the_reward_is_for_height_an_upright_torso_and_the_nominal_pose() -> Non
             assert (stands == expected_standing).all()
             angles = environment.actuation.angles(environment.simulator.perceptors["joint_angles"])
             off = 4.0 * np.square(angles - environment.actuation.nominal).mean(axis=1)
-            expected = np.clip(height / T1.standing_height_m, 0.0, 1.0) + 0.25 * (1.0 + up)
+            squared = np.square(np.clip(height / T1.standing_height_m, 0.0, 1.0))
+            expected = squared + 0.25 * (1.0 + up) * squared
             expected += stands * (1.0 + 0.7 * np.exp(-off))
             np.testing.assert_allclose(environment.rewards, scale * expected, atol=1e-9)
     assert upright.rewards.min() > 1.5 * lying.rewards.max()

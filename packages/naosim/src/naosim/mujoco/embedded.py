@@ -213,11 +213,11 @@ class MujocoSimulator(Simulator):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 
-    def vary(self, mass_variation: float, frictions: Floats, rng: np.random.Generator) -> None:
-        """Give every robot bodies of other masses and other friction."""
+    def vary(self, mass_variation: float, frictions: Floats, gravities: Floats, rng: np.random.Generator) -> None:
+        """Give every robot bodies of other masses, other friction and other gravity."""
         self.require_open()
-        for row, friction in enumerate(frictions.tolist()):
-            self.batch.set_world(row, self.world.varied(mass_variation, friction, rng))
+        for row, (friction, gravity) in enumerate(zip(frictions.tolist(), gravities.tolist(), strict=True)):
+            self.batch.set_world(row, self.world.varied(mass_variation, friction, gravity, rng))
 
     # worlds can diverge
 

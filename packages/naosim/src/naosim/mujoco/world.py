@@ -114,8 +114,8 @@ class World:
         set_gains(model, kp, kd)
         return World(model, self.joints, self.torso)
 
-    def varied(self, mass_variation: float, friction: float, rng: np.random.Generator) -> World:
-        """Return the world with other masses of the robot's bodies, and its friction times ``friction``."""
+    def varied(self, mass_variation: float, friction: float, gravity: float, rng: np.random.Generator) -> World:
+        """Return the world with other masses of the robot's bodies; friction and gravity are multiplied."""
         mujoco = library()
         model = copy.copy(self.model)
         bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(PREFIX)]
@@ -123,6 +123,7 @@ class World:
         model.body_mass[bodies] *= factors
         model.body_inertia[bodies] *= factors[:, None]
         model.geom_friction[self.geoms, 0] *= friction
+        model.opt.gravity *= gravity
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return World(model, self.joints, self.torso)
 

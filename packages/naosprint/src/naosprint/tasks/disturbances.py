@@ -70,6 +70,14 @@ class DisturbanceSettings(TaskSettings):
         title="Highest friction",
         description="Upper end of that factor.",
     )
+    gravity_min: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=1.0,
+        title="Lowest gravity",
+        description="Factor of gravity of the first robot; it rises evenly to 1 for the last. Light robots find a "
+        "motion first, from which the others learn.",
+    )
     extra_delay: int = Field(
         default=0,
         ge=0,
@@ -109,7 +117,7 @@ class Disturbances:
 
     Args:
         settings: what to disturb, and how much.
-        simulator: the robots; their masses and friction are drawn now.
+        simulator: the robots; their masses, friction and gravity are drawn now.
         seed: seed of all draws.
 
     Attributes:
@@ -136,10 +144,10 @@ class Disturbances:
             self.arrays["count"] = self._count
         if settings.extra_delay:
             self.arrays["waiting"] = self._waiting
-        if settings.mass_variation or (settings.friction_min, settings.friction_max) != (1.0, 1.0):
+        if settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1):
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
-            simulator.vary(settings.mass_variation, frictions, rng)
+            simulator.vary(settings.mass_variation, frictions, np.linspace(settings.gravity_min, 1.0, n), rng)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 

@@ -99,8 +99,11 @@ class GetUpSettings(PenaltySettings):
         return super().for_evaluation().model_copy(update={"crouching_starts": 0.0})
 
 
-_CROUCH = {"hip_pitch": -1.1, "knee_pitch": 1.7, "ankle_pitch": -0.6}
+_CROUCH = {"hip_pitch": -1.35, "knee_pitch": 1.5, "ankle_pitch": -0.6}
 """Offsets of the legs' joints from the nominal pose in the deepest crouch, radians, by the end of their names."""
+
+_CROUCH_LEAN = 0.45
+"""Forward tilt of the torso in the deepest crouch, radians: its centre of mass is above the feet."""
 
 
 def _crouch(robot: Robot) -> FloatArray:
@@ -162,9 +165,11 @@ class GetUp(Task):
         tilt = np.pi / 2.0 + rng.uniform(-0.2, 0.2, count)
         yaw = rng.uniform(-np.pi, np.pi, count)
         crouching = rng.uniform(size=count) < self.parameters.crouching_starts
-        tilt = np.where(crouching, tilt * rng.uniform(0.0, 0.5, count), tilt)
-        bent = _crouch(self.robot) * rng.uniform(0.0, 1.0, (count, 1))
-        poses = np.where(crouching[:, None], np.clip(self.robot.nominal + bent + 0.5 * offsets, low, high), poses)
+        depth = rng.uniform(0.0, 1.0, count)
+        around = np.where(crouching, 0.5 * np.pi + rng.uniform(-0.5, 0.5, count), around)
+        tilt = np.where(crouching, depth * _CROUCH_LEAN + rng.uniform(-0.1, 0.1, count), tilt)
+        bent = self.robot.nominal + depth[:, None] * _crouch(self.robot) + 0.2 * offsets
+        poses = np.where(crouching[:, None], np.clip(bent, low, high), poses)
         half = 0.5 * tilt
         tilted = np.stack(
             [np.cos(half), np.sin(half) * np.cos(around), np.sin(half) * np.sin(around), np.zeros(count)], axis=1
@@ -175,14 +180,17 @@ class GetUp(Task):
         return Starts(poses, self.start_position(), orientations=orientations)
 
     def reward_terms(self) -> Sequence[RewardTerm]:
-        """Return rewards for height and an upright torso, and for the nominal pose once up."""
+        """Return rewards for height, for an upright torso at that height, and for the nominal pose once up.
+
+        Height counts squared and tilt in proportion to it, so that sitting upright is worth little.
+        """
         standing = self.robot.standing_height_m
 
         def height(rows: slice) -> FloatArray:
-            return np.clip(self._height[rows] / standing, 0.0, 1.0)
+            return np.square(np.clip(self._height[rows] / standing, 0.0, 1.0))
 
         def upright(rows: slice) -> FloatArray:
-            return 0.5 * (1.0 + self._up[rows])
+            return 0.5 * (1.0 + self._up[rows]) * height(rows)
 
         def pose(rows: slice) -> FloatArray:
             return np.where(self._standing(rows), np.exp(-self._off_pose[rows]), 0.0)
