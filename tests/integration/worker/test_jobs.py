@@ -27,6 +27,21 @@ def assert_metrics_whole(service: Service, job_id: str) -> None:
     assert all(row.values["memory_mb"] > 10 and row.values["cpus"] >= 0 for row in service.metrics(job_id))
 
 
+def test_a_worker_without_work_ends_if_it_may(service: Service) -> None:
+    worker = service.start_worker(NAOSPRINT_WORKER_IDLE_EXIT_S="0.5")
+    assert worker.process.wait(60) == 0
+    assert "ends: it had no work for 0.5 s" in worker.output()
+    with service.sessions() as session:
+        assert session.query(Worker).count() == 0
+
+
+def test_a_worker_that_may_end_finishes_its_work_first(service: Service) -> None:
+    job_id = service.submit(total_steps=ROLLOUT * 20, evaluate=False)
+    worker = service.start_worker(NAOSPRINT_WORKER_IDLE_EXIT_S="0.5")
+    assert worker.process.wait(120) == 0
+    assert service.job(job_id).state is WorkState.SUCCEEDED
+
+
 def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp_path: Path) -> None:
     assert_metrics_whole(shared, finished)
     job = shared.job(finished)

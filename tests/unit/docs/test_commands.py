@@ -42,6 +42,7 @@ SYSTEM = {
     "ssh",
     "pip",
     "rcssservermj",
+    "sbatch",
 }
 
 #: Commands of `docker compose` that the documents use.

@@ -34,7 +34,7 @@ def wandb(tmp_path: Path) -> Iterator[Callable[[], WandbMirror]]:
 
 @pytest.fixture
 def service(server: Any, job: Callable[..., Job], event: Callable[..., str]) -> Callable[..., None]:
-    """Let the service have one job, with these rows, in these states one after the other."""
+    """Return a function that gives the service one job: its rows of metrics and its states, one after the other."""
 
     def play(rows: list[Job], *states: Job) -> None:
         shown = [job(**state) for state in states]

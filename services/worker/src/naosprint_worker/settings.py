@@ -41,6 +41,12 @@ class WorkerSettings(ServiceSettings):
     worker_claim_s: float = Field(
         5.0, gt=0, le=600, description="Seconds between two checks of a free worker for waiting jobs and evaluations."
     )
+    worker_idle_exit_s: float | None = Field(
+        None,
+        gt=0,
+        le=86400,
+        description="Seconds without work after which the worker ends, as on a cluster; left out: never.",
+    )
     worker_stop_grace_s: float = Field(
         60.0, gt=0, le=3600, description="Seconds that a training has for its last checkpoint when it is stopped."
     )

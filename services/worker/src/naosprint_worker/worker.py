@@ -6,8 +6,10 @@ import contextlib
 import logging
 import os
 import shutil
+import signal
 import socket
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -68,6 +70,7 @@ class Worker:
         self._study_woken = threading.Event()
         self._conductor = Conductor(self._context.sessions, settings.sqlalchemy_url)
         self._threads: list[threading.Thread] = []
+        self._worked_at = time.monotonic()
 
     def start(self) -> None:
         """Register and start to claim work, without waiting for the broker."""
@@ -127,6 +130,7 @@ class Worker:
                 lease_s=self._settings.lease_s,
             )
             if claim is None:
+                self._end_if_idle()
                 return
             run = Run(self._context, claim)
             thread = threading.Thread(target=self._run, args=(run,), name=claim.lease.id)
@@ -135,6 +139,16 @@ class Worker:
             thread.start()
             if self._stopping.is_set():  # it was set while the work was claimed
                 run.shut_down()
+
+    def _end_if_idle(self) -> None:
+        """End the process as SIGTERM does if it has had no work for ``worker_idle_exit_s``."""
+        limit_s, now = self._settings.worker_idle_exit_s, time.monotonic()
+        if self._runs:
+            self._worked_at = now
+        elif limit_s is not None and now - self._worked_at > limit_s and not self._stopping.is_set():
+            logger.info("worker %s ends: it had no work for %g s", self.id, limit_s)
+            self._stopping.set()
+            os.kill(os.getpid(), signal.SIGTERM)
 
     def _claimable(self) -> tuple[type[Job] | type[Evaluation], ...]:
         """Return what this worker can take now: beside its slots, one evaluation may run.
