@@ -10,7 +10,6 @@ import secrets
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -200,18 +199,3 @@ def naoctl(project: Project, tmp_path_factory: pytest.TempPathFactory) -> Callab
         return json.loads(answer) if "--json" in arguments else answer
 
     return call
-
-
-@pytest.fixture(scope="session")
-def wait_for() -> Callable[..., Any]:
-    """Wait until something is true and return it."""
-
-    def wait(what: Callable[[], Any], timeout_s: float, failure: str) -> Any:
-        deadline = time.monotonic() + timeout_s
-        while not (found := what()):
-            if time.monotonic() > deadline:
-                pytest.fail(f"{failure} within {timeout_s:g} s")
-            time.sleep(0.5)
-        return found
-
-    return wait

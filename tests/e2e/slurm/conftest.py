@@ -7,7 +7,6 @@ import os
 import shutil
 import socket
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,21 +84,6 @@ def _free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
-
-
-@pytest.fixture(scope="session")
-def wait_for() -> Callable[..., Any]:
-    """Wait until something is true and return it."""
-
-    def wait(what: Callable[[], Any], timeout_s: float, failure: str) -> Any:
-        deadline = time.monotonic() + timeout_s
-        while not (found := what()):
-            if time.monotonic() > deadline:
-                pytest.fail(f"{failure} within {timeout_s:g} s")
-            time.sleep(0.2)
-        return found
-
-    return wait
 
 
 @pytest.fixture(scope="module")
