@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
-from naoctl.context import Context, complete_job, context_of, find_job
+from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError, ExitCode
 from naoctl.mirrors import Mirror, MlflowMirror, WandbMirror, mirror_jobs
+from naoctl.render import print_json_line
 
 Jobs = Annotated[
     list[str] | None,
@@ -32,13 +33,14 @@ def mlflow(
     experiment: Annotated[
         str, typer.Option("--experiment", metavar="NAME", envvar="MLFLOW_EXPERIMENT_NAME", help="Experiment.")
     ] = "naosprint",
+    as_json: JsonFlag = False,
 ) -> None:
     """Copy jobs to MLflow: settings, metrics, and the results of the evaluation.
 
     Without JOB, all jobs until Ctrl-C: past ones that are missing, then those that run.
     """
     _require("mlflow")
-    _copy(context_of(ctx), jobs, lambda: MlflowMirror(uri, experiment))
+    _copy(context_of(ctx), jobs, lambda: MlflowMirror(uri, experiment), as_json=as_json)
 
 
 @mirror.command()
@@ -58,17 +60,15 @@ def wandb(
         bool,
         typer.Option("--offline", help="Only write to the folder; `wandb sync` uploads it."),
     ] = False,
+    as_json: JsonFlag = False,
 ) -> None:
     """Copy jobs to Weights & Biases: settings, metrics, and the results of the evaluation.
 
     Without JOB, all jobs until Ctrl-C: past ones that are missing, then those that run.
     """
     _require("wandb")
-    _copy(
-        context_of(ctx),
-        jobs,
-        lambda: WandbMirror(project, entity, folder, offline=offline or os.environ.get("WANDB_MODE") == "offline"),
-    )
+    offline = offline or os.environ.get("WANDB_MODE") == "offline"
+    _copy(context_of(ctx), jobs, lambda: WandbMirror(project, entity, folder, offline=offline), as_json=as_json)
 
 
 def _require(package: str) -> None:
@@ -76,11 +76,17 @@ def _require(package: str) -> None:
         raise CliError(f"{package} is not installed here", fix=f"Install naoctl[{package}].")
 
 
-def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], Mirror]) -> None:
+def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], Mirror], *, as_json: bool) -> None:
+    def note(text: str) -> None:
+        if as_json:
+            print_json_line(context.out, {"kind": "note", "data": text})
+        else:
+            context.note(text)
+
     with context.client() as client:
         chosen = [find_job(client, job)["id"] for job in jobs or ()]
         try:
-            mirror_jobs(client, connect, chosen, note=context.note)
+            mirror_jobs(client, connect, chosen, note=note)
         except KeyboardInterrupt:
             raise CliError(
                 "Stopped copying; the jobs continue",
