@@ -125,6 +125,20 @@ def test_a_tracking_system_that_is_away_is_tried_again(
     assert mlflow().finished() == {job()["id"]}
 
 
+def test_a_job_that_is_deleted_meanwhile_ends_its_copy_only(
+    server: Any,
+    client: Client,
+    service: Callable[..., None],
+    job: Callable[..., Job],
+    mlflow: Callable[[], MlflowMirror],
+) -> None:
+    service(ROWS, {}, {"state": "succeeded"})
+    server.on("GET", f"/jobs/{job()['id']}/metrics")(lambda request: request.problem(404, "no such job"))
+    notes: list[str] = []
+    mirror_jobs(client, mlflow, [job()["id"]], note=notes.append)
+    assert notes[-1] == f"{job()['id']}: deleted"
+
+
 def test_a_job_that_never_began_is_not_waited_for(
     client: Client, service: Callable[..., None], job: Callable[..., Job], mlflow: Callable[[], MlflowMirror]
 ) -> None:

@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from naoctl.client import Client, Json
-from naoctl.errors import CliError
+from naoctl.client import ApiError, Client, Json
+from naoctl.errors import CliError, Unreachable
 from naoctl.follow import is_over
 from naoctl.render import parse_time
 
@@ -65,7 +65,7 @@ def mirror_jobs(
 ) -> None:
     """Copy jobs to a tracking system: all that have not been copied yet and all later ones, or only the chosen ones.
 
-    A tracking system that fails is tried again for as long as it takes; trainings do not wait for it.
+    A tracking system or a service that fails is tried again for as long as it takes; trainings do not wait for it.
 
     Args:
         client: the service.
@@ -82,9 +82,9 @@ def mirror_jobs(
         while True:
             try:
                 return call()
-            except CliError:  # of our service
-                raise
             except Exception as error:  # of any type that the package of a tracking system raises
+                if isinstance(error, CliError) and not isinstance(error, Unreachable):
+                    raise
                 copies.clear()
                 reason = next(iter(str(error).splitlines()), "")
                 note(f"{type(error).__name__}: {reason}; next attempt in {retry_s:g} s")
@@ -112,7 +112,13 @@ def mirror_jobs(
             continue
         for job in jobs:
             if job["started_at"]:
-                patiently(partial(update, job))
+                try:
+                    patiently(partial(update, job))
+                except ApiError as error:
+                    if error.status != 404:
+                        raise
+                    waiting.discard(job["id"])
+                    note(f"{job['id']}: deleted")
             elif is_over(job):
                 waiting.discard(job["id"])
         if chosen and not waiting:
