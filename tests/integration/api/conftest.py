@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from naojobs.models import Job
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key
 from naojobs.submission import JobRequest
+from naosprint_api.recent import KEEP_S
 from sqlalchemy.orm import Session, sessionmaker
 
 
@@ -56,6 +58,19 @@ def follow() -> Callable[..., Any]:
                 fields[name] = value
 
     return follow
+
+
+@pytest.fixture(scope="session")
+def soon() -> Callable[[Callable[[], bool]], bool]:
+    """Return whether a condition becomes true while a process of the API may still use what it has looked up."""
+
+    def soon(condition: Callable[[], bool]) -> bool:
+        until = time.monotonic() + 2.0 * KEEP_S
+        while not (reached := condition()) and time.monotonic() < until:
+            time.sleep(0.02)
+        return reached
+
+    return soon
 
 
 @pytest.fixture

@@ -391,12 +391,19 @@ def test_a_stalled_job_is_shown_and_counted(
     assert "naosprint_jobs_failed_recently 1.0" in text
 
 
-def test_a_queued_job_tells_why_no_worker_can_take_it(client: httpx.Client, sessions: sessionmaker[Session]) -> None:
+def test_a_queued_job_tells_why_no_worker_can_take_it(
+    client: httpx.Client, sessions: sessionmaker[Session], soon: Callable[..., bool]
+) -> None:
     job_id = client.post("/jobs", json={"spec": {"task": "sprint2"}}).json()["id"]
-    assert client.get(f"/jobs/{job_id}").json()["waiting_reason"] == "no worker is running"
+
+    def reason() -> str | None:
+        reason: str | None = client.get(f"/jobs/{job_id}").json()["waiting_reason"]
+        return reason
+
+    assert soon(lambda: reason() == "no worker is running")
     capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
     registry.beat(sessions, "w", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
-    assert client.get(f"/jobs/{job_id}").json()["waiting_reason"] == "no worker has task 'sprint2' version 1"
+    assert soon(lambda: reason() == "no worker has task 'sprint2' version 1")
     (listed,) = [job for job in client.get("/jobs").json()["items"] if job["id"] == job_id]
     assert listed["waiting_reason"] == "no worker has task 'sprint2' version 1"
     other = client.post("/jobs", json={"spec": {"task": "sprint1"}}).json()

@@ -231,6 +231,7 @@ def test_a_stream_ends_with_its_token(
     sessions: Sessions,
     run_job: Callable[..., Lease],
     follow: Any,
+    soon: Callable[..., bool],
     monkeypatch: pytest.MonkeyPatch,
     path: str,
     end: str,
@@ -247,7 +248,7 @@ def test_a_stream_ends_with_its_token(
                 revoke(sessions, token)
             for _ in messages:
                 pass
-        assert client.get(path).status_code == 401
+        assert soon(lambda: client.get(path).status_code == 401)
 
 
 def test_places_are_taken_before_they_are_used_and_a_token_has_some_of_them(

@@ -7,6 +7,8 @@ from typing import Any
 
 import httpx
 import pytest
+from naojobs.database import Sessions
+from naojobs.tokens import Scope, create_token, revoke
 
 
 def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> None:
@@ -25,6 +27,17 @@ def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> No
         assert carol.get("/whoami").status_code == 401
     (shown,) = (token for token in admin.get("/tokens").json()["items"] if token["id"] == made["id"])
     assert shown["revoked_at"] is not None
+
+
+def test_another_process_refuses_a_revoked_token_within_a_second(
+    sessions: Sessions, api: Any, soon: Callable[..., bool]
+) -> None:
+    """API processes share their look-ups for a second; one that did not revoke the token itself learns it then."""
+    token_id, secret = create_token(sessions, name="", owner="frank", scopes=[Scope.READ])
+    with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {secret}"}) as frank:
+        assert frank.get("/whoami").status_code == 200
+        revoke(sessions, token_id)
+        assert soon(lambda: frank.get("/whoami").status_code == 401)
 
 
 def test_a_token_is_for_submitting_and_lasts_unless_told_otherwise(admin: httpx.Client) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from naojobs import lifecycle, records, registry, submission
-from naojobs.capabilities import Capabilities, waiting_reasons
+from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.lifecycle import Claim
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
@@ -122,7 +122,9 @@ def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, sub
 
     def reason(stale_s: float = 30.0) -> str | None:
         with sessions() as session:
-            return waiting_reasons(session, [session.get_one(Job, job_id)], stale_s=stale_s).get(job_id)
+            return waiting_reasons(session, [session.get_one(Job, job_id)], live_workers(session, stale_s=stale_s)).get(
+                job_id
+            )
 
     def beat(worker: str, *capabilities: Any, queues: tuple[str, ...] = ("server",)) -> None:
         has = Capabilities(*capabilities)
@@ -148,4 +150,4 @@ def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, sub
     with sessions() as session:
         job = session.get_one(Job, job_id)
         assert job.state is WorkState.STARTING
-        assert waiting_reasons(session, [job], stale_s=-1) == {}
+        assert waiting_reasons(session, [job], live_workers(session, stale_s=-1)) == {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from naojobs import lifecycle, records, submission
-from naojobs.capabilities import Capabilities, waiting_reasons
+from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
 from naojobs.models import Evaluation, Event, Job, Metric
@@ -163,7 +163,7 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
         with sessions() as session:
             kept = session.get_one(Job, job.id)
             event = session.query(Event).where(Event.job_id == job.id).order_by(Event.id.desc()).limit(1).one()
-            reason = waiting_reasons(session, [kept], stale_s=30)[job.id]
+            reason = waiting_reasons(session, [kept], live_workers(session, stale_s=30))[job.id]
         assert (kept.failures, event.data["delay_s"]) == (0, delay_s)
         assert reason.startswith("the next attempt begins in")
         assert reason.endswith("the last one ended: no Docker")
@@ -550,7 +550,7 @@ def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, su
     assert lifecycle.claim(sessions, Job, child.id, "w") is None
     assert get(sessions, child.id).state is WorkState.QUEUED
     with sessions() as session:
-        reasons = waiting_reasons(session, [get(sessions, child.id)], stale_s=30)
+        reasons = waiting_reasons(session, [get(sessions, child.id)], live_workers(session, stale_s=30))
     assert reasons == {child.id: f"job {parent.id}, whose policy it starts from, has no trained checkpoint yet"}
     first = records.record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
     got = lifecycle.claim(sessions, Job, child.id, "w")

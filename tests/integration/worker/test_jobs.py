@@ -10,7 +10,7 @@ import naopolicies
 import numpy as np
 import pytest
 from naojobs import lifecycle, submission
-from naojobs.capabilities import waiting_reasons
+from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
 from naojobs.store import Manifest, artifact_of
@@ -350,7 +350,7 @@ def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> 
     assert (job.state, job.attempt) == (WorkState.QUEUED, 0)
     with service.sessions() as session:
         worker = session.query(Worker).one()
-        reasons = waiting_reasons(session, [job], stale_s=30)
+        reasons = waiting_reasons(session, [job], live_workers(session, stale_s=30))
     assert worker.tasks == dict.fromkeys(plugins.names(plugins.TASKS), 1)
     assert (worker.robots, worker.simulators) == (list(plugins.names(plugins.ROBOTS)), ["embedded"])
     assert reasons == {newer: "no worker has task 'sprint2' version 2 (workers have version 1)"}

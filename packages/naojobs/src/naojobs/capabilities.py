@@ -63,26 +63,28 @@ class Capabilities:
         )
 
 
-def waiting_reasons(session: Session, work: Iterable[Work], *, stale_s: float) -> dict[str, str]:
-    """Return by id why no worker can take queued work; work that some worker can take is left out.
+def live_workers(session: Session, *, stale_s: float) -> Sequence[Worker]:
+    """Return the workers with a heartbeat in the last `stale_s` seconds."""
+    return session.scalars(select(Worker).where(Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s))).all()
 
-    Workers without a heartbeat in the last `stale_s` seconds do not count.
-    """
+
+def waiting_reasons(session: Session, work: Iterable[Work], workers: Sequence[Worker]) -> dict[str, str]:
+    """Return by id why none of `workers` can take queued work; work that one of them can take is left out."""
     queued = [item for item in work if item.state is WorkState.QUEUED]
     if not queued:
         return {}
-    recently = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
-    workers = session.scalars(select(Worker).where(recently)).all()
     children = [item.id for item in queued if isinstance(item, Job) and item.needs_policy]
-    waiting = select(Job.id, Job.parent_job_id).where(Job.id.in_(children), awaits_policy())
-    parents = {row.id: row.parent_job_id for row in session.execute(waiting)} if children else {}
+    parents = {}
+    if children:
+        waiting = select(Job.id, Job.parent_job_id).where(Job.id.in_(children), awaits_policy())
+        parents = {row.id: row.parent_job_id for row in session.execute(waiting)}
     reasons = {
         item.id: _reason(item, workers)
         if item.id not in parents
         else f"job {parents[item.id]}, whose policy it starts from, has no trained checkpoint yet"
         for item in queued
     }
-    now = session.scalar(select(func.now()))
+    now = session.scalar(select(func.now())) if any(item.not_before is not None for item in queued) else None
     for item in queued:
         if item.not_before is not None and now is not None and item.not_before > now:
             left_s = (item.not_before - now).total_seconds()

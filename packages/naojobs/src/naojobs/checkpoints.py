@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Self
 
 from sqlalchemy import ColumnElement, Select, and_, select
@@ -46,6 +47,7 @@ def trained_checkpoint(session: Session, job_id: str) -> Checkpoint | None:
     return session.scalar(newest_first(job_id).where(Checkpoint.step > 0).limit(1))
 
 
+@cache
 def awaits_policy() -> ColumnElement[bool]:
     """Return the condition under which a job has to wait: it starts from a policy not trained yet."""
     parent = aliased(Job)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
+from pydantic_core import from_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
 from sqlalchemy.exc import InvalidatePoolError, OperationalError
 from sqlalchemy.orm import Session, sessionmaker
@@ -57,6 +58,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         max_overflow=pool_size,
         pool_recycle=1800,
         pool_timeout=10,
+        json_deserializer=from_json,
         connect_args={
             "application_name": application_name,
             "connect_timeout": 5,

@@ -18,9 +18,6 @@ from naosprint_api.settings import ApiSettings
 
 #: Seconds that running requests may take when the service stops.
 _GRACE_S = 10
-#: How long a thread may keep the interpreter while others wait for it. Requests change between the loop and threads;
-#: with Python's default of 5 ms each change waits that long while a page of jobs is encoded.
-_SWITCH_S = 0.0005
 #: Allocations between two collections of garbage. Python's own 700 make a page of jobs cost a third more.
 _GARBAGE = 20_000
 
@@ -68,7 +65,6 @@ def answer_evenly() -> None:
     Objects loaded so far are permanent: searching them for garbage takes 100 ms each time, during which no request is
     answered.
     """
-    sys.setswitchinterval(_SWITCH_S)
     gc.collect()
     gc.freeze()
     gc.set_threshold(_GARBAGE, 20, 20)

@@ -105,5 +105,5 @@ def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
     """Return the application for a server, and its service."""
     service = Service.build(settings)
     app = create_app(service)
-    compressed = GZipMiddleware(app, minimum_size=1000, compresslevel=6, exclude_content_types=_NOT_COMPRESSED)
+    compressed = GZipMiddleware(app, minimum_size=1000, compresslevel=1, exclude_content_types=_NOT_COMPRESSED)
     return Envelope(BodyLimit(compressed, settings.api_max_body_bytes), service.telemetry), service

@@ -8,10 +8,11 @@ from functools import partial
 from math import ceil, isfinite
 from typing import Annotated, cast
 
+from anyio import to_thread
 from fastapi import Depends, Header, Path, Query, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from naojobs.ids import PATTERN
-from naojobs.tokens import Principal, Scope, verify
+from naojobs.tokens import Principal, Scope
 
 from naosprint_api.patterns import KEY
 from naosprint_api.problems import FieldError, ProblemError
@@ -82,8 +83,17 @@ def _caller(request: Request) -> str:
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 
 
-def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
+async def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
     """Return the owner of the token, and count the request against the rate limit."""
+    return await _authenticate(request, service, credentials, to_thread.run_sync)
+
+
+async def _authenticate(
+    request: Request,
+    service: Service,
+    credentials: HTTPAuthorizationCredentials | None,
+    in_thread: Callable[[Callable[[], Principal | None]], Awaitable[Principal | None]],
+) -> Principal:
     if credentials is None:
         _limit(service, f"address {_caller(request)}")
         raise ProblemError(
@@ -92,7 +102,8 @@ def authenticate(request: Request, service: ServiceDep, credentials: Credentials
             [FieldError(field="Authorization", message="missing; send `Bearer <token>`")],
             {"WWW-Authenticate": "Bearer"},
         )
-    principal = verify(service.reads, credentials.credentials)
+    secret = credentials.credentials
+    principal = service.principals.find(secret) or await in_thread(partial(service.principals.get, secret))
     if principal is None:
         _log.warning("refused an unknown token from %s", _caller(request))
         service.telemetry.refused.labels("token").inc()
@@ -143,7 +154,7 @@ def needs(scope: Scope) -> Callable[..., Awaitable[Principal]]:
 
 async def follower(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
     """Return the owner of the token, looked up in the threads for followers, since many may connect at once."""
-    principal = await service.feed.in_thread(partial(authenticate, request, service, credentials))
+    principal = await _authenticate(request, service, credentials, service.feed.in_thread)
     return require(Scope.READ, principal, service)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -14,6 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 import anyio
 from fastapi.sse import format_sse_event
 from naojobs.database import Sessions
+from naojobs.models import Worker
 from naojobs.states import WorkState
 
 from naosprint_api.queries import Position, news_of
@@ -53,9 +54,9 @@ class Batch:
 class Feed:
     """Reader of changes, once for all followers that request the same."""
 
-    def __init__(self, sessions: Sessions, *, stale_s: float) -> None:
+    def __init__(self, sessions: Sessions, workers: Callable[[], Sequence[Worker]]) -> None:
         self._sessions = sessions
-        self._stale_s = stale_s
+        self._workers = workers
         self._limiter = anyio.CapacityLimiter(THREADS)
         #: Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
         #: include everything committed until now.
@@ -86,7 +87,7 @@ class Feed:
         return await self.in_thread(partial(self._read, job_id, seen, kinds))
 
     def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> Batch:
-        news = news_of(self._sessions, job_id, seen, kinds, stale_s=self._stale_s)
+        news = news_of(self._sessions, job_id, seen, kinds, workers=self._workers())
         if news.job is None:
             return Batch(b"", seen)
         events: list[bytes] = []

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Policy, Study
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Policy, Study, Worker
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
@@ -314,7 +314,13 @@ class News:
 
 
 def news_of(
-    sessions: Sessions, job_id: str, seen: Position, kinds: frozenset[str], *, stale_s: float, limit: int = 500
+    sessions: Sessions,
+    job_id: str,
+    seen: Position,
+    kinds: frozenset[str],
+    *,
+    workers: Sequence[Worker],
+    limit: int = 500,
 ) -> News:
     """Return the job and what is new about it, at most `limit` of each kind.
 
@@ -324,7 +330,7 @@ def news_of(
         news = News(session.get(Job, job_id))
         if news.job is None:
             return news
-        news.waiting_reason = waiting_reasons(session, [news.job], stale_s=stale_s).get(job_id)
+        news.waiting_reason = waiting_reasons(session, [news.job], workers).get(job_id)
         news.result = results_of(session, [news.job]).get(job_id)
         if "metrics" in kinds:
             news.metrics = list(

@@ -18,7 +18,8 @@ _EPISODES = func.coalesce(Evaluation.summary["episodes"].astext, Evaluation.spec
 
 def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
     """Return the results by job id; jobs without a finished evaluation are left out."""
-    if not jobs:
+    begun = [job.id for job in jobs if job.attempt > 0]  # others have no checkpoint that could be evaluated
+    if not begun:
         return {}
     # The whole document has tables and specifications, which lists do not show.
     statement = (
@@ -33,7 +34,7 @@ def results_of(session: Session, jobs: Sequence[Job]) -> dict[str, JobResult]:
             Evaluation.summary["headline"].label("headline"),
         )
         .join(Checkpoint, Checkpoint.id == Evaluation.checkpoint_id)
-        .where(Evaluation.job_id.in_([job.id for job in jobs]), Evaluation.state == WorkState.SUCCEEDED)
+        .where(Evaluation.job_id.in_(begun), Evaluation.state == WorkState.SUCCEEDED)
         .where(Evaluation.summary.has_key("results"))  # documents of version 0.1 do not describe themselves
         .ext(distinct_on(Evaluation.job_id))
         .order_by(Evaluation.job_id, _EPISODES.desc(), Evaluation.finished_at.desc())

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 
 from anyio import CapacityLimiter, to_thread
-from naojobs.capabilities import waiting_reasons
+from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.database import REVISION, Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
 from naojobs.lifecycle import record_notification_failure
-from naojobs.models import Evaluation, Job
+from naojobs.models import Evaluation, Job, Worker
 from naojobs.notifications import Notifier, make_celery
 from naojobs.retention import delete_files
 from naojobs.store import ArtifactStore, StoreError, job_prefix
+from naojobs.tokens import Principal, verify
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -25,6 +26,7 @@ from naosprint_api.deliveries import Deliverer
 from naosprint_api.feed import Feed
 from naosprint_api.limits import RateLimiter
 from naosprint_api.probes import Probe, Probes
+from naosprint_api.recent import Recent
 from naosprint_api.results import results_of
 from naosprint_api.schemas import EvaluationPublic, JobPublic
 from naosprint_api.settings import ApiSettings
@@ -53,6 +55,10 @@ class Service:
     broadcaster: Broadcaster
     limiter: RateLimiter
     telemetry: Telemetry
+    #: Principals by the secret of their token: other processes revoke a token within a second.
+    principals: Recent[str, Principal]
+    #: The workers that are alive, for the reasons why a job waits.
+    workers: Callable[[], Sequence[Worker]]
     feed: Feed
     probes: Probes
     deliverer: Deliverer
@@ -69,6 +75,11 @@ class Service:
         sessions, reads = make_sessions(engine), make_sessions(engine, read_only=True)
         store = ArtifactStore.from_settings(settings, deadline_s=STORE_DEADLINE_S)
         notifier = Notifier(make_celery(settings.broker_url.get_secret_value(), "naosprint_api"))
+        seen = Recent(partial(_live_workers, reads))
+
+        def workers() -> Sequence[Worker]:
+            return seen.get(settings.lease_s) or ()
+
         probes = (
             Probe(("database", "schema_revision"), partial(_database_in_order, reads)),
             Probe(("store",), partial(_store_in_order, store)),
@@ -84,7 +95,9 @@ class Service:
             broadcaster=Broadcaster(settings.libpq_url),
             limiter=RateLimiter(settings.api_rate_per_s, settings.api_rate_burst),
             telemetry=Telemetry(reads),
-            feed=Feed(reads, stale_s=settings.lease_s),
+            principals=Recent(partial(verify, reads)),
+            workers=workers,
+            feed=Feed(reads, workers),
             probes=Probes(probes),
             deliverer=Deliverer(sessions, networks=settings.api_webhook_networks, poll_s=settings.api_webhook_poll_s),
             store_threads=CapacityLimiter(STORE_THREADS),
@@ -122,8 +135,9 @@ class Service:
 
     def show_jobs(self, jobs: Sequence[Job]) -> list[JobPublic]:
         """Return jobs with the reasons why no worker can take them, and their evaluations."""
+        workers = self.workers()
         with self.reads.begin() as session:
-            reasons = waiting_reasons(session, jobs, stale_s=self.settings.lease_s)
+            reasons = waiting_reasons(session, jobs, workers)
             results = results_of(session, jobs)
         return [job_view(job, reasons.get(job.id), results.get(job.id)) for job in jobs]
 
@@ -133,8 +147,9 @@ class Service:
 
     def show_evaluations(self, evaluations: Sequence[Evaluation]) -> list[EvaluationPublic]:
         """Return evaluations with the reasons why no worker can take them."""
+        workers = self.workers()
         with self.reads.begin() as session:
-            reasons = waiting_reasons(session, evaluations, stale_s=self.settings.lease_s)
+            reasons = waiting_reasons(session, evaluations, workers)
         return [evaluation_view(evaluation, reasons.get(evaluation.id)) for evaluation in evaluations]
 
     def show_evaluation(self, evaluation: Evaluation) -> EvaluationPublic:
@@ -152,6 +167,11 @@ class Service:
             _log.error("the files of the deleted job %s are still in the store: %s", job_id, error)
         else:
             _log.info("deleted job %s with %d files", job_id, count)
+
+
+def _live_workers(sessions: Sessions, stale_s: float) -> Sequence[Worker]:
+    with sessions.begin() as session:
+        return live_workers(session, stale_s=stale_s)
 
 
 def _database_in_order(sessions: Sessions) -> set[str]:

@@ -24,7 +24,9 @@ from naosprint_api.schemas import (
 
 def job_view(job: Job, waiting_reason: str | None = None, result: JobResult | None = None) -> JobPublic:
     """Return a job, with the reason why no worker can take it, and its evaluation."""
-    return JobPublic.model_validate(job).model_copy(update={"waiting_reason": waiting_reason, "result": result})
+    view = JobPublic.model_validate(job)
+    view.waiting_reason, view.result = waiting_reason, result
+    return view
 
 
 def event_view(event: Event) -> EventPublic:

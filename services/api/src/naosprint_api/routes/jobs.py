@@ -217,6 +217,7 @@ def delete_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
     """Delete an ended job with its metrics, logs, checkpoints and evaluations."""
     controllable(service, principal, job_id)
     lifecycle.delete(service.sessions, job_id)
+    service.principals.forget()  # the tokens of its links are deleted with it
     background.add_task(service.discard_artifacts, job_id)
 
 

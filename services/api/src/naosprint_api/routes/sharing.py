@@ -63,6 +63,7 @@ def unshare_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> Non
     """Revoke all links to this job."""
     queries.visible_job(service.reads, principal, job_id)
     count = revoke_shared(service.sessions, job_id)
+    service.principals.forget()
     _log.info("%s (%s) revoked %d links to job %s", principal.owner, principal.token_id, count, job_id)
 
 

@@ -66,13 +66,13 @@ async def readiness(service: ServiceDep, response: Response) -> Readiness:
     return Readiness(ready=ready, **checks)
 
 
-def may_read_figures(request: Request, service: ServiceDep) -> None:
+async def may_read_figures(request: Request, service: ServiceDep) -> None:
     """Allow access to the metrics: to everybody if the settings allow it, else to tokens with scope metrics."""
     if service.settings.api_metrics_public:
         return
     scheme, _, secret = request.headers.get("authorization", "").partition(" ")
     known = HTTPAuthorizationCredentials(scheme=scheme, credentials=secret) if scheme.lower() == "bearer" else None
-    require(Scope.METRICS, authenticate(request, service, known), service)
+    require(Scope.METRICS, await authenticate(request, service, known), service)
 
 
 @router.get(

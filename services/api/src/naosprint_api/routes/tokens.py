@@ -57,4 +57,5 @@ def revoke_token(token_id: TokenId, principal: Submitter, service: ServiceDep) -
     if not principal.is_admin and get_token(service.reads, token_id).owner != principal.owner:
         raise NotFoundError(f"no token {token_id}")
     revoke(service.sessions, token_id)
+    service.principals.forget()
     _log.info("%s (%s) revoked token %s", principal.owner, principal.token_id, token_id)

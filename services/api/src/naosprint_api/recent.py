@@ -1,0 +1,49 @@
+"""Values that requests share for a second."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+from cachetools import TTLCache
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+#: How long a value is kept, in seconds.
+KEEP_S = 1.0
+
+
+class Recent(Generic[Key, Value]):
+    """Values that were looked up within the last second; thread-safe. None is not kept."""
+
+    def __init__(
+        self,
+        look_up: Callable[[Key], Value | None],
+        *,
+        most: int = 10_000,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._look_up = look_up
+        self._values: TTLCache[Key, Value] = TTLCache(most, KEEP_S, timer=clock)
+        self._lock = threading.Lock()
+
+    def find(self, key: Key) -> Value | None:
+        """Return the value if it is kept; it is never looked up."""
+        with self._lock:
+            return self._values.get(key)
+
+    def get(self, key: Key) -> Value | None:
+        """Return the value that is kept, else look it up."""
+        value = self.find(key)
+        if value is None and (value := self._look_up(key)) is not None:
+            with self._lock:
+                self._values[key] = value
+        return value
+
+    def forget(self) -> None:
+        """Drop all values, because one of them has changed."""
+        with self._lock:
+            self._values.clear()
