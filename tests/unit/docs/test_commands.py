@@ -83,6 +83,12 @@ def check_python(words: list[str]) -> None:
         compile((ROOT / words[0]).read_bytes(), words[0], "exec")
 
 
+def check_torchrun(words: list[str]) -> None:
+    place = words.index("-m")
+    assert set(words[:place:2]) <= {"--nnodes", "--node-rank", "--nproc-per-node", "--master-addr"}
+    check_python(words[place:])
+
+
 def check_docker(words: list[str]) -> None:
     if words[0] == "build":
         file = words[words.index("-f") + 1] if "-f" in words else f"{words[-1]}/Dockerfile"
@@ -122,6 +128,7 @@ CHECKS: dict[str, Callable[[list[str]], None]] = {
     "make": check_make,
     "python": check_python,
     "docker": check_docker,
+    "torchrun": check_torchrun,
     "naosim": lambda words: check_python(["-m", "naosim", *words]),
 }
 

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import typing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pydantic.fields import FieldInfo
+
+    from naosprint.rl.reporter import Reporter
 
 EXIT_USAGE = 2
 EXIT_FAILURE = 1
@@ -223,10 +226,16 @@ def _train(options: argparse.Namespace) -> int:
     stop = _stop_on_signals()
 
     from naosprint.console import ConsoleReporter
+    from naosprint.rl.processes import ProcessLostError, connected
+    from naosprint.rl.reporter import NullReporter
     from naosprint.rl.runner import TrainingDivergedError, train
 
-    with ConsoleReporter(options.workdir, spec) as reporter:
+    with ExitStack() as stack:
+        reporter: Reporter = NullReporter()
         try:
+            processes = stack.enter_context(connected())
+            if processes.rank == 0:
+                reporter = stack.enter_context(ConsoleReporter(options.workdir, spec))
             result = train(
                 spec,
                 workdir=options.workdir,
@@ -234,11 +243,13 @@ def _train(options: argparse.Namespace) -> int:
                 resume=options.resume,
                 initial_policy=initial_policy,
                 stop=stop.is_set,
+                processes=processes,
             )
-        except TrainingDivergedError as error:
+        except (TrainingDivergedError, ProcessLostError) as error:
             reporter.log("error", str(error))
             return EXIT_FAILURE
-    sys.stdout.write(f"{result.status} {result.steps} {result.checkpoint}\n")
+    if processes.rank == 0:
+        sys.stdout.write(f"{result.status} {result.steps} {result.checkpoint}\n")
     return 0
 
 

@@ -4,6 +4,7 @@
     policy.npz          weights and observation statistics: all that acting needs
     learner.npz         optimiser, generators
     environment.npz     simulator, episodes, statistics; missing if the simulator has no snapshots
+    process-1.npz       the same, and generators, of the second process of a training in several; and so on
 
 A directory is written under another name and renamed when it is complete, so one that exists is complete.
 """
@@ -26,7 +27,7 @@ from naospec import TrainingSpec, validation_words
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from naosprint.arrays import AnyArray
 
@@ -75,6 +76,11 @@ class Manifest(BaseModel):
     files: dict[str, FileEntry]
 
     @property
+    def processes(self) -> int:
+        """Number of processes that trained it."""
+        return 1 + sum(process_file(number) in self.files for number in range(1, len(self.files)))
+
+    @property
     def stage_spec(self) -> TrainingSpec:
         """Specification of the stage that the checkpoint belongs to; of the whole training if it has no stages."""
         return self.spec.stage_specs[self.stage]
@@ -87,6 +93,7 @@ class TrainingState:
     Attributes:
         stage: number of the stage that it belongs to, from 0.
         steps: environment steps of all stages so far.
+        others: what the other processes of the training need to continue.
     """
 
     stage: int
@@ -99,6 +106,12 @@ class TrainingState:
     policy: Mapping[str, AnyArray]
     learner: Mapping[str, AnyArray]
     environment: Mapping[str, AnyArray] | None
+    others: Sequence[Mapping[str, AnyArray]] = ()
+
+
+def process_file(number: int) -> str:
+    """Return the name of the file of a process; the first one, 0, has the files named above."""
+    return f"process-{number}.npz"
 
 
 def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -> Path:
@@ -118,6 +131,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
         contents = {POLICY: state.policy, LEARNER: state.learner}
         if state.environment is not None:
             contents[ENVIRONMENT] = state.environment
+        contents |= {process_file(number): arrays for number, arrays in enumerate(state.others, 1)}
         files = {name: _write_arrays(partial / name, arrays) for name, arrays in contents.items()}
         manifest = Manifest(
             format=FORMAT,

@@ -21,6 +21,7 @@ class PPOKind(LearnerKind):
     Parameters = PPOSettings
     metrics = METRICS
     charts = CHARTS
+    several_processes = True
 
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:
         """Return a new learner for these environments."""

@@ -90,6 +90,7 @@ class LearnerKind(ABC):
         Parameters: its settings.
         metrics: metrics of every update.
         charts: charts of these metrics.
+        several_processes: whether its learners average over ``environment.processes``.
     """
 
     name: ClassVar[str]
@@ -97,6 +98,7 @@ class LearnerKind(ABC):
     Parameters: ClassVar[type[LearnerSettings]]
     metrics: ClassVar[tuple[Metric, ...]] = ()
     charts: ClassVar[tuple[Chart, ...]] = ()
+    several_processes: ClassVar[bool] = False
 
     @abstractmethod
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray
     from naosprint.mirror import Mirror
+    from naosprint.rl.processes import Processes
 
 EPSILON = 1e-8
 """Added to variances before their root is taken."""
@@ -50,6 +51,17 @@ class RunningMoments:
         index, sign = (None, None) if self.mirror is None else (self.mirror.index, self.mirror.sign)
         _compiled.merge(self.mean, self.variance, self.count, index, sign, batch, threads)
 
+    def sums(self) -> FloatArray:
+        """Return the sums over the samples: (3, width) of ones, of the samples and of their squares."""
+        count = np.broadcast_to(self.count, self.mean.shape)
+        return np.stack([count, count * self.mean, count * (self.variance + np.square(self.mean))])
+
+    def load_sums(self, sums: FloatArray) -> None:
+        """Take over what :meth:`sums` returned."""
+        self.count = sums[0, :1].copy()
+        self.mean = sums[1] / sums[0]
+        self.variance = np.maximum(sums[2] / sums[0] - np.square(self.mean), 0.0)
+
 
 class Normalizer:
     """Standardization of observations, and scaling of rewards by the spread of the discounted return.
@@ -85,6 +97,11 @@ class Normalizer:
         self._rewards = rewards
         self.gamma = gamma
         self._threads = threads
+        self._note_merged()
+
+    def _note_merged(self) -> None:
+        """Note what all processes have in common."""
+        self._merged = {"observation": self.observation_moments.sums(), "return": self.return_moments.sums()}
 
     def update_observations(self, observations: FloatArray) -> None:
         """Merge (k, width) raw observations into the statistics."""
@@ -112,6 +129,14 @@ class Normalizer:
             )
         return scaled
 
+    def merge(self, processes: Processes) -> None:
+        """Merge what each process has seen since the last call, so that all have the same statistics."""
+        if processes.size == 1:
+            return
+        for name, moments in (("observation", self.observation_moments), ("return", self.return_moments)):
+            moments.load_sums(self._merged[name] + processes.sum(moments.sums() - self._merged[name]))
+        self._note_merged()
+
     def state(self) -> dict[str, AnyArray]:
         """Return all statistics."""
         seen, returned = self.observation_moments, self.return_moments
@@ -136,3 +161,4 @@ class Normalizer:
             moments.mean = np.array(state[f"{name}_mean"], dtype=np.float64)
             moments.variance = np.array(state[f"{name}_variance"], dtype=np.float64)
             moments.count = np.array(state[f"{name}_count"], dtype=np.float64)
+        self._note_merged()

@@ -29,7 +29,7 @@ from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
 from naosprint.rl.symmetry import Projections, tie_weights
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from naospec import TrainingSpec
     from torch import Tensor
@@ -105,6 +105,7 @@ class PPO(Learner):
         self.spec = spec
         self.settings = settings
         self.environment = environment
+        self.processes = environment.processes
         self.policy, projections = _build_policy(spec, environment)
         self._optimizer = cast("Adam", self.policy.optimizer)
         self._gradients: Gradients = (
@@ -124,7 +125,7 @@ class PPO(Learner):
             self._critic = TorchForward(critic)
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
         self.generator = torch.Generator()
-        self.generator.manual_seed(spec.seed)
+        self.generator.manual_seed(self.processes.share(spec).seed)
         self.steps = 0
         self.updates = 0
         self.rate_factor = 1.0
@@ -164,6 +165,8 @@ class PPO(Learner):
             log_std = policy.log_std.detach()
             noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
             scaled_noise = (noise * log_std.exp()).numpy()
+        if self.processes.size > 1:
+            self._observations = environment.observations()  # by the statistics that the processes have merged since
         observations, starts = self._observations.copy(), self._starts.copy()
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
         # while the simulator computes for one group, another is processed here
@@ -195,7 +198,7 @@ class PPO(Learner):
         last_values = self._critic(observations)[:, 0]
         rollout.estimate_advantages(last_values, starts, gamma, self.settings.gae_lambda)
         self._observations, self._starts = observations, starts
-        self.steps += n * n_steps
+        self.steps += n * n_steps * self.processes.size
         return True
 
     # --- update -------------------------------------------------------------------------------------------------------
@@ -211,22 +214,26 @@ class PPO(Learner):
             **{name: rollout.flat(name) for name in ("observations", "actions", "log_probs", "advantages", "returns")}
         )
         if settings.advantage_normalization == "rollout":
-            advantages = samples.advantages
-            samples = replace(samples, advantages=(advantages - advantages.mean()) / (advantages.std() + 1e-8))
+            mean, std = self._spread(samples.advantages)
+            samples = replace(samples, advantages=(samples.advantages - mean) / (std + 1e-8))
+        batch_size = settings.batch_size // self.processes.size
         parameters = list(policy.parameters())
         losses: list[tuple[float, ...]] = []
         kls: list[float] = []
         for _ in range(settings.n_epochs):
             order = torch.randperm(len(samples.returns), generator=self.generator)
             kls = []
-            for first in range(0, len(samples.returns), settings.batch_size):
-                chosen = order[first : first + settings.batch_size]
+            for first in range(0, len(samples.returns), batch_size):
+                chosen = order[first : first + batch_size]
                 # actor and critic share nothing but the norm of the gradient
                 critic = self._beside(self._gradients.critic, samples, chosen)
                 try:
                     policy_loss, entropy, clipped, kl = self._gradients.actor(samples, chosen)
                 finally:
                     value_loss = critic()
+                policy_loss, value_loss, entropy, clipped, kl = self._mean_of_processes(
+                    parameters, (policy_loss, value_loss, entropy, clipped, kl)
+                )
                 kls.append(kl)
                 losses.append((policy_loss, value_loss, entropy, clipped))
                 self._require_finite(losses[-1], kl)
@@ -265,6 +272,25 @@ class PPO(Learner):
         if self._other_thread is None:
             return lambda: work(*arguments)
         return self._other_thread.submit(work, *arguments).result
+
+    def _mean_of_processes(self, parameters: Sequence[Tensor], figures: tuple[float, ...]) -> tuple[float, ...]:
+        """Average gradients and figures of a minibatch over all processes, each of which had its share of it."""
+        if self.processes.size == 1:
+            return figures
+        numbers = torch.tensor(figures, dtype=torch.float32)
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        self.processes.average([*gradients, numbers])
+        return tuple(numbers.tolist())
+
+    def _spread(self, values: Tensor) -> tuple[Any, Any]:
+        """Return mean and standard deviation of all processes' values."""
+        if self.processes.size == 1:
+            return values.mean(), values.std()
+        wide = values.double()
+        count, total, squares = self.processes.sum(
+            np.array([float(len(values)), float(wide.sum()), float(wide.square().sum())])
+        )
+        return total / count, math.sqrt(max(squares - total * total / count, 0.0) / (count - 1.0))
 
     def _require_finite(self, losses: tuple[float, ...], kl: float) -> None:
         if not all(map(math.isfinite, (*losses, kl))):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosprint.rl.normalization import Normalizer
+from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.window import EpisodeWindow
 from naosprint.tasks.base import EPISODE_METRICS
 from naosprint.tasks.starts import choose_starts
@@ -48,6 +49,7 @@ class TrainingEnvironment:
     Attributes:
         environment: the environments.
         normalizer: statistics of observations and returns.
+        processes: the processes of the training, of which this one has these environments.
         window: metrics of the latest episodes.
         on_loss: called with row and reason when an episode is truncated because its robot was lost.
         groups: environments that are best stepped together; see ``naosim.simulator.Simulator.groups``.
@@ -61,8 +63,10 @@ class TrainingEnvironment:
         seed: int,
         normalizer: Normalizer,
         bootstrap_at_end: bool = False,
+        processes: Processes = ALONE,
     ) -> None:
         self.environment = environment
+        self.processes = processes
         self.normalizer = normalizer
         self.n = environment.n
         self.n_actions = environment.actuation.n_actions
@@ -79,8 +83,10 @@ class TrainingEnvironment:
         self._rewards: FloatArray = np.zeros(self.n)
 
     @classmethod
-    def from_spec(cls, spec: TrainingSpec, environment: Environment, n_starts: int) -> TrainingEnvironment:
-        """Return the environments for a training."""
+    def from_spec(
+        cls, spec: TrainingSpec, environment: Environment, n_starts: int, processes: Processes = ALONE
+    ) -> TrainingEnvironment:
+        """Return the environments for a training, or the share of them that this process has."""
         settings = spec.algorithm
         normalizer = Normalizer(
             environment.n,
@@ -98,6 +104,7 @@ class TrainingEnvironment:
             seed=spec.seed,
             normalizer=normalizer,
             bootstrap_at_end=settings.bootstrap_at_end,
+            processes=processes,
         )
 
     def reset(self) -> Float32Array:
@@ -106,6 +113,10 @@ class TrainingEnvironment:
         observations = self.environment.observations
         self.normalizer.update_observations(observations)
         return self.normalizer.observations(observations)
+
+    def observations(self) -> Float32Array:
+        """Return the (n, D) observations to act on next, by the present statistics."""
+        return self.normalizer.observations(self.environment.observations)
 
     def step_async(self, actions: FloatArray | Float32Array, rows: slice) -> None:
         """Begin a step of one group with (k, A) actions."""
@@ -182,7 +193,7 @@ class TrainingEnvironment:
         self.window.load_state(part("window"))
         self._episode = np.array(state["episode"], dtype=np.int64)
         self._rewards = np.array(state["rewards"], dtype=np.float64)
-        return self.normalizer.observations(self.environment.observations)
+        return self.observations()
 
     def close(self) -> None:
         """Close the simulator."""

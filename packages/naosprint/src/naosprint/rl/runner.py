@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from naosim.simulator import ServerLostError
 from naospec import plugins
 
@@ -16,12 +17,15 @@ from naosprint.rl.checkpoint import (
     POLICY,
     CheckpointError,
     TrainingState,
+    process_file,
     read_file,
     read_manifest,
     require_like,
     save_checkpoint,
 )
 from naosprint.rl.learner import TrainingDivergedError
+from naosprint.rl.processes import ALONE, Processes
+from naosprint.rl.reporter import NullReporter
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.rl.warm_start import adapt
 from naosprint.tasks.environment import open_training_environment
@@ -40,6 +44,8 @@ if TYPE_CHECKING:
 __all__ = ["TrainResult", "TrainingDivergedError", "train"]
 
 _STATISTICS = ("observation_mean", "observation_variance", "observation_count")
+_OWN = ("generator", "episode_starts")
+"""What the state of a learner in several processes has of each of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,7 @@ def train(
     initial_policy: Path | None = None,
     stop: Callable[[], bool] = lambda: False,
     min_checkpoint_s: float = 0.0,
+    processes: Processes = ALONE,
 ) -> TrainResult:
     """Train a policy and write checkpoints to ``workdir``.
 
@@ -91,6 +98,8 @@ def train(
             and returns. The unfinished rollout is discarded.
         min_checkpoint_s: seconds between two checkpoints, however short the interval in steps is; those at the end of a
             stage and when the training stops are always saved.
+        processes: the processes of this training; each calls this function with the same arguments, and reads
+            checkpoints from the same folder. Only the first one writes and reports.
 
     Returns:
         How it ended.
@@ -101,10 +110,15 @@ def train(
         naosim.simulator.ServerLostError: if more servers failed than ``max_server_failures``, or one does not start;
             the last complete update is saved.
         FileNotFoundError: if the simulator's program is missing.
-        ValueError: if the specification is impossible on this machine.
+        ValueError: if the specification is impossible on this machine, or with this number of processes.
+        ProcessLostError: if another process has ended; the checkpoints so far remain.
     """
     if resume is not None and initial_policy is not None:
         raise ValueError("resume and initial_policy exclude each other: a resumed training has its own policy")
+    if processes.size > 1 and not plugins.load(plugins.LEARNERS, spec.algorithm.name).several_processes:
+        raise ValueError(f"algorithm: {spec.algorithm.name} trains in one process only")
+    if processes.rank > 0:
+        reporter = NullReporter()
     set_learner_threads(spec.runtime.learner_threads)
     stage, progress = 0, _Progress()
     if resume is not None:
@@ -121,7 +135,9 @@ def train(
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
     result = None
     while stage < len(spec.stage_specs):
-        result = _train_stage(spec, stage, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s)
+        result = _train_stage(
+            spec, stage, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s, processes
+        )
         if result.status == "stopped":
             return result
         stage, resume, initial_policy = stage + 1, None, result.checkpoint
@@ -139,10 +155,11 @@ def _train_stage(
     initial_policy: Path | None,
     stop: Callable[[], bool],
     min_checkpoint_s: float,
+    processes: Processes,
 ) -> TrainResult:
-    inner, n_starts = open_training_environment(spec.stage_specs[stage])
+    inner, n_starts = open_training_environment(processes.share(spec.stage_specs[stage]))
     try:
-        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter, min_checkpoint_s)
+        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter, min_checkpoint_s, processes)
         if resume is not None:
             session.resume(resume)
         else:
@@ -167,13 +184,15 @@ class _Session:
         workdir: Path,
         reporter: Reporter,
         min_checkpoint_s: float = 0.0,
+        processes: Processes = ALONE,
     ) -> None:
         self.whole = whole
+        self.processes = processes
         self.spec = spec = whole.stage_specs[stage]
         self.stage = stage
         self.progress = progress
         self.first_step = 0 if stage == 0 else whole.stage_ends[stage - 1]
-        self.environment = TrainingEnvironment.from_spec(spec, environment, n_starts)
+        self.environment = TrainingEnvironment.from_spec(processes.share(spec), environment, n_starts, processes)
         self.learner = plugins.load(plugins.LEARNERS, spec.algorithm.name).open(spec, self.environment)
         self._listed = [
             metric for metric in spec.task_class.metrics if metric.name in spec.task_class.presentation.listed
@@ -183,6 +202,7 @@ class _Session:
         self._min_checkpoint_s = min_checkpoint_s
         self._saved_at = -inf
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
+        self._episodes_elsewhere = 0  # in the other processes
         # the last checkpoint of the stage before is also the state in which this one begins
         border = stage > 0 and (workdir / _name(self.first_step)).exists()
         self._saved_step: int | None = self.first_step if border else None
@@ -196,7 +216,7 @@ class _Session:
     @property
     def episodes(self) -> int:
         """Episodes of all stages so far."""
-        return self._earlier.episodes + self.environment.window.episodes
+        return self._earlier.episodes + self.environment.window.episodes + self._episodes_elsewhere
 
     def run(self, stop: Callable[[], bool]) -> TrainResult:
         """Train until the stage's steps are taken or ``stop`` returns true."""
@@ -215,15 +235,17 @@ class _Session:
             try:
                 complete = learner.collect(stop)
             except ServerLostError:
-                self._save(before)
+                if self.processes.size == 1:  # others would wait for this one
+                    self._save(before)
                 raise
-            if not complete:
+            if self.processes.any(not complete):
                 checkpoint = self._save(before)
                 self._log(f"stopped at {before.steps:,} steps; the last complete update is saved")
                 return TrainResult("stopped", before.steps, checkpoint)
             collected = perf_counter()
             # servers drop robots that are silent for a minute
             with self.environment.environment.simulator.keep_alive():
+                self.environment.normalizer.merge(self.processes)
                 metrics = learner.update()
                 now = perf_counter()
                 progress.training_s += now - began
@@ -240,6 +262,7 @@ class _Session:
                 interval = spec.runtime.checkpoint_interval_steps
                 saved = began_steps if self._saved_step is None else self._saved_step
                 due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
+                due = self.processes.any(due and self.processes.rank == 0)
                 if due or self.steps >= end:
                     checkpoint = self._save(self._state())
                     self._log(f"checkpoint at {self.steps:,} steps: {self._means()}")
@@ -254,18 +277,28 @@ class _Session:
         """Continue from the checkpoint in ``directory``, which belongs to this stage."""
         manifest = read_manifest(directory)
         policy = read_file(directory, manifest, POLICY)
-        learner = read_file(directory, manifest, LEARNER)
+        learner: dict[str, AnyArray] = read_file(directory, manifest, LEARNER)
         self.learner.begin()
         expected = self._state()
+        environment, file = None, ENVIRONMENT
+        if manifest.processes != self.processes.size:
+            # other environments than those before; everything else continues
+            learner |= {name: expected.learner[name] for name in _OWN}
+        elif self.processes.rank > 0:
+            file = process_file(self.processes.rank)
+            own = read_file(directory, manifest, file)
+            learner |= {name: own.pop(name) for name in _OWN}
+            environment = own or None
+        elif ENVIRONMENT in manifest.files:
+            environment = read_file(directory, manifest, ENVIRONMENT)
         require_like(directory / POLICY, policy, expected.policy)
         require_like(directory / LEARNER, learner, expected.learner)
         self.learner.load_policy_state(_weights(policy))
-        if ENVIRONMENT in manifest.files and expected.environment is not None:
-            environment = read_file(directory, manifest, ENVIRONMENT)
-            require_like(directory / ENVIRONMENT, environment, expected.environment)
+        if environment is not None and expected.environment is not None:
+            require_like(directory / file, environment, expected.environment)
             observations = self.environment.load_state(environment)
         else:
-            # this simulator cannot return to a state: new episodes, everything else continues
+            # the simulator cannot return to a state, or the number of processes is another one: new episodes
             self._reporter.log("warning", "the simulator's state is not part of the checkpoint; new episodes begin")
             normalizer = self.environment.normalizer
             normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
@@ -273,7 +306,8 @@ class _Session:
         self.learner.load_state(learner, observations)
         self.learner.steps = manifest.steps - self.first_step
         self.learner.updates = manifest.updates
-        self._earlier = _Progress(0, 0, manifest.episodes - self.environment.window.episodes)
+        self._window_means()
+        self._earlier = _Progress(0, 0, manifest.episodes - self.environment.window.episodes - self._episodes_elsewhere)
         self.progress.training_s = manifest.training_s
         self._log(f"resumed at {manifest.steps:,} steps from {directory.name}")
 
@@ -354,11 +388,25 @@ class _Session:
     def _save(self, state: TrainingState) -> Path:
         path = self._workdir / _name(state.steps)
         if self._saved_step != state.steps:
-            save_checkpoint(path, self.whole, state)
+            parts = self.processes.gather(_own(state)) if self.processes.size > 1 else [{}]
+            if self.processes.rank == 0:
+                save_checkpoint(path, self.whole, replace(state, others=parts[1:]))
+                self._reporter.checkpoint(path, state.steps)
+            self.processes.any(False)  # the others may read it from here on
             self._saved_step = state.steps
             self._saved_at = perf_counter()
-            self._reporter.checkpoint(path, state.steps)
         return path
+
+    def _window_means(self) -> dict[str, float]:
+        """Return the means over the latest episodes of all processes, and count their episodes."""
+        window = self.environment.window
+        if self.processes.size == 1:
+            return window.means()
+        means = window.means()
+        own = [float(window.episodes), float(bool(means)), *(means.get(name, 0.0) for name in window.names)]
+        episodes, filled, *sums = self.processes.sum(np.array(own)).tolist()
+        self._episodes_elsewhere = int(episodes) - window.episodes
+        return {name: total / filled for name, total in zip(window.names, sums, strict=True)} if filled else {}
 
     def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> None:
         row: dict[str, float] = {
@@ -366,7 +414,7 @@ class _Session:
             "time_s": self.progress.training_s,
             "episodes": float(self.episodes),
             **({"stage": float(self.stage + 1)} if self.whole.stages else {}),
-            **self.environment.window.means(),
+            **self._window_means(),
             **metrics,
             **pace,
         }
@@ -378,6 +426,11 @@ class _Session:
 
 def _name(steps: int) -> str:
     return f"step-{steps:012d}"
+
+
+def _own(state: TrainingState) -> dict[str, AnyArray]:
+    """Return what the state of one of several processes has of its own."""
+    return {**(state.environment or {}), **{name: state.learner[name] for name in _OWN}}
 
 
 def _weights(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
