@@ -84,6 +84,9 @@ export function duration(v) {
   return `${Math.floor(t / 86400)} d ${Math.floor((t % 86400) / 3600)} h`;
 }
 
+/** Seconds -> "350 ms", "2.4 s". */
+export const shortTime = (v) => (v < 1 ? `${Math.round(1000 * v)} ms` : `${fixed(v, 1)} s`);
+
 /** Bytes -> "812 B", "1.4 MB" (decimal units). */
 export function bytes(v) {
   if (missing(v)) return NONE;

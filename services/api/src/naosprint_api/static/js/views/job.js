@@ -12,6 +12,7 @@ import {
   intervalText,
   metricText,
   percent,
+  shortTime,
   shownUnit,
   stamp,
   withUnit,
@@ -400,7 +401,7 @@ class JobView {
       integer(m.steps_per_s),
       null,
       m.collect_s !== undefined && m.learn_s !== undefined
-        ? `collect ${fixed(m.collect_s, 1)} s, learn ${fixed(m.learn_s, 1)} s${
+        ? `collect ${shortTime(m.collect_s)}, learn ${shortTime(m.learn_s)}${
             m.cpus !== undefined ? `; ${fixed(m.cpus, 1)} CPUs, ${integer(m.memory_mb)} MiB` : ""
           }`
         : null,
