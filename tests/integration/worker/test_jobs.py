@@ -326,16 +326,18 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
     assert (job.state, job.attempt) == (WorkState.RUNNING, 1)
 
 
-def test_messages_for_jobs_that_do_not_wait_do_nothing(shared: Service) -> None:
-    cancelled, paused = shared.submit(announce=False), shared.submit(announce=False)
-    lifecycle.request_cancel(shared.sessions, Job, cancelled)
-    lifecycle.request_pause(shared.sessions, paused)
-    marker = shared.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
+def test_messages_for_jobs_that_do_not_wait_do_nothing(service: Service) -> None:
+    """The worker starts when they no longer wait: one that is at work takes any job that does, message or not."""
+    cancelled, paused = service.submit(announce=False), service.submit(announce=False)
+    lifecycle.request_cancel(service.sessions, Job, cancelled)
+    lifecycle.request_pause(service.sessions, paused)
+    marker = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
     for job_id in (cancelled, paused, "job_00000000000000000000000000", marker):
-        assert shared.notifier.wake_up(job_id, "embedded") is None
-    shared.until_state(marker, WorkState.SUCCEEDED)
-    assert (shared.job(cancelled).state, shared.job(cancelled).attempt) == (WorkState.CANCELLED, 0)
-    assert (shared.job(paused).state, shared.job(paused).attempt) == (WorkState.PAUSED, 0)
+        assert service.notifier.wake_up(job_id, "embedded") is None
+    service.start_worker()
+    service.until_state(marker, WorkState.SUCCEEDED)
+    assert (service.job(cancelled).state, service.job(cancelled).attempt) == (WorkState.CANCELLED, 0)
+    assert (service.job(paused).state, service.job(paused).attempt) == (WorkState.PAUSED, 0)
 
 
 def test_a_worker_leaves_work_that_it_cannot_run_to_others(service: Service) -> None:
