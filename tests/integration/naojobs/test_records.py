@@ -217,7 +217,8 @@ def test_the_registry_lists_who_is_alive_and_what_each_has_leased(sessions: Sess
     assert found["worker-1"].alive
     assert lease.job_id in found["worker-1"].jobs
     assert not found["worker-2"].alive
-    registry.beat(sessions, "worker-2", pid=2, version="2", **HOST)
+    assert registry.beat(sessions, "worker-1", pid=1, version="1", **HOST) == 1
+    assert registry.beat(sessions, "worker-2", pid=2, version="2", **HOST) == 2
     assert {worker.row.id: worker for worker in registry.workers(sessions)}["worker-2"].alive
     registry.leave(sessions, "worker-1")
     assert [worker.row.id for worker in registry.workers(sessions)] == ["worker-2"]

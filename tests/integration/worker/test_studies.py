@@ -15,7 +15,7 @@ import httpx
 import pytest
 from naojobs import lifecycle, records, studies
 from naojobs.errors import ConflictError, InvalidError
-from naojobs.models import Job, Study, StudyState, Trial, TrialState
+from naojobs.models import Evaluation, Job, Study, StudyState, Trial, TrialState
 from naojobs.roles import Role
 from naojobs.states import ENDED, WorkState
 from naojobs.studies import StudyRequest
@@ -248,6 +248,39 @@ def test_several_objectives_have_a_pareto_front(service: Service, conductor: Con
     assert studies.pareto_front(search, rows) == [1, 3]
 
 
+def test_a_population_goes_on_from_the_policies_of_its_best(service: Service) -> None:
+    """The worker is killed between two generations: no trial is lost, none started twice."""
+    space = {name: SPACE[name] for name in ("learning_rate", "n_epochs")}
+    how = {"sampler": "population", "population": 4, "trials": 12, "parallel": 2}
+    study = start(service, evaluate=True, space=space, objectives=[{"metric": "distance_m"}], **how)
+    worker = service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+
+    def trials() -> list[Trial]:
+        return study_of(service, study.id)[1]
+
+    service.until(lambda: len(trials()) > 5, what="for the second generation")
+    worker.process.kill()
+    service.start_worker(NAOSPRINT_WORKER_CONCURRENCY="2")
+    service.until(lambda: study_of(service, study.id)[0].state is StudyState.FINISHED, what="for the end")
+    rows = {trial.number: trial for trial in trials()}
+    assert sorted(rows) == list(range(12))
+    assert {trial.state: trial.error for trial in rows.values()} == {TrialState.COMPLETE: None}
+    with service.sessions() as session:
+        evaluations = {item.job_id: item.summary or {} for item in session.scalars(select(Evaluation))}
+    for trial in rows.values():
+        results = {result["name"]: result["value"] for result in evaluations[trial.job_id or ""]["results"]}
+        assert trial.values == [results["distance_m"]]
+    by_job = {trial.job_id: trial.number for trial in rows.values()}
+    for first in (4, 8):
+        before = sorted(range(first - 4, first), key=lambda number: -(rows[number].values or [0.0])[0])
+        for number in range(first, first + 4):
+            job = service.job(rows[number].job_id or "")
+            parent = by_job[job.parent_job_id]
+            assert parent == (before[0] if number - 4 == before[-1] else number - 4)
+            assert (rows[number].params == rows[parent].params) is (parent == number - 4)
+            assert job.spec["seed"] == first // 4
+
+
 def test_a_study_whose_trials_all_fail_fails(service: Service, conductor: Conductor) -> None:
     study = start(service, parallel=2, trials=20)
     for _ in range(studies.MAX_FAILURES_IN_A_ROW):
@@ -287,6 +320,7 @@ def test_cancel_and_delete(service: Service, conductor: Conductor) -> None:
         ({"space": {"wings": {"type": "int", "low": 1, "high": 2}}}, "search.space.wings"),
         ({"space": {"gamma": {"type": "float", "low": 0.9, "high": 1.5}}}, "search.space.gamma"),
         ({"objectives": [{"metric": "beauty"}]}, "search.objectives.0"),
+        ({"sampler": "population", "population": 4, "trials": 8}, "search.space.hidden_sizes"),
         ({"objectives": [{"metric": "episode_length"}]}, "search.objectives.0.direction"),
         ({"pruning": {"name": "median", "metric": "beauty"}}, "search.pruning.metric"),
     ],

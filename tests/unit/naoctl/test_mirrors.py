@@ -160,6 +160,7 @@ def test_weights_and_biases_has_a_run_that_can_be_uploaded(
     mirror_jobs(client, wandb, [job()["id"]], note=notes.append)
     assert notes == [f"{job()['id']}: copying from step 0", f"{job()['id']}: succeeded"]
     assert wandb().finished() == {job()["id"]}
+    pytest.importorskip("wandb").teardown()  # as at the end of `naoctl mirror`: its service writes what it still holds
     (written,) = tmp_path.glob(f"wandb/offline-run-*/run-{job()['id']}.wandb")
     records = read_records(written)
     (run,) = [record.run for record in records if record.HasField("run")]

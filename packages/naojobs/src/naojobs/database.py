@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import select
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,19 +11,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
-from pydantic_core import from_json
+from pydantic_core import from_json, to_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
-from sqlalchemy.exc import InvalidatePoolError, OperationalError
-from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
+from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
 if TYPE_CHECKING:
     from alembic.config import Config
     from sqlalchemy.engine import ExceptionContext
 
+_log = logging.getLogger(__name__)
+
 #: The channel on which every committed change of a job is notified; the payload is the job's id
 #: (and behind a blank the owner, if the job was deleted).
 CHANNEL = "naosprint_jobs"
+#: Keys of a session's notes: the jobs that its transaction, and its committed one, has changed.
+_CHANGED, _COMMITTED = "naojobs.changed", "naojobs.committed"
+_NOTIFY = text(
+    "SELECT set_config('synchronous_commit', 'off', true), pg_notify(:channel, job) "
+    "FROM unnest(CAST(:changed AS text[])) AS job"
+)
 
 #: The revision of the schema that this code is written for.
 REVISION = "0013"
@@ -59,6 +68,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         pool_recycle=1800,
         pool_timeout=10,
         json_deserializer=from_json,
+        json_serializer=_json,
         connect_args={
             "application_name": application_name,
             "connect_timeout": 5,
@@ -77,6 +87,10 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
             raise InvalidatePoolError("the server has cut the connection")
 
     return engine
+
+
+def _json(value: object) -> str:
+    return to_json(value, inf_nan_mode="constants").decode()  # the server refuses NaN, with an error that says so
 
 
 def _has_input(descriptor: int) -> bool:
@@ -122,12 +136,49 @@ def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:
     """
     if read_only:
         engine = engine.execution_options(isolation_level="AUTOCOMMIT")
-    return sessionmaker(engine, expire_on_commit=False)
+    sessions = sessionmaker(engine, expire_on_commit=False)
+    _notify_after_commits(sessions, engine)
+    return sessions
+
+
+@contextmanager
+def one_statement(sessions: Sessions) -> Iterator[Session]:
+    """Begin a session in which every statement is a transaction of its own: one round trip to the server, not three."""
+    with sessions() as session:
+        session.connection(execution_options={"isolation_level": "AUTOCOMMIT"})
+        yield session
+
+
+def _notify_after_commits(sessions: Sessions, engine: Engine) -> None:
+    """Send what `notify` was called for when its transaction is committed and its connection is free again.
+
+    Transactions with a notification commit one after the other in the whole database, and each would hold the others
+    up while it waits for the disk. The notification is a transaction of its own, which does not wait for the disk. If
+    it is lost, followers find the change when they next look by themselves.
+    """
+    at_once = engine.execution_options(isolation_level="AUTOCOMMIT")
+
+    @event.listens_for(sessions, "after_commit")
+    def keep(session: Session) -> None:
+        if not session.in_nested_transaction():
+            session.info[_COMMITTED] = session.info.pop(_CHANGED, {})
+
+    @event.listens_for(sessions, "after_transaction_end")
+    def send(session: Session, transaction: SessionTransaction) -> None:
+        if transaction.parent is not None:
+            return
+        session.info.pop(_CHANGED, None)  # what was rolled back
+        if changed := session.info.pop(_COMMITTED, None):
+            try:
+                with at_once.connect() as connection:
+                    connection.execute(_NOTIFY, {"channel": CHANNEL, "changed": list(changed)})
+            except SQLAlchemyError as error:
+                _log.info("a notification was lost: %s", error)
 
 
 def database_uptime(sessions: Sessions) -> timedelta | None:
     """Return how long the database server has run by its own clock: negative if the clock was set back since."""
-    with sessions() as session:
+    with one_statement(sessions) as session:
         uptime: timedelta | None = session.scalar(text("SELECT clock_timestamp() - pg_postmaster_start_time()"))
     return uptime
 
@@ -135,10 +186,14 @@ def database_uptime(sessions: Sessions) -> timedelta | None:
 def notify(session: Session, job_id: str, *, deleted_from: str | None = None) -> None:
     """Notify all listeners of a change of `job_id` once the transaction is committed.
 
-    Nothing of a deleted job is left to look up, so its message also contains its former owner.
+    Nothing of a deleted job is left to look up, so its message also contains its former owner, and is part of the
+    transaction: followers could not find the change by themselves.
     """
-    payload = job_id if deleted_from is None else f"{job_id} {deleted_from}"
-    session.execute(text("SELECT pg_notify(:channel, :payload)"), {"channel": CHANNEL, "payload": payload})
+    if deleted_from is None:
+        session.info.setdefault(_CHANGED, {})[job_id] = None
+    else:
+        payload = f"{job_id} {deleted_from}"
+        session.execute(text("SELECT pg_notify(:channel, :payload)"), {"channel": CHANNEL, "payload": payload})
 
 
 def alembic_config(url: str, migrations: Path) -> Config:

@@ -21,7 +21,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
-from naojobs.database import Sessions, is_due, notify
+from naojobs.database import Sessions, is_due, notify, one_statement
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, Policy, PolicyVersion, WorkKind
 from naojobs.quotas import require_free_slot
@@ -529,7 +529,7 @@ def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEAS
     Raises LeaseLostError if the work was requeued, deleted, or claimed by another worker.
     """
     model = WORK[lease.kind]
-    with sessions.begin() as session:
+    with one_statement(sessions) as session:
         row = session.execute(
             update(model)
             .where(_held_by(lease))
@@ -544,7 +544,7 @@ def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEAS
 def read_requests(sessions: Sessions, lease: Lease) -> Requests:
     """Return the users' requests without renewing `lease`. Raises LeaseLostError."""
     model = WORK[lease.kind]
-    with sessions() as session:
+    with one_statement(sessions) as session:
         row = session.execute(select(model.state, model.cancel_requested).where(_held_by(lease))).one_or_none()
     if row is None:
         raise _lost(lease)

@@ -15,7 +15,8 @@ from datetime import datetime
 from typing import Any
 
 from naospec import EvaluationSpec
-from sqlalchemy import DateTime, bindparam, delete, func, insert, select
+from sqlalchemy import BigInteger, DateTime, Double, Integer, Text, bindparam, column, delete, func, insert, select
+from sqlalchemy.dialects.postgresql import JSONB, Insert
 from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
 
@@ -31,6 +32,30 @@ MAX_LOG_CHARS = 8_000
 
 _LOGGED_AT = bindparam("logged_at", type_=DateTime(timezone=True))
 _INSERT_LOG = insert(Log.__table__).values(at=func.coalesce(_LOGGED_AT, func.now()))  # type: ignore[arg-type]
+
+
+def _upsert_metrics() -> Insert:
+    """Return the statement that writes any number of rows: one for the server to run, and one text to send."""
+    columns = column("step", BigInteger), column("time_s", Double), column("values", JSONB)
+    row = func.jsonb_to_recordset(bindparam("rows", type_=JSONB)).table_valued(*columns).render_derived(with_types=True)
+    own = bindparam("job_id", type_=Text), bindparam("attempt", type_=Integer)
+    statement = upsert(Metric.__table__).from_select(  # type: ignore[arg-type]
+        ["job_id", "attempt", "step", "time_s", "values"],
+        select(*own, row.c.step, row.c.time_s, row.c["values"]).order_by(row.c.step),
+    )
+    return statement.on_conflict_do_update(
+        index_elements=[Metric.job_id, Metric.step],
+        set_={
+            "attempt": statement.excluded.attempt,
+            "time_s": statement.excluded.time_s,
+            "values": statement.excluded["values"],
+            "seq": METRICS_SEQ.next_value(),
+        },
+        where=Metric.attempt <= statement.excluded.attempt,
+    )
+
+
+_UPSERT_METRICS = _upsert_metrics()
 
 
 @dataclass(frozen=True)
@@ -136,34 +161,15 @@ def record_checkpoint(sessions: Sessions, lease: Lease, *, step: int, key: str, 
 
 
 def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) -> None:
-    rows = {}
-    for row in metrics:
-        values = {name: float(value) for name, value in row.values.items() if math.isfinite(value)}
-        rows[row.step] = {
-            "job_id": job.id,
-            "step": row.step,
-            "attempt": job.attempt,
-            "time_s": values.get("time_s"),
-            "values": values,
-        }
-    statement = upsert(Metric)
-    session.execute(
-        statement.on_conflict_do_update(
-            index_elements=[Metric.job_id, Metric.step],
-            set_={
-                "attempt": statement.excluded.attempt,
-                "time_s": statement.excluded.time_s,
-                "values": statement.excluded["values"],
-                "seq": METRICS_SEQ.next_value(),
-            },
-            where=Metric.attempt <= statement.excluded.attempt,
-        ),
-        [rows[step] for step in sorted(rows)],
-    )
+    rows = {
+        row.step: {name: float(value) for name, value in row.values.items() if math.isfinite(value)} for row in metrics
+    }
+    ascending = [{"step": step, "time_s": rows[step].get("time_s"), "values": rows[step]} for step in sorted(rows)]
+    session.execute(_UPSERT_METRICS, {"job_id": job.id, "attempt": job.attempt, "rows": ascending})
     last = max(rows)
     if last >= job.progress_step:
         job.progress_step = last
-        job.latest_metrics = rows[last]["values"]  # type: ignore[assignment]
+        job.latest_metrics = rows[last]
     job.updated_at = func.now()
 
 

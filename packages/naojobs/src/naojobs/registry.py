@@ -10,7 +10,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.dialects.postgresql import insert
 
 from naojobs.capabilities import Capabilities
-from naojobs.database import Sessions
+from naojobs.database import Sessions, one_statement
 from naojobs.models import Job, Worker
 
 
@@ -33,20 +33,23 @@ def beat(
     capabilities: Capabilities,
     version: str,
     disk_free_bytes: int | None = None,
-) -> None:
-    """Register a worker, or renew its heartbeat."""
+    stale_s: float = 30.0,
+) -> int:
+    """Register a worker, or renew its heartbeat; return how many workers have one in the last `stale_s` seconds."""
     current = {"queues": list(queues), "version": version, "disk_free_bytes": disk_free_bytes, **asdict(capabilities)}
-    with sessions.begin() as session:
+    with one_statement(sessions) as session:
         session.execute(
             insert(Worker)
             .values(id=worker_id, host=host, pid=pid, **current)
             .on_conflict_do_update(index_elements=[Worker.id], set_={"heartbeat_at": func.now(), **current}),
         )
+        alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
+        return session.execute(select(func.count()).select_from(Worker).where(alive)).scalar_one()
 
 
 def leave(sessions: Sessions, worker_id: str) -> None:
     """Remove a worker that shuts down."""
-    with sessions.begin() as session:
+    with one_statement(sessions) as session:
         session.execute(delete(Worker).where(Worker.id == worker_id))
 
 

@@ -21,7 +21,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import cancel_open
 from naojobs.models import Study, StudyState, Trial, TrialState
-from naojobs.submission import JobRequest, free_name, same_request
+from naojobs.submission import JobRequest, check_fit, free_name, same_request
 from naojobs.webhooks import MessageType, publish
 
 #: Trials in a row that may fail before the study fails.
@@ -61,8 +61,10 @@ def submit_study(
     """
     search = complete(request.search, request.job)
     for name, parameter in search.space.items():
-        for value in parameter.ends():
-            trial_job(request.job, {name: value}, field=f"search.space.{name}")
+        ends = [trial_job(request.job, {name: value}, field=f"search.space.{name}") for value in parameter.ends()]
+        if search.sampler == "population":  # each may have to go on from the policy of another
+            for other in ends[1:]:
+                check_fit(other, ends[0].spec, field=f"search.space.{name}")
     digest = request.digest() if idempotency_key is not None else None
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     job = request.job

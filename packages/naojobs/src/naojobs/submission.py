@@ -289,7 +289,7 @@ def _with_parent(session: Session, request: JobRequest, owner: str, see_all: boo
         policy, version = policies.find(session, Policy.owner == owner, reference)
     except NotFoundError as error:
         if reference in naopolicies.names():
-            _check_fit(request, TrainingSpec.model_validate(naopolicies.spec(reference)))
+            check_fit(request, TrainingSpec.model_validate(naopolicies.spec(reference)))
             return request
         known = ", ".join(naopolicies.names())
         raise InvalidError(f"{error}; bundled policies are {known}", "parent_policy") from None
@@ -317,7 +317,7 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
             f"job {parent.id} was stored by a version whose specifications this one cannot read; use a newer job",
             "parent_job_id",
         ) from None
-    _check_fit(request, theirs)
+    check_fit(request, theirs)
     if request.parent_checkpoint_id is not None:
         # Read again under the lock: what named it may have been deleted meanwhile, and the checkpoint with it.
         checkpoint = session.get(Checkpoint, request.parent_checkpoint_id, populate_existing=True)
@@ -328,8 +328,8 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
             )
 
 
-def _check_fit(request: JobRequest, theirs: TrainingSpec) -> None:
-    """Raise InvalidError unless a training can start from the policy of another."""
+def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> None:
+    """Raise InvalidError, for `field` or the one that differs, unless a training can start from another's policy."""
     robot = theirs.robot.name
     if robot in plugins.names(plugins.ROBOTS):
         family = theirs.robot_description.family
@@ -337,14 +337,14 @@ def _check_fit(request: JobRequest, theirs: TrainingSpec) -> None:
             raise InvalidError(
                 f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
                 f"use a robot of family {family}",
-                "spec.robot",
+                field or "spec.robot",
             )
     shape = theirs.algorithm.policy_shape()
     for name, value in request.spec.algorithm.policy_shape().items():
         if shape.get(name) != value:
             raise InvalidError(
                 f"the parent's policy has {name} {shape.get(name)}, this job {value}; they must be the same",
-                f"spec.algorithm.{name}",
+                field or f"spec.algorithm.{name}",
             )
 
 

@@ -129,9 +129,12 @@ class SearchSpec(_Model):
         max_length=4,
         description="What to optimize; empty for the task's most important result. Several give a Pareto front.",
     )
-    sampler: Literal["tpe", "random"] = Field(
-        default="tpe", description="tpe (tree-structured Parzen estimator) or random."
+    sampler: Literal["tpe", "random", "population"] = Field(
+        default="tpe",
+        description="tpe (tree-structured Parzen estimator); random; population: population-based training, in which "
+        "each trial after the first generation starts from the policy of an earlier one.",
     )
+    population: int = Field(default=8, ge=4, le=100, description="Trials of one generation of sampler `population`.")
     startup_trials: int = Field(default=10, ge=1, le=1000, description="Random trials before `tpe` models the results.")
     seed: int = Field(default=0, ge=0, lt=2**31, description="Seed of the sampler.")
     pruning: Pruning = Field(default_factory=Pruning, description="When trials end early.")
@@ -145,4 +148,19 @@ class SearchSpec(_Model):
         names = [objective.metric for objective in self.objectives]
         if len(set(names)) < len(names):
             raise ValueError("objectives: a metric is given twice; give each once")
+        return self
+
+    @model_validator(mode="after")
+    def _generations(self) -> Self:
+        if self.sampler != "population":
+            return self
+        if self.trials < 2 * self.population:
+            raise ValueError(
+                f"trials: expected two generations or more ({2 * self.population}), got {self.trials}; use more trials "
+                "or a smaller population"
+            )
+        if len(self.objectives) > 1:
+            raise ValueError("objectives: sampler population needs a single one")
+        if self.pruning.name != "none":
+            raise ValueError("pruning: sampler population replaces the worst by itself; use pruning none")
         return self

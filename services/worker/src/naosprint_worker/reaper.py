@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+import random
 import time
 from datetime import timedelta
 
 from naojobs import lifecycle, registry
-from naojobs.database import database_uptime
+from naojobs.database import Sessions, database_uptime
 from naosim.launchers import reap_servers
 
 from naosprint_worker.context import Context
@@ -17,6 +18,43 @@ logger = logging.getLogger(__name__)
 
 #: Largest ratio between the lease times of two workers of one service.
 _LONGEST_LEASES = 5
+#: Workers that look for lost work in one interval, on average. All of a thousand would be a load by themselves.
+_TURNS = 10
+
+
+class LostWork:
+    """Recovery of work whose worker no longer renews its lease."""
+
+    def __init__(self, sessions: Sessions, lease_s: float) -> None:
+        self._sessions = sessions
+        self._lease_s = lease_s
+        self._outage_at: float | None = None
+        #: Workers of the service that are alive, this one included.
+        self.workers = 1
+
+    def database_failed(self) -> None:
+        """Record an outage of the database, which may have missed the heartbeats of other workers, too."""
+        self._outage_at = time.monotonic()
+
+    def sweep(self) -> list[lifecycle.Requeued]:
+        """Requeue what is lost, unless others of many workers look for it now; return it."""
+        if random.random() * self.workers > _TURNS:  # noqa: S311 - no secret
+            return []
+        requeued = self._requeue()
+        registry.forget(self._sessions)
+        return requeued
+
+    def _requeue(self) -> list[lifecycle.Requeued]:
+        """Requeue work with expired leases, once the owners have had time to renew them since the last outage."""
+        lease_s = self._lease_s
+        if self._outage_at is not None and time.monotonic() - self._outage_at < lease_s:
+            return []
+        uptime = database_uptime(self._sessions)
+        # Negative if its clock was set back since it started.
+        if uptime is None or timedelta() <= uptime < timedelta(seconds=lease_s):
+            return []
+        lifecycle.shorten_leases(self._sessions, _LONGEST_LEASES * lease_s)
+        return lifecycle.requeue_stale(self._sessions)
 
 
 class Reaper:
@@ -25,19 +63,15 @@ class Reaper:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._orphans = OrphanSweeper(grace_s=context.settings.worker_orphan_grace_s + 5)
-        self._outage_at: float | None = None
-
-    def database_failed(self) -> None:
-        """Record an outage of the database, which may have missed the heartbeats of other workers, too."""
-        self._outage_at = time.monotonic()
+        self.lost = LostWork(context.sessions, context.settings.lease_s)
 
     def sweep(self) -> None:
         """Check everything once."""
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
         self._remove_servers()
-        self._requeue()
-        registry.forget(self._context.sessions)
+        for lost in self.lost.sweep():
+            logger.warning("worker of %s %s was lost; it is now %s", lost.kind, lost.id, lost.state)
 
     def _remove_servers(self) -> None:
         """Remove the containers of servers whose training has ended."""
@@ -49,17 +83,3 @@ class Reaper:
         else:
             if removed:
                 logger.warning("removed %d servers, whose training has ended", removed)
-
-    def _requeue(self) -> None:
-        """Requeue work with expired leases, once the owners have had time to renew them since the last outage."""
-        context = self._context
-        lease_s = context.settings.lease_s
-        if self._outage_at is not None and time.monotonic() - self._outage_at < lease_s:
-            return
-        uptime = database_uptime(context.sessions)
-        # Negative if its clock was set back since it started.
-        if uptime is None or timedelta() <= uptime < timedelta(seconds=lease_s):
-            return
-        lifecycle.shorten_leases(context.sessions, _LONGEST_LEASES * lease_s)
-        for lost in lifecycle.requeue_stale(context.sessions):
-            logger.warning("worker of %s %s was lost; it is now %s", lost.kind, lost.id, lost.state)

@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from naojobs import lifecycle, studies
+from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import InvalidError
 from naojobs.ids import same_id
@@ -26,6 +27,9 @@ from naojobs.submission import add_job
 from naospec.search import Choices, IntRange, Parameter, Pruning, SearchSpec
 from sqlalchemy import func, select, text
 from sqlalchemy.orm import Session
+
+from naosprint_worker import population
+from naosprint_worker.population import Start
 
 # Optuna takes a second to load and most workers never conduct a study.
 if TYPE_CHECKING:
@@ -186,14 +190,20 @@ class _Pass:
 
     def _values(self, job: Job) -> tuple[list[float] | None, str | None]:
         """Return the objectives' values of a job that succeeded, or why there are none."""
-        evaluation = self._session.get(Evaluation, same_id("eval", job.id))
-        summary = evaluation.summary if evaluation is not None else None
-        results = {result["name"]: result["value"] for result in (summary or {}).get("results", ())}
+        results: dict[str, float | None] = {}
+        if job.evaluation is not None:
+            checkpoint = newest_checkpoint(self._session, job.id)
+            # The evaluation at the end of a job has the digits of its last checkpoint (`naosprint_worker.trainer`).
+            evaluation = checkpoint and self._session.get(Evaluation, same_id("eval", checkpoint.id))
+            if not evaluation or evaluation.summary is None:
+                return None, "its evaluation was deleted"
+            results = {result["name"]: result["value"] for result in evaluation.summary["results"]}
         values = []
         for objective in self._search.objectives:
-            value = results.get(objective.metric, job.latest_metrics.get(objective.metric))
+            name = objective.metric
+            value = results[name] if name in results else job.latest_metrics.get(name)
             if value is None:
-                return None, f"it has no {objective.metric}: no episode of its evaluation counts for it"
+                return None, f"it has no {name}: no episode counts for it"
             values.append(float(value))
         return values, None
 
@@ -286,16 +296,30 @@ class _Pass:
         left = [number for number in frozen if number not in self._rows]
         queued = False
         for _ in range(min(free, STARTS_PER_PASS, self._search.trials - len(self._rows))):
+            begun = Start(None, {})
+            if self._search.sampler == "population":
+                number = left[0] if left else max([*frozen, *self._rows], default=-1) + 1
+                if not population.is_due(self._search, self._rows, number):
+                    break
+                begun = population.start_of(self._search, self._rows, number)
+                given = {name: _stored(self._search.space[name], value) for name, value in begun.params.items()}
+                self._study.sampler = optuna.samplers.PartialFixedSampler(given, self._sampler())
             trial = optuna.trial.Trial(self._study, frozen[left.pop(0)]._trial_id) if left else self._study.ask()
             # A setting that an interrupted pass has chosen keeps its value.
-            self._add(trial.number, {name: _suggest(trial, name, item) for name, item in self._search.space.items()})
+            params = {name: _suggest(trial, name, item) for name, item in self._search.space.items()}
+            self._add(trial.number, params, begun.parent)
             queued = True
         return queued
 
-    def _add(self, number: int, params: dict[str, Any]) -> None:
+    def _add(self, number: int, params: dict[str, Any], parent: Trial | None) -> None:
         row = Trial(study_id=self._row.id, number=number, state=TrialState.RUNNING, params=params)
         try:
             request = studies.trial_job(studies.job_of(self._row), params)
+            if parent is not None:  # the environments are to differ from those that its policy was trained in
+                seed = request.spec.seed + number // self._search.population
+                request = replace(
+                    request, parent_job_id=parent.job_id, spec=request.spec.model_copy(update={"seed": seed})
+                )
         except InvalidError as error:
             from optuna.trial import TrialState as Told
 
@@ -315,18 +339,23 @@ class _Pass:
         # A new seed for each choice: every pass makes a new sampler.
         words = f"{self._search.seed}:{len(self._rows)}"
         seed = int.from_bytes(hashlib.sha256(words.encode()).digest()[:4], "big")
-        if self._search.sampler == "random":
+        if self._search.sampler in ("random", "population"):
             return optuna.samplers.RandomSampler(seed=seed)
         return optuna.samplers.TPESampler(seed=seed, n_startup_trials=self._search.startup_trials, constant_liar=True)
 
 
 def _suggest(trial: optuna.trial.Trial, name: str, item: Parameter) -> Any:
     """Return the value of a setting in a trial, chosen now if it has none yet."""
-    if isinstance(item, Choices):  # Optuna stores scalars; ours may be lists
-        return json.loads(trial.suggest_categorical(name, [json.dumps(choice) for choice in item.choices]))
+    if isinstance(item, Choices):
+        return json.loads(trial.suggest_categorical(name, [_stored(item, choice) for choice in item.choices]))
     if isinstance(item, IntRange):
         return trial.suggest_int(name, item.low, item.high, step=item.step or 1, log=item.log)
     return trial.suggest_float(name, item.low, item.high, step=item.step, log=item.log)
+
+
+def _stored(item: Parameter, value: Any) -> Any:
+    """Return a value as Optuna stores it: scalars, where ours may be lists."""
+    return json.dumps(value) if isinstance(item, Choices) else value
 
 
 def _pruner(pruning: Pruning) -> optuna.pruners.BasePruner:

@@ -210,7 +210,7 @@ class Worker:
         return enough
 
     def _beat(self) -> None:
-        registry.beat(
+        self._reaper.lost.workers = registry.beat(
             self._context.sessions,
             self.id,
             host=self._host,
@@ -219,6 +219,7 @@ class Worker:
             capabilities=self._context.capabilities,
             version=__version__,
             disk_free_bytes=self._free_bytes(),
+            stale_s=self._settings.lease_s,
         )
 
     def _sweep(self) -> None:
@@ -239,7 +240,7 @@ class Worker:
             try:
                 duty()
             except DATABASE_ERRORS as error:
-                self._reaper.database_failed()
+                self._reaper.lost.database_failed()
                 logger.warning("%s: the database did not answer: %s", name, describe(error, 200))
             except Exception:
                 logger.exception("%s failed", name)

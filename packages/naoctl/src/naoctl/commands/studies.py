@@ -60,7 +60,10 @@ def tune(
     ] = None,
     trials: Annotated[int, typer.Option(min=1, max=1000, help="Number of trials.")] = 20,
     parallel: Annotated[int, typer.Option(min=1, max=64, help="Trials that may wait or run at a time.")] = 2,
-    sampler: Annotated[str, typer.Option(metavar="tpe|random", help="How settings are chosen.")] = "tpe",
+    sampler: Annotated[str, typer.Option(metavar="tpe|random|population", help="How settings are chosen.")] = "tpe",
+    population: Annotated[
+        int, typer.Option(min=4, max=100, help="Trials of one generation of sampler population.")
+    ] = 8,
     sampler_seed: Annotated[int, typer.Option(min=0, help="Seed of the sampler.")] = 0,
     prune: Annotated[
         str, typer.Option(metavar="none|median|asha", help="When trials that fall behind end early.")
@@ -94,6 +97,7 @@ def tune(
         trials=trials,
         parallel=parallel,
         sampler=sampler,
+        population=population,
         seed=sampler_seed,
         pruning={"name": prune, "metric": prune_metric},
     )
