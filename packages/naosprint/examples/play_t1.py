@@ -1,6 +1,7 @@
 """Run a T1 from point to point on a rcssservermj with a policy of task velocity; stand up after falls with another.
 
 python play_t1.py run.npz [--getup getup.npz] [--targets 10] [--seed 0] [--host 127.0.0.1] [--ports 60000 60001]
+    [--record cycles.npz]
 
 NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py beside it.
 """
@@ -67,7 +68,9 @@ def main(arguments=None):
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--ports", type=int, nargs=2, default=(60000, 60001), metavar=("AGENT", "MONITOR"))
+    parser.add_argument("--record", help="file for what the robot perceived of itself in each cycle")
     options = parser.parse_args(arguments)
+    cycles = []
     agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
     receive(monitor)
     player, getup = Player(options.run), Player(options.getup) if options.getup else None
@@ -84,6 +87,7 @@ def main(arguments=None):
             for each in filter(None, (player, getup)):
                 each.perceive(message)
             clock += player.cycle_s
+            cycles.append((player.place, player.rotation, np.radians(player.joints[0])))
             if not select.select([agent], [], [], 0)[0]:
                 return
 
@@ -123,6 +127,8 @@ def main(arguments=None):
         state = "reached" if standing >= 50 else "missed"
         print(f"{number:2}  {place}  {way:5.1f} m  {seconds:5.1f} s  {state}, {error:.2f} m away")
     agent.close()
+    if options.record:
+        np.savez(options.record, **dict(zip(("positions", "rotations", "angles"), map(np.array, zip(*cycles)))))
     reached = sum(good for good, _ in results)
     print(f"{reached} of {len(results)} targets reached, {falls} falls, {attempts} attempts to get up, {clock:.0f} s")
     return 0 if reached == len(results) else 1

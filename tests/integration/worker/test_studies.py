@@ -248,7 +248,7 @@ def test_several_objectives_have_a_pareto_front(service: Service, conductor: Con
     assert studies.pareto_front(search, rows) == [1, 3]
 
 
-def test_a_population_goes_on_from_the_policies_of_its_best(service: Service) -> None:
+def test_a_population_continues_from_the_policies_of_its_best(service: Service) -> None:
     """The worker is killed between two generations: no trial is lost, none started twice."""
     space = {name: SPACE[name] for name in ("learning_rate", "n_epochs")}
     how = {"sampler": "population", "population": 4, "trials": 12, "parallel": 2}

@@ -60,7 +60,7 @@ def test_a_generation_waits_for_the_one_before() -> None:
 
 
 @pytest.mark.parametrize("direction", ["maximize", "minimize"])
-def test_the_worst_quarter_goes_on_from_the_best(direction: str) -> None:
+def test_the_worst_quarter_continues_from_the_best(direction: str) -> None:
     sign = 1.0 if direction == "maximize" else -1.0
     trials = generation([sign * value for value in (5.0, 1.0, 7.0, 2.0, 8.0, 3.0, 4.0, 6.0)])
     chosen = parents(search(direction), trials)
@@ -69,7 +69,7 @@ def test_the_worst_quarter_goes_on_from_the_best(direction: str) -> None:
     assert start_of(search(direction), trials, 8).params == trials[0].params
 
 
-def test_a_member_that_failed_goes_on_from_the_best() -> None:
+def test_a_member_that_failed_continues_from_the_best() -> None:
     trials = generation([5.0, None, 7.0, 2.0, 8.0, 3.0, 4.0, 6.0])
     trials[0].job_id = None  # deleted
     chosen = parents(search(), trials)

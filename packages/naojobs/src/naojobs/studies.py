@@ -62,7 +62,7 @@ def submit_study(
     search = complete(request.search, request.job)
     for name, parameter in search.space.items():
         ends = [trial_job(request.job, {name: value}, field=f"search.space.{name}") for value in parameter.ends()]
-        if search.sampler == "population":  # each may have to go on from the policy of another
+        if search.sampler == "population":  # each may have to continue from the policy of another
             for other in ends[1:]:
                 check_fit(other, ends[0].spec, field=f"search.space.{name}")
     digest = request.digest() if idempotency_key is not None else None

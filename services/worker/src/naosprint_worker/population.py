@@ -1,4 +1,4 @@
-"""Population-based training: members train side by side; after each generation the worst go on from the best.
+"""Population-based training: members train side by side; after each generation the worst continue from the best.
 
 Every member of a generation is a trial, whose job starts from the policy of a trial of the generation before. The
 choice is a function of the results of that generation, so any worker makes the same one, also after an interruption.
@@ -17,7 +17,7 @@ from typing import Any
 from naojobs.models import Trial, TrialState
 from naospec.search import Choices, IntRange, Parameter, SearchSpec
 
-#: Part of a generation that goes on from as many of the best.
+#: Part of a generation that continues from as many of the best.
 REPLACED = 0.25
 #: Probability that a setting with named values gets another one, as each other setting does.
 RESAMPLED = 0.25
@@ -40,7 +40,7 @@ def is_due(search: SearchSpec, trials: Mapping[int, Trial], number: int) -> bool
 def start_of(search: SearchSpec, trials: Mapping[int, Trial], number: int) -> Start:
     """Return how trial `number` starts, which is due.
 
-    A member goes on from its own policy with its own settings. If it failed or is among the worst quarter, it goes on
+    A member continues from its own policy with its own settings. If it failed or is among the worst quarter, it goes on
     from one of the best quarter, with that one's settings perturbed.
     """
     random = Random(int.from_bytes(hashlib.sha256(f"{search.seed}:{number}".encode()).digest()[:8], "big"))  # noqa: S311
