@@ -40,8 +40,8 @@ def is_due(search: SearchSpec, trials: Mapping[int, Trial], number: int) -> bool
 def start_of(search: SearchSpec, trials: Mapping[int, Trial], number: int) -> Start:
     """Return how trial `number` starts, which is due.
 
-    A member continues from its own policy with its own settings. If it failed or is among the worst quarter, it continues
-    from one of the best quarter, with that one's settings perturbed.
+    A member continues from its own policy with its own settings. If it failed or is among the worst quarter, it
+    continues from one of the best quarter, with that one's settings perturbed.
     """
     random = Random(int.from_bytes(hashlib.sha256(f"{search.seed}:{number}".encode()).digest()[:8], "big"))  # noqa: S311
     sign = 1.0 if search.objectives[0].direction == "maximize" else -1.0
