@@ -1,5 +1,6 @@
 #include "protocol.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstdio>
@@ -12,8 +13,10 @@ namespace {
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 }  // namespace
 
-PerceptorReader::PerceptorReader(const std::vector<std::string>& joints) : names_(joints) {
+PerceptorReader::PerceptorReader(const std::vector<std::string>& joints, const std::vector<std::string>& landmarks)
+    : names_(joints), landmarks_(landmarks) {
   for (std::size_t k = 0; k < names_.size(); ++k) index_[names_[k]] = static_cast<int>(k);
+  for (std::size_t k = 0; k < landmarks_.size(); ++k) landmark_[landmarks_[k]] = static_cast<int>(k);
 }
 
 std::string PerceptorReader::read(std::string_view message, const PerceptorTargets& to, GameState& game, int& joints_seen) const {
@@ -22,6 +25,7 @@ std::string PerceptorReader::read(std::string_view message, const PerceptorTarge
   joints_seen = 0;
   for (double* touch : to.touch)
     for (int c = 0; c < 6; ++c) touch[c] = std::numeric_limits<double>::quiet_NaN();
+  std::fill_n(to.vision, 3 * landmarks_.size(), std::numeric_limits<double>::quiet_NaN());
   const auto wrong = [&](std::string_view what) {
     return "agent message, byte " + std::to_string(cursor.offset()) + ": " + std::string(what) + " cannot be read";
   };
@@ -61,6 +65,15 @@ std::string PerceptorReader::read(std::string_view message, const PerceptorTarge
         if (!cursor.leave()) return wrong("FRP");
       }
       if (sensor >= 0) std::memcpy(to.touch[sensor], values, sizeof values);
+    } else if (tag == "See") {
+      while (cursor.enter(field)) {
+        const auto found = landmark_.find(field);
+        if (found != landmark_.end()) {
+          double* polar = to.vision + 3 * found->second;
+          if (!cursor.enter(word) || word != "pol" || !cursor.numbers(polar, 3) || !cursor.leave()) return wrong("See");
+        }
+        if (!cursor.leave()) return wrong("See");
+      }
     } else if (tag == "time") {
       while (cursor.enter(field)) {
         if (field == "now" && !cursor.number(*to.time)) return wrong("time");

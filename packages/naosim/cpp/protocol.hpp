@@ -19,6 +19,7 @@ struct PerceptorTargets {
   double *joint_angles, *gyro, *accel, *touch[4];
   double* time;
   double* game_time;
+  double* vision;  // distance, theta and phi of each landmark
 };
 
 struct GameState {
@@ -29,14 +30,14 @@ struct GameState {
 
 class PerceptorReader {
  public:
-  explicit PerceptorReader(const std::vector<std::string>& joints);
+  PerceptorReader(const std::vector<std::string>& joints, const std::vector<std::string>& landmarks);
   // Returns an empty string or what is wrong with the message; unknown perceptors are skipped.
   std::string read(std::string_view message, const PerceptorTargets& to, GameState& game, int& joints_seen) const;
-  std::size_t joint_count() const { return index_.size(); }
+  std::size_t joint_count() const { return names_.size(); }
 
  private:
-  std::unordered_map<std::string_view, int> index_;
-  std::vector<std::string> names_;
+  std::unordered_map<std::string_view, int> index_, landmark_;
+  std::vector<std::string> names_, landmarks_;
 };
 
 // Mirrors the scene graph of a monitor port.
@@ -143,7 +144,7 @@ class Vision {
 // The exchange with rcssserver3d: an agent port each, and a monitor port that gives the ground truth.
 class SparkExchange final : public Exchange {
  public:
-  SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors);
+  SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors, std::vector<std::string> landmarks);
   std::size_t joint_count() const { return joints_; }
   void choose(int row, int side, int uniform_number);  // robot whose torso pose is reported
   int joints_seen(int row) const { return robots_[row].joints_seen; }
@@ -151,7 +152,7 @@ class SparkExchange final : public Exchange {
   bool scene_complete(int row) const { return robots_[row].scene.complete(); }
   const GameState& game(int row) const { return robots_[row].game; }
 
-  std::vector<double> joint_angles, gyro, accel, touch[4], time, game_time, torso_position, torso_rotation, ball;
+  std::vector<double> joint_angles, gyro, accel, touch[4], time, game_time, torso_position, torso_rotation, ball, vision;
 
  private:
   struct Robot {
@@ -164,7 +165,7 @@ class SparkExchange final : public Exchange {
   void compose(int row, const double* speeds, std::string& message) override;  // (joints,) rad/s
   std::string read(int row, bool monitor, std::string_view text) override;
   std::string lacking(int row) const override;
-  std::size_t joints_;
+  std::size_t joints_, sights_;
   std::vector<std::string> effectors_;
   PerceptorReader reader_;
   std::vector<Robot> robots_;

@@ -185,9 +185,10 @@ void bind_protocol(nb::module_& m) {
   auto exchange = nb::class_<SparkExchange>(m, "Exchange");
   exchange
       .def("__init__",
-           [](SparkExchange* self, int n, const std::vector<std::string>& joints, const std::vector<std::string>& effectors) {
+           [](SparkExchange* self, int n, const std::vector<std::string>& joints, const std::vector<std::string>& effectors,
+              const std::vector<std::string>& landmarks) {
              require(n >= 1 && !joints.empty() && joints.size() == effectors.size(), "one effector per joint is needed");
-             new (self) SparkExchange(n, joints, effectors);
+             new (self) SparkExchange(n, joints, effectors, landmarks);
            })
       .def("choose", [](SparkExchange& self, int row, int side, int number) { self.choose(row_of(self, row), side, number); })
       .def("counts",
@@ -217,6 +218,7 @@ void bind_protocol(nb::module_& m) {
         views["torso_position"] = array(e.torso_position, {n, 3}, self);
         views["torso_rotation"] = array(e.torso_rotation, {n, 3, 3}, self);
         views["ball"] = array(e.ball, {n, 3}, self);
+        views["vision"] = array(e.vision, {n, e.vision.size() / n}, self);
         return views;
       });
   bind_exchange(exchange);

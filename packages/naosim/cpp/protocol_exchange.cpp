@@ -5,8 +5,14 @@
 
 namespace naosim::protocol {
 
-SparkExchange::SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors)
-    : Exchange(n), joints_(joints.size()), effectors_(std::move(effectors)), reader_(joints), robots_(static_cast<std::size_t>(n)) {
+SparkExchange::SparkExchange(int n, std::vector<std::string> joints, std::vector<std::string> effectors,
+                             std::vector<std::string> landmarks)
+    : Exchange(n),
+      joints_(joints.size()),
+      sights_(3 * landmarks.size()),
+      effectors_(std::move(effectors)),
+      reader_(joints, landmarks),
+      robots_(static_cast<std::size_t>(n)) {
   const std::size_t rows = static_cast<std::size_t>(n);
   joint_angles.assign(rows * joints_, 0.0);
   gyro.assign(rows * 3, 0.0);
@@ -17,6 +23,7 @@ SparkExchange::SparkExchange(int n, std::vector<std::string> joints, std::vector
   torso_position.assign(rows * 3, 0.0);
   torso_rotation.assign(rows * 9, 0.0);
   ball.assign(rows * 3, 0.0);
+  vision.assign(rows * sights_, std::numeric_limits<double>::quiet_NaN());
 }
 
 void SparkExchange::choose(int row, int side, int uniform_number) {
@@ -45,7 +52,8 @@ std::string SparkExchange::read(int row, bool monitor, std::string_view text) {
   Robot& robot = robots_[row];
   if (!monitor) {
     const PerceptorTargets to{&joint_angles[r * joints_], &gyro[3 * r], &accel[3 * r],
-                      {&touch[0][6 * r], &touch[1][6 * r], &touch[2][6 * r], &touch[3][6 * r]}, &time[r], &game_time[r]};
+                      {&touch[0][6 * r], &touch[1][6 * r], &touch[2][6 * r], &touch[3][6 * r]}, &time[r], &game_time[r],
+                      vision.data() + sights_ * r};
     return reader_.read(text, to, robot.game, robot.joints_seen);
   }
   const std::string problem = robot.scene.read(text);

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.conformance import CHECKS, Check, Subject
-from naosim.simspark import EmbeddedSimulator, RemoteSimulator, embedded_launcher
+from naosim.simspark import EmbeddedSimulator, RemoteSimulator, embedded_launcher, protocol
 from naosim.simulator import ServerLostError, Starts
 
 NAO = robots.get("nao-0")
@@ -128,6 +128,34 @@ def test_a_group_starts_while_the_servers_of_the_other_compute() -> None:
     finally:
         together.close()
         turns.close()
+
+
+def test_robots_on_servers_see_landmarks_where_they_are() -> None:
+    """In every third step, and to the accuracy of the server's noise."""
+    robot = NAO.with_parameters({"onboard_sensing": True})
+    simulator = RemoteSimulator(embedded_launcher("--seed", "1"), robot, 2, max_failures=0)
+    try:
+        simulator.load_starts(starts(0.0))
+        simulator.start(np.arange(2), np.array([0, 0]))
+        seen = []
+        for _ in range(6):
+            simulator.step(np.repeat(NAO.nominal[None], 2, axis=0))
+            seen.append(simulator.perceptors["vision"].reshape(2, -1, 3).copy())
+        sighted = ~np.isnan(np.array(seen)[..., 0]).all(axis=2)
+        assert sighted.sum(axis=0).tolist() == [2, 2]
+        ahead = np.array([position[0] > 0 for _, position in protocol.LANDMARKS])
+        places = np.array([position for _, position in protocol.LANDMARKS])[ahead]
+        head = simulator.bodies()[:, 2, :3]
+        relative = places - head[:, None]
+        for row in range(2):
+            polar = seen[np.flatnonzero(sighted[:, row])[-1]][row]
+            assert np.array_equal(~np.isnan(polar[:, 0]), ahead)
+            distance = np.linalg.norm(relative[row], axis=-1)
+            theta = np.degrees(np.arctan2(relative[row, :, 1], relative[row, :, 0]))
+            np.testing.assert_allclose(polar[ahead, 0], distance, atol=0.15)
+            np.testing.assert_allclose(polar[ahead, 1], theta, atol=1.5)
+    finally:
+        simulator.close()
 
 
 def test_more_failures_than_allowed_end_with_the_reason() -> None:

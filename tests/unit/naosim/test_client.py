@@ -25,7 +25,7 @@ class Server:
     def __init__(self) -> None:
         self.agent, agent = socket.socketpair()
         self.monitor, monitor = socket.socketpair()
-        self.exchange = _core.Exchange(1, list(NAO.joint_names), [joint.effector for joint in NAO.joints])
+        self.exchange = _core.Exchange(1, list(NAO.joint_names), [joint.effector for joint in NAO.joints], [])
         self.exchange.attach(0, agent.detach(), monitor.detach())
         self.views = self.exchange.views()
 

@@ -17,14 +17,15 @@ from naosim.simulator import Simulator
 from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 
 
-def embedded(name: str) -> Subject:
-    robot, kind = robots.get(name), kinds.get("embedded")
+def embedded(name: str, **parameters: object) -> Subject:
+    robot, kind = robots.get(name).with_parameters(parameters), kinds.get("embedded")
     return Subject(lambda n: kind.open(robot, n, kind.parameters(robot)()))
 
 
 SUBJECTS = {
     "nao-0": embedded("nao-0"),
     "nao-4": Subject(lambda n: EmbeddedSimulator(robots.get("nao-4"), n, sensor_digits=None, threads=2)),
+    "nao-0 onboard": embedded("nao-0", onboard_sensing=True),
     "t1": embedded("t1"),
     "k1": embedded("k1"),
     "crawler": Subject(lambda n: CrawlerSimulator(CRAWLER, n)),

@@ -41,9 +41,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"robot": "nao-0", "simulator": {"name": "embedded", "action_delay": 0}},
         "simulator.action_delay: embedded with robot nao-0 has no such setting: choose one of sensor_digits",
     ),
-    "gains of a robot without any": (
+    "gains of a robot without gains": (
         {"robot": {"name": "nao-0", "kp": {"legs": 100}}},
-        "robot.kp: nao-0 has no such setting: it has none",
+        "robot.kp: nao-0 has no such setting: choose one of onboard_sensing",
     ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},

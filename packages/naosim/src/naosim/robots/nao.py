@@ -8,11 +8,20 @@ symmetric posture.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from naosim.robots import nao_model
-from naosim.robots.description import JointDescription, PerceptorDescription, Robot, Shape, Side
+from naosim.robots.description import (
+    JointDescription,
+    PerceptorDescription,
+    Robot,
+    RobotParameters,
+    Shape,
+    Side,
+)
 
 FAMILY = "nao"
 
@@ -35,10 +44,37 @@ _PERCEPTORS = (
     PerceptorDescription("foot_left", 6, "m, N", _FOOT),
     PerceptorDescription("foot_right", 6, "m, N", _FOOT),
 )
+_VISION = PerceptorDescription(
+    "vision",
+    24,
+    "m, deg",
+    "distance, theta and phi of the four goal posts and four flags in the head's frame; NaN for those not in sight, "
+    "and in two of three steps",
+)
 _OBSERVATIONS = (
     *("step", "joint_angles", "yaw", "height", "centre_of_mass", "gyro", "accel"),
     *("left_foot_origin", "left_foot_force", "right_foot_origin", "right_foot_force", "foot_counters"),
 )
+
+
+class NaoParameters(RobotParameters):
+    """Settings of a NAO."""
+
+    onboard_sensing: bool = Field(
+        default=False,
+        title="Onboard sensing",
+        description="Whether policies observe only what a player perceives: the torso's yaw and height are estimated "
+        "from gyroscope, accelerometer, joint angles, foot contacts and vision.",
+    )
+
+    def description(self, robot: Robot) -> dict[str, Any]:
+        """Return perceptors and observations."""
+        perceptors = [each for each in robot.perceptors if each != _VISION]
+        if not self.onboard_sensing:
+            return {"perceptors": tuple(perceptors), "observations": _OBSERVATIONS}
+        seen = {"yaw": "onboard_pose"}
+        names = (seen.get(name, name) for name in _OBSERVATIONS if name != "height")
+        return {"perceptors": (*perceptors, _VISION), "observations": tuple(names)}
 
 
 def _side(name: str) -> Side:
@@ -88,6 +124,7 @@ def _robot(robot_type: int) -> Robot:
         front_axis=1,
         perceptors=(PerceptorDescription("joint_angles", len(joints), "deg", "in joint order"), *_PERCEPTORS),
         observations=_OBSERVATIONS,
+        parameters=NaoParameters(),
         data={"robot_type": robot_type},
         load_shapes=lambda: _shapes(robot_type),
     )

@@ -17,7 +17,7 @@ from naosim.fleet import Fleet, Motion, Rows
 from naosim.launchers import Address, Launcher
 from naosim.robots import nao_model
 from naosim.robots.nao_model import RobotModel
-from naosim.simspark import _core
+from naosim.simspark import _core, protocol
 from naosim.simspark.batch import Floats, Perceptors
 
 _QUIET_S = 0.1
@@ -113,11 +113,17 @@ class RemoteBatch(Fleet):
         self.robot_type = robot_type
         self._team, self._number, self._exact = team, uniform_number, exact
         self._exchange: _core.Exchange = _core.Exchange(
-            self.n, list(self.model.joint_names), [joint.effector for joint in self.model.joints]
+            self.n,
+            list(self.model.joint_names),
+            [joint.effector for joint in self.model.joints],
+            [name for name, _ in protocol.LANDMARKS],
         )
         views: dict[str, Floats] = self._exchange.views()
         self._game_time = views["game_time"]
         self.perceptors = Perceptors(**{name: views[name] for name in Perceptors.__dataclass_fields__})
+        self.vision = views["vision"]
+        """(n, 24), distance in m, theta and phi in degrees of each landmark in the head's frame in the latest message;
+        NaN for those that it has not."""
         self.truth = RemoteTruth(views)
         self._nudge = self._idle.copy()
         self._nudge[:, self.model.joint_index["hj1"]] = _NUDGE
@@ -129,6 +135,11 @@ class RemoteBatch(Fleet):
             for row in np.flatnonzero(~self.failed if rows is None else rows.view(np.bool_) & ~self.failed):
                 self._trainer(int(row), "(reqfullstate)")
         super()._dispatch(commands, rows)
+
+    def perceptor(self, name: str) -> Floats:
+        """Return the (n, width) array of the perceptor of this name, which every step overwrites."""
+        array: Floats = self.vision if name == "vision" else getattr(self.perceptors, name)
+        return array
 
     def beam(self, position: ArrayLike, yaw_deg: ArrayLike = 0.0, mask: ArrayLike | None = None) -> None:
         """Move robots as the trainer's `move` does and wait until they are there.

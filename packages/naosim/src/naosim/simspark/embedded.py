@@ -9,6 +9,7 @@ import numpy as np
 from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
 from naosim.simspark.control import GAIN, settle
+from naosim.simspark.vision import LandmarkVision
 from naosim.simulator import CONTACT_N, Simulator, Truth
 
 if TYPE_CHECKING:
@@ -40,7 +41,12 @@ class EmbeddedSimulator(Simulator):
         self._threads, self._digits = threads, sensor_digits
         self._engine = BatchSimulator(n, self._type, threads=threads, digits=sensor_digits)
         perceptors, truth = self._engine.perceptors, self._engine.truth
-        self.perceptors = {each.name: getattr(perceptors, each.name) for each in robot.perceptors}
+        names = [each.name for each in robot.perceptors]
+        self._vision = LandmarkVision(n, sensor_digits) if "vision" in names else None
+        self._head = model.body_index["head"]
+        self.perceptors = {name: getattr(perceptors, name) for name in names if name != "vision"}
+        if self._vision is not None:
+            self.perceptors["vision"] = self._vision.seen
         self.truth = Truth(truth.torso_position, truth.torso_rotation)
         self._pending: tuple[Floats, Flags | None] | None = None
         self._starts: Bytes | None = None
@@ -59,6 +65,11 @@ class EmbeddedSimulator(Simulator):
         if self._pending is not None:
             targets, active = self._pending
             self._pending = None
+            if self._vision is not None:
+                # a reply shows what was in sight before its cycle
+                seeing = self._vision.due(np.arange(self.n) if active is None else np.flatnonzero(active))
+                if len(seeing):
+                    self._vision.see(seeing, self.bodies()[seeing, self._head])
             self._engine.drive(targets, GAIN, self._max_speed, active)
 
     def load_starts(self, starts: Starts) -> None:
@@ -81,6 +92,8 @@ class EmbeddedSimulator(Simulator):
         self.require_starts(starts, 0 if self._starts is None else len(self._starts))
         assert self._starts is not None
         self._engine.restore_from(rows, self._starts, starts)
+        if self._vision is not None:
+            self._vision.begin(rows)
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
@@ -98,11 +111,23 @@ class EmbeddedSimulator(Simulator):
     def snapshot(self) -> Bytes:
         """Return the complete state of every robot as (n, S) bytes."""
         self.require_open()
-        return np.array(self._engine.snapshot())
+        state = np.array(self._engine.snapshot())
+        if self._vision is None:
+            return state
+        parts = (self._vision.counters, self._vision.seen)
+        return np.concatenate([state, *(np.ascontiguousarray(part).view(np.uint8) for part in parts)], axis=1)
 
     def restore(self, state: Bytes) -> None:
         """Return to a snapshot."""
         self.require_open()
+        if self._vision is not None:
+            parts = (self._vision.counters, self._vision.seen)
+            ends = np.cumsum([part.strides[0] for part in parts])
+            first = state.shape[1] - ends[-1]
+            for part, end in zip(parts, ends, strict=True):
+                saved = np.ascontiguousarray(state[:, first + end - part.strides[0] : first + end])
+                part[:] = saved.view(part.dtype)
+            state = np.ascontiguousarray(state[:, :first])
         self._engine.restore(state)
 
 

@@ -81,7 +81,7 @@ class RemoteSimulator(FleetSimulator):
             self._remote,
             robot,
             n,
-            sources={each.name: getattr(self._remote.perceptors, each.name) for each in robot.perceptors},
+            sources={each.name: self._remote.perceptor(each.name) for each in robot.perceptors},
             truth=Truth(self._remote.truth.torso_position, self._remote.truth.torso_rotation),
             idle_s=_IDLE_S,
         )

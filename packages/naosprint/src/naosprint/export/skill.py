@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray
     from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
-    from naosprint.tasks.base import World
     from naosprint.tasks.environment import Environment
 
 _SOURCES = Path(__file__).with_name("skills")
@@ -37,11 +36,16 @@ class _Target:
     #: Folder of the skill, below the team code's own.
     folder: str
     #: What the robot perceives, by the name of the argument of `Runner.observe`, in their order.
-    inputs: Mapping[str, Callable[[World], AnyArray]]
+    inputs: Mapping[str, Callable[[Environment], AnyArray]]
 
 
-def _perceived(name: str) -> Callable[[World], AnyArray]:
-    return lambda world: world.perceptors[name]
+def _perceived(name: str) -> Callable[[Environment], AnyArray]:
+    return lambda environment: environment.world.perceptors[name]
+
+
+def _observed(name: str) -> Callable[[Environment], AnyArray]:
+    """Return what the policy observes, be it true or estimated: the team code's own estimate takes its place."""
+    return lambda environment: environment.observations[:, environment.observer.names.index(name)]
 
 
 TARGETS = {
@@ -58,8 +62,8 @@ TARGETS = {
     nao.FAMILY: _Target(
         "FCPCodebase/behaviors/custom/Naosprint",
         {
-            "yaw": lambda world: world.yaw(slice(0, 1)),
-            "height": lambda world: world.position(slice(0, 1))[:, 2],
+            "yaw": _observed("yaw"),
+            "height": _observed("height"),
             "angles_deg": _perceived("joint_angles"),
             "gyro_deg": _perceived("gyro"),
             "accel": _perceived("accel"),
@@ -113,7 +117,7 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
                     break  # the task has drawn a new command and begun a new path
                 rows["command"].append(commanded[0].copy())
             for name, measure in target.inputs.items():
-                rows[name].append(np.array(measure(environment.world)[0]))
+                rows[name].append(np.array(measure(environment)[0]))
             observations = environment.observations.copy()
             actions = exact_actions(policy, observations)
             for name, values in zip(

@@ -291,6 +291,13 @@ def _height(world: World) -> ObservationBlock:
     )
 
 
+def _onboard_pose(world: World) -> ObservationBlock:
+    """Yaw and height as a player estimates them, with rates; see :mod:`naosprint.tasks.onboard_pose`."""
+    from naosprint.tasks.onboard_pose import onboard_pose
+
+    return onboard_pose(world)
+
+
 def _centre_of_mass(world: World) -> ObservationBlock:
     """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
     from naosim.simspark.batch import centre_of_mass, kinematics_address
@@ -471,6 +478,7 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "yaw": _yaw,
     "heading": _heading,
     "height": _height,
+    "onboard_pose": _onboard_pose,
     "centre_of_mass": _centre_of_mass,
     "gyro": _gyro,
     "accel": _accel,
