@@ -3,6 +3,7 @@
     naoctl submit --recipe sprint                            # train it, hours of a core
     python benchmarks/learning/bundle.py sprint --job JOB # evaluate it, and bundle it
     python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`, or of a chain
+    python benchmarks/learning/bundle.py sprint-blind --training FOLDER --after sprint
     python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
 
 The service is the one that naoctl talks to. A job's policy is one of its latest checkpoints: of those whose first
@@ -60,6 +61,7 @@ def main() -> int:
         help="folders of trainings without the service, each of which started from the policy of the one before it",
     )
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
+    parser.add_argument("--after", metavar="POLICY", help="bundled policy that the first training started from")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
     parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
     options = parser.parse_args()
@@ -69,7 +71,7 @@ def main() -> int:
         return 0
     (name,) = options.names
     if options.training:
-        parts = []
+        parts = list(naopolicies.card(options.after)["lineage"]) if options.after else []
         for folder in options.training:
             checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
             parts += stages(folder.name, read_manifest(checkpoint).spec, read_metrics(folder / "metrics.jsonl"))
