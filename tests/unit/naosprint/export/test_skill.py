@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.simspark.control import motor_speeds
+from naosim.simspark.protocol import LANDMARKS
 from naospec import TrainingSpec
 from naosprint.export import export_policy
 from naosprint.export.skill import TARGETS, write_skill
@@ -83,7 +84,7 @@ def test_the_skill_is_the_policy(robot: str, task: str, tmp_path: Path, numpy_al
     assert (checked.returncode, checked.stderr) == (0, ""), checked.stdout + checked.stderr
 
 
-@pytest.mark.parametrize("name", ["t1-sprint", "sprint"])
+@pytest.mark.parametrize("name", ["t1-sprint", "sprint", "sprint-blind"])
 def test_the_check_fails_for_another_policy(name: str, tmp_path: Path, numpy_alone: Path) -> None:
     written = export_policy(naopolicies.folder(name), tmp_path, ["skill"])
     folder = folder_of(naopolicies.card(name)["robot"], tmp_path)
@@ -111,7 +112,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
         monkeypatch.syspath_prepend(str(root))
         found = importlib.import_module(module)
         for name in [name for name in sys.modules if name.partition(".")[0] == package]:
-            monkeypatch.delitem(sys.modules, name)
+            del sys.modules[name]
         return found
 
     return load
@@ -164,17 +165,20 @@ def test_the_skill_reads_and_commands_the_teams_robot(load: Callable[[str, str],
     environment.close()
 
 
-def test_the_behavior_reads_and_commands_the_teams_robot(load: Callable[[str, str], Any]) -> None:
+@pytest.mark.parametrize("name", ["sprint", "sprint-blind"])
+def test_the_behavior_reads_and_commands_the_teams_robot(name: str, load: Callable[[str, str], Any]) -> None:
     """The same for a NAO, whose team code has frames, signs and an order of joints of its own."""
-    module = load("sprint", "behaviors.custom.Naosprint.Naosprint")
-    environment, policy = begin("sprint")
+    module = load(name, "behaviors.custom.Naosprint.Naosprint")
+    environment, policy = begin(name)
+    onboard = "vision" in environment.simulator.perceptors
     perceptors, description = environment.simulator.perceptors, environment.world.robot
     names = list(description.joint_names)
     order = {name: number for number, name in enumerate(reversed(names))}
     turned = {"rlj2", "rlj6", "raj2", "laj3", "laj4"}
     sign = np.array([-1.0 if name in turned else 1.0 for name in names])
     robot = SimpleNamespace(type=0, MAP_PERCEPTOR_TO_INDEX=order, FIX_PERCEPTOR_SET=turned, frp={})
-    made = module.Naosprint(SimpleNamespace(world=SimpleNamespace(robot=robot)))
+    world = SimpleNamespace(robot=robot)
+    made = module.Naosprint(SimpleNamespace(world=world))
 
     def theirs(values: np.ndarray) -> np.ndarray:
         """Return vectors in the team's frame: x to the front, y to the left."""
@@ -184,6 +188,13 @@ def test_the_behavior_reads_and_commands_the_teams_robot(load: Callable[[str, st
     for step in range(50):
         robot.imu_torso_orientation = np.degrees(environment.world.yaw(slice(0, 1))[0])
         robot.imu_weak_torso_position = environment.world.position(slice(0, 1))[0]
+        if onboard:  # it has an estimate of its own
+            robot.imu_torso_orientation += 90.0 * (step > 0)
+            robot.imu_weak_torso_position = robot.imu_weak_torso_position - (0.3 if step else 0.0)
+            seen = [tuple(polar) for polar in perceptors["vision"].reshape(-1, 3).tolist()]
+            sighted = {at: polar for (_, at), polar in zip(LANDMARKS, seen, strict=True) if polar[0] == polar[0]}
+            world.flags_posts = {at: polar for at, polar in sighted.items() if at[2]}
+            world.flags_corners = {at: polar for at, polar in sighted.items() if not at[2]}
         robot.joints_position = (perceptors["joint_angles"][0] * sign)[::-1]
         robot.joints_target_speed = np.zeros(len(names))
         robot.gyro, robot.acc = theirs(perceptors["gyro"][0]), theirs(perceptors["accel"][0])

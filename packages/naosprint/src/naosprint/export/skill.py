@@ -18,9 +18,10 @@ from naosprint.tasks.environment import open_environment
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from naosprint.arrays import AnyArray
+    from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import Policy
+    from naosprint.tasks.base import World
     from naosprint.tasks.environment import Environment
 
 _SOURCES = Path(__file__).with_name("skills")
@@ -43,9 +44,13 @@ def _perceived(name: str) -> Callable[[Environment], AnyArray]:
     return lambda environment: environment.world.perceptors[name]
 
 
-def _observed(name: str) -> Callable[[Environment], AnyArray]:
-    """Return what the policy observes, be it true or estimated: the team code's own estimate takes its place."""
-    return lambda environment: environment.observations[:, environment.observer.names.index(name)]
+def _pose(measure: Callable[[World], FloatArray]) -> Callable[[Environment], AnyArray]:
+    """Return a part of the true pose; NaN where the skill estimates it from the other inputs."""
+    return lambda environment: measure(environment.world) * (np.nan if _sees(environment) else 1.0)
+
+
+def _sees(environment: Environment) -> bool:
+    return "vision" in environment.world.perceptors
 
 
 TARGETS = {
@@ -62,13 +67,14 @@ TARGETS = {
     nao.FAMILY: _Target(
         "FCPCodebase/behaviors/custom/Naosprint",
         {
-            "yaw": _observed("yaw"),
-            "height": _observed("height"),
+            "yaw": _pose(lambda world: world.yaw(slice(0, 1))),
+            "height": _pose(lambda world: world.position(slice(0, 1))[:, 2]),
             "angles_deg": _perceived("joint_angles"),
             "gyro_deg": _perceived("gyro"),
             "accel": _perceived("accel"),
             "left_foot": _perceived("foot_left"),
             "right_foot": _perceived("foot_right"),
+            "vision": _perceived("vision"),
         },
     ),
 }
@@ -101,7 +107,8 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
     """
     spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.spec)
     environment = open_environment(spec, 1, threads=1)
-    rows: dict[str, list[AnyArray]] = {name: [] for name in (*target.inputs, *_EXPECTED)}
+    measured = {name: measure for name, measure in target.inputs.items() if name != "vision" or _sees(environment)}
+    rows: dict[str, list[AnyArray]] = {name: [] for name in (*measured, *_EXPECTED)}
     try:
         environment.load_starts(environment.task.starts(1, 0, _NOISE_DEG))
         everyone = np.zeros(1, dtype=np.int64)
@@ -116,7 +123,7 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
                 if (commanded != given).any():
                     break  # the task has drawn a new command and begun a new path
                 rows["command"].append(commanded[0].copy())
-            for name, measure in target.inputs.items():
+            for name, measure in measured.items():
                 rows[name].append(np.array(measure(environment)[0]))
             observations = environment.observations.copy()
             actions = exact_actions(policy, observations)
@@ -129,7 +136,7 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
                 break
     finally:
         environment.close()
-    inputs = [*target.inputs, *(("command",) if commanded is not None else ())]
+    inputs = [*measured, *(("command",) if commanded is not None else ())]
     return {
         "inputs": np.array(inputs),
         "begin": np.array(list(begin), dtype=np.str_),

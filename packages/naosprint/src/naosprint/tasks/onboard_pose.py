@@ -43,7 +43,7 @@ MIN_SIGHT_GAIN = 0.02
 MIN_SIGHTS = 3
 """Landmarks that a correction needs."""
 
-_LEVEL = 10.0
+LEVEL = 10.0
 """Mean square of the horizontal distance of landmarks, m^2, at which half of a tilt is corrected."""
 
 _LANDMARKS = np.array([position for _, position in LANDMARKS])
@@ -159,7 +159,7 @@ class OnboardPose:
         # tilt: the turns about the horizontal axes that bring the landmarks to their known heights
         lever = np.stack([sight[..., 1], -sight[..., 0]], axis=-1)
         missing = _LANDMARKS[:, 2] - eye_height[:, None] - sight[..., 2]
-        normal = np.einsum("kl,kli,klj->kij", weight, lever, lever) + _LEVEL * np.eye(2)
+        normal = np.einsum("kl,kli,klj->kij", weight, lever, lever) + LEVEL * np.eye(2)
         tilt = np.linalg.solve(normal, np.einsum("kl,kli,kl->ki", weight, lever, missing)[..., None])[..., 0]
         self._sights[numbers] += 1.0
         gain = np.maximum(MIN_SIGHT_GAIN, 1.0 / self._sights[numbers])[:, None]

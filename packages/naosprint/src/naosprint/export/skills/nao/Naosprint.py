@@ -33,14 +33,23 @@ class Naosprint:
         if reset:
             self.runner.begin(yaw if orientation is None else np.radians(orientation))
         feet = [np.zeros(6) if foot is None else served(foot) for foot in map(robot.frp.get, ("lf", "rf"))]
-        observation = self.runner.observe(yaw, height, self.angles(), served(robot.gyro), served(robot.acc), *feet)
-        self.move(self.runner.act(observation))
+        felt = served(robot.gyro), served(robot.acc), *feet
+        self.move(self.runner.act(self.runner.observe(yaw, height, self.angles(), *felt, self.vision())))
+        if self.runner.estimate is not None:
+            height = self.runner.estimate.height
         return bool(height < FALLEN_M)
 
     def pose(self):
         """Return the torso's yaw in radians and its height in metres, by the team's localization."""
         robot = self.world.robot
         return np.radians(robot.imu_torso_orientation), robot.imu_weak_torso_position[2]
+
+    def vision(self):
+        """Return the landmarks in sight (8, 3) for a policy with onboard sensing; none for another."""
+        if self.runner.estimate is None:
+            return None
+        seen = {**self.world.flags_posts, **self.world.flags_corners}
+        return np.array([seen.get(tuple(place), (np.nan,) * 3) for place in self.runner.onboard_landmarks.tolist()])
 
     def angles(self):
         """Return the joint angles in degrees, in the server's order and signs."""

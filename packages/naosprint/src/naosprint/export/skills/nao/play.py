@@ -8,6 +8,7 @@ The server must run in sync mode. By default orientation and height come from th
 
 import argparse
 import re
+import select
 import socket
 
 import numpy as np
@@ -22,7 +23,6 @@ class Monitor:
 
     def __init__(self, host, port):
         self.socket, self.pose = socket.create_connection((host, port)), None
-        self.receive()
 
     def receive(self):
         """Read one message; keep the torso's pose (4, 4) on the field if it has the whole scene."""
@@ -32,6 +32,11 @@ class Monitor:
             # The last matrix before the mesh turns the mesh; the one before it is the torso's, by columns.
             matrices = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
             self.pose = np.array(matrices[-2].split(), float).reshape(4, 4).T
+
+    def catch_up(self):
+        """Read all that has come: a server greets a monitor with several messages, at once or in its next cycle."""
+        while select.select([self.socket], [], [], 0.2)[0]:
+            self.receive()
 
     def ask(self):
         """Request the whole scene of the next cycle, and read that of this one."""
@@ -66,6 +71,14 @@ def main():
     agent.scom.unofficial_move_ball((14, 9, 0.05))
     agent.scom.unofficial_beam((START_X, 0, skill.runner.standing_height_m + skill.runner.drop_m), 0)
     settled, cycle = 2 + int(skill.runner.settling_cycles), 0
+
+    def step():
+        agent.scom.commit_and_send(robot.get_command())
+        agent.scom.receive()
+
+    skill.hold()
+    step()
+    monitor.catch_up()
     while True:
         seconds = (cycle - settled) * float(skill.runner.cycle_s)
         if cycle < settled:
@@ -74,8 +87,7 @@ def main():
             break
         else:
             agent.behavior.execute("Naosprint", 0.0)
-        agent.scom.commit_and_send(robot.get_command())
-        agent.scom.receive()
+        step()
         monitor.ask()
         cycle += 1
     x, z = monitor.pose[0, 3], monitor.pose[2, 3]

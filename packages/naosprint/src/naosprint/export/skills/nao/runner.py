@@ -2,12 +2,18 @@
 
 import numpy as np
 
+try:  # in the team's code, or beside check.py
+    from behaviors.custom.Naosprint.onboard import OnboardPose
+except ModuleNotFoundError:
+    from onboard import OnboardPose
+
 
 class Runner:
     """Policy that runs in the direction `heading` of the team's field, counter-clockwise from +x, in radians."""
 
     def __init__(self, path):
         self.__dict__.update(np.load(path))
+        self.estimate = OnboardPose(self.__dict__) if "onboard_landmarks" in self.__dict__ else None
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
@@ -17,16 +23,26 @@ class Runner:
         """Begin a run."""
         self.heading, self.before = heading, None
 
-    def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot):
+    def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None):
         """Return the observation, once per cycle.
 
         yaw of the torso's front on the team's field, counter-clockwise from +x, in radians, and the torso's height in
         metres. The others as the server sends them, in its frames and signs: joint angles in degrees in the order of
         `joint_names`, gyroscope (3,) in degrees per second, accelerometer (3,) in m/s^2, centre and force (6,) of the
         left and right foot, zeros or NaN without contact.
+
+        A policy with onboard sensing estimates yaw and height from the others and from vision: (8, 3) distance in
+        metres, theta and phi in degrees of each of `onboard_landmarks`, NaN where it is not seen.
         """
         self.angles = np.array(angles_deg, float)
         feet = np.nan_to_num([left_foot, right_foot])
+        if self.estimate is not None and self.before is None:
+            yaw, height = self.estimate.begin(self.heading, self.bodies(), np.array(accel, float))
+        elif self.estimate is not None:
+            touching = np.isfinite([left_foot[0], right_foot[0]]) & feet.any(axis=1)
+            yaw, height = self.estimate.update(
+                self.bodies(), np.radians(gyro_deg), accel, touching, np.reshape(vision, (-1, 3))
+            )
         turned = (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi
         joints = self.joint_view @ np.radians(self.angles)
         now = np.concatenate([joints, [turned, height], self.centre_of_mass(), np.radians(gyro_deg), accel, *feet])
@@ -39,14 +55,18 @@ class Runner:
         self.before, self.loaded = now, loaded
         return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters])
 
-    def centre_of_mass(self):
-        """Return the centre of mass in the torso's frame, in metres."""
-        turn, at = [np.eye(3)] * len(self.body_mass), np.zeros((len(self.body_mass), 3))
+    def bodies(self):
+        """Return positions (B, 3) in metres and rotations (B, 3, 3) of all bodies in the torso's frame."""
+        at, turn = np.zeros((len(self.body_mass), 3)), np.tile(np.eye(3), (len(self.body_mass), 1, 1))
         for joint, body, parent, offset, anchor, axis in self.chain:
             angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
             turn[body] = turn[parent] @ (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
             at[body] = at[parent] + turn[parent] @ offset - turn[body] @ anchor
-        return self.body_mass @ at / self.body_mass.sum()
+        return at, turn
+
+    def centre_of_mass(self):
+        """Return the centre of mass in the torso's frame, in metres."""
+        return self.body_mass @ self.bodies()[0] / self.body_mass.sum()
 
     def act(self, observation):
         """Return the target angles of all joints in the order of `joint_names`, in radians."""
