@@ -74,6 +74,17 @@ def quaternions(rotations: Floats) -> Floats:
     return np.asarray(np.where(rows[:, :1] < 0.0, -rows, rows))
 
 
+def rotations(quaternions: Floats) -> Floats:
+    """Return the (k, 3, 3) rotations into the world's frame of (k, 4) unit quaternions w, x, y, z."""
+    w, x, y, z = quaternions.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
 def _turns(axis: Floats, angles_rad: Floats) -> Floats:
     """Return the (n, 3, 3) rotations about a unit axis, by Rodrigues' formula."""
     x, y, z = axis

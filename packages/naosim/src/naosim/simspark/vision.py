@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.simspark import protocol
+from naosim.simspark.kinematics import rotations
 
 if TYPE_CHECKING:
     from naosim.simulator import Floats, Ints
@@ -77,7 +78,7 @@ class LandmarkVision:
         k = len(rows)
         cycles = self._normal(rows, self.counters[rows, 0], _OFFSET_DRAW).reshape(k, len(_POSITIONS), 3)
         offsets = self._uniform(rows, -1 - self.counters[rows, 1], 3)
-        relative = np.einsum("lki,kij->klj", _POSITIONS[:, None] - heads[:, :3], _rotations(heads[:, 3:7]))
+        relative = np.einsum("lki,kij->klj", _POSITIONS[:, None] - heads[:, :3], rotations(heads[:, 3:7]))
         relative += (OFFSET_M * (2.0 * offsets - 1.0))[:, None]
         x, y, z = np.moveaxis(relative, -1, 0)
         polar = np.stack(
@@ -114,14 +115,3 @@ def _mixed(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     keys = (keys ^ (keys >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     keys = (keys ^ (keys >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return keys ^ (keys >> np.uint64(31))
-
-
-def _rotations(quaternions: Floats) -> Floats:
-    """Return the (k, 3, 3) rotations into the world's frame of (k, 4) unit quaternions w, x, y, z."""
-    w, x, y, z = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)

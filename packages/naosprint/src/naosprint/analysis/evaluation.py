@@ -122,9 +122,9 @@ def evaluate(
 ) -> Evaluation:
     """Run the policy of a checkpoint and return the results.
 
-    The same checkpoint and specification give the same results on every x86-64 processor with an embedded NAO, and on
-    the same machine with an embedded Booster. At most as many servers are started as the machine's cores can run, and
-    an episode whose server fails is run again on a new one.
+    The same checkpoint and specification give the same results with an embedded simulator: on every x86-64 processor
+    for a NAO, on the same machine for a Booster and for a NAO with onboard sensing. At most as many servers are started
+    as the machine's cores can run, and an episode whose server fails is run again on a new one.
 
     Args:
         checkpoint: checkpoint directory.

@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim.simspark.kinematics import rotations
 from naosim.simspark.protocol import LANDMARKS
 from naosim.simulator import STEP_S
 
@@ -87,12 +88,12 @@ class OnboardPose:
         up = self._perceptors["accel"][rows]
         up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
         orientation = _normalized(np.stack([1.0 + up[:, 2], up[:, 1], -up[:, 0], np.zeros(len(up))], axis=1))
-        turned = _rotations(orientation)
+        turned = rotations(orientation)
         half = -0.5 * np.arctan2(turned[:, 1, 1], turned[:, 0, 1])
         facing = np.stack([np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=1)
         self._orientation[rows] = _product(facing, orientation)
         self._sights[rows] = 0.0
-        rotation = _rotations(self._orientation[rows])
+        rotation = rotations(self._orientation[rows])
         self._soles[rows] = self._sole_heights(rows, rotation)
         self._climb[rows, 0] = -self._soles[rows].min(axis=1)
         self._climb[rows, 1] = 0.0
@@ -107,7 +108,7 @@ class OnboardPose:
         orientation = _turned(self._orientation[rows], rate)
         self._see(rows, orientation)
         self._orientation[rows] = orientation
-        rotation = _rotations(orientation)
+        rotation = rotations(orientation)
         # The accelerometer is a step older than the gyroscope, and so is the contact that a force sensor reports.
         climb = self._climb[rows]
         climb[:, 1] += STEP_S * (np.einsum("ij,ij->i", self._up[rows], perceptors["accel"][rows]) - GRAVITY)
@@ -119,7 +120,7 @@ class OnboardPose:
         climb[:, 1] += CLIMB_GAIN / STEP_S * error
         self._up[rows] = rotation[:, 2]
         self._soles[rows] = self._sole_heights(rows, rotation)
-        ahead = _rotations(_turned(orientation, rate))
+        ahead = rotations(_turned(orientation, rate))
         self.values[rows, 0] = np.arctan2(ahead[:, 1, 1], ahead[:, 0, 1])
         self.values[rows, 1] = climb[:, 0] + STEP_S * climb[:, 1]
 
@@ -144,7 +145,7 @@ class OnboardPose:
         ahead = distance * np.cos(phi)
         seen = np.stack([-ahead * np.sin(theta), ahead * np.cos(theta), distance * np.sin(phi)], axis=-1)
         eye, turned = self._head.ends(self._perceptors["joint_angles"][numbers])
-        rotation = _rotations(orientation[seeing])
+        rotation = rotations(orientation[seeing])
         # from the torso to the landmarks, in the world's axes as far as they are known
         sight = np.einsum("kij,klj->kli", rotation @ turned[:, 0], seen)
         eye_height = self._climb[numbers, 0] + np.einsum("ki,ki->k", rotation[:, 2], eye[:, 0])
@@ -241,14 +242,3 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
         ],
         axis=1,
     )
-
-
-def _rotations(quaternions: FloatArray) -> FloatArray:
-    """Return the (k, 3, 3) rotations into the world's frame of (k, 4) unit quaternions."""
-    w, x, y, z = quaternions.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
