@@ -663,9 +663,10 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
         "policy.h",
         "policy_check.c",
         "check.py",
-        "runner.py",
         "Naosprint.py",
+        "onboard.py",
         "play.py",
+        "runner.py",
         "policy.npz",
         "parity.npz",
     ]

@@ -233,7 +233,7 @@ def _train(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         reporter: Reporter = NullReporter()
         try:
-            processes = stack.enter_context(connected())
+            processes = stack.enter_context(connected(spec))
             if processes.rank == 0:
                 reporter = stack.enter_context(ConsoleReporter(options.workdir, spec))
             result = train(

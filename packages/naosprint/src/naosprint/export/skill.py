@@ -93,7 +93,9 @@ def write_skill(policy: Policy, manifest: Manifest, directory: Path) -> list[Pat
     target = TARGETS[family]
     folder = directory / target.folder
     folder.mkdir(parents=True, exist_ok=True)
-    written = [Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *(_SOURCES / family).iterdir())]
+    written = [
+        Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).iterdir()))
+    ]
     for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", record(policy, manifest, target))):
         written.append(folder / f"{name}.npz")
         np.savez_compressed(written[-1], allow_pickle=False, **arrays)

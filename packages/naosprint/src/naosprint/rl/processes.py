@@ -68,13 +68,18 @@ class Processes:
         """
         if self.size == 1:
             return spec
-        for name in ("n_envs", "batch_size"):
-            value = getattr(spec.algorithm, name)
-            if value % self.size:
-                raise ValueError(f"{name}: {value} cannot be divided among {self.size} processes; use a multiple of it")
+        require_divisible(spec, self.size)
         algorithm = spec.algorithm.model_copy(update={"n_envs": spec.algorithm.n_envs // self.size})
         seed = (spec.seed + _SEED_STEP * self.rank) % 2**31
         return spec.model_copy(update={"algorithm": algorithm, "seed": seed})
+
+
+def require_divisible(spec: TrainingSpec, size: int) -> None:
+    """Raise ValueError if environments or minibatch cannot be divided evenly among ``size`` processes."""
+    for name in ("n_envs", "batch_size"):
+        value = getattr(spec.algorithm, name)
+        if value % size:
+            raise ValueError(f"{name}: {value} cannot be divided among {size} processes; use a multiple of it")
 
 
 ALONE = Processes()
@@ -140,15 +145,24 @@ class ConnectedProcesses(Processes):
 
 
 @contextmanager
-def connected(timeout_s: float = TIMEOUT_S) -> Iterator[Processes]:
+def connected(spec: TrainingSpec | None = None, timeout_s: float = TIMEOUT_S) -> Iterator[Processes]:
     """Connect the processes that ``torchrun`` or Slurm has started, as the environment variables tell.
 
+    Args:
+        spec: what they will train, checked before any of them waits for another.
+        timeout_s: time after which a process that does not answer is lost.
+
     Raises:
+        ValueError: if environments or minibatch of a stage cannot be divided evenly among them.
         ProcessLostError: if they do not all appear.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    size = int(os.environ.get("WORLD_SIZE", "1"))
+    if size == 1:
         yield ALONE
         return
+    # each finds this by itself: once one has ended, others would only report that it is gone
+    for stage in spec.stage_specs if spec is not None else ():
+        require_divisible(stage, size)
     processes = ConnectedProcesses(timeout_s)
     try:
         yield processes
