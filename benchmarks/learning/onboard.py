@@ -25,13 +25,21 @@ from typing import TYPE_CHECKING, Any
 import naopolicies
 import numpy as np
 from naosim.launchers import ProcessLauncher
-from naosim.robots.nao import model_of
+from naosim.robots.nao import FALL_HEIGHT_M, model_of
 from naosim.simspark import _core, protocol
 from naosim.simspark.control import motor_speeds
-from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D
+from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D, SERVER_SCRIPT
 from naosim.simulator import STEP_S, Simulator, Truth
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import Environment
+from naosprint.tasks.sprint import (
+    FINISH_X_M,
+    PAPER_MIN_SAMPLES,
+    START_LINES_M,
+    START_X_M,
+    deviation_deg,
+    speeds_beyond,
+)
 
 if TYPE_CHECKING:
     from naosim.launchers import ServerHandle
@@ -39,36 +47,23 @@ if TYPE_CHECKING:
     from naosim.simulator import Flags, Floats, Ints, Starts
     from naosprint.arrays import FloatArray
 
-START_M, LANE_M, HEADING_DEG = -14.0, 3.0, 0.0
-RUN_M, RUN_S = 28.0, 12.0
-FALLEN_M = 0.27
-MIN_SAMPLES, LINES_M = 200, (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+LANE_M, HEADING_DEG, RUN_S = 3.0, 0.0, 12.0
 REPLY_S, START_S, KICK_OFF_S = 20.0, 60.0, 60.0
 
-SCRIPT = """\
-$recordLogfile = true
-$recordLogfileName = '{log}'
-$monitorLoggerStep = 0.02
-$enableInternalMonitor = false
-$enableRealTimeMode = false
-$useRealTime = false
-$agentSyncMode = true
-$agentStep = 0.02
-$serverMultiThreadedMode = false
-$threadedAgentControl = false
-sparkSetupServer()
-sparkResetLogging()
-sparkLogErrorToCerr()
-run "scripts/materials.rb"
+SCRIPT = SERVER_SCRIPT.replace(
+    "$recordLogfile = false", "$recordLogfile = true\n$recordLogfileName = '{log}'\n$monitorLoggerStep = 0.02"
+).replace(
+    'run "naosoccersim.rb"',
+    """\
 alias stock_variable createVariable
 def createVariable(space, name, value)
   value = true if name == 'AutomaticKickOff'
   value = 2.0 if name == 'WaitBeforeKickOff'
   stock_variable(space, name, value)
 end
-run "naosoccersim.rb"
-"""
-"""The server's settings: it waits for its player, kicks off by itself, and records every cycle."""
+run "naosoccersim.rb\"""",
+)
+"""The server's settings for training, except that it kicks off by itself and records every cycle."""
 
 
 class Player(Simulator):
@@ -108,7 +103,7 @@ class Player(Simulator):
         self.end()
         self._enter()
         pose = self._starts.poses_rad[starts[:1]]
-        self._say(f"(beam {START_M} {LANE_M} {HEADING_DEG})")
+        self._say(f"(beam {START_X_M} {LANE_M} {HEADING_DEG})")
         for _ in range(round(KICK_OFF_S / STEP_S)):
             self.step(pose)
             if self._exchange.game(0)[2] == "PlayOn":
@@ -179,45 +174,29 @@ def recorded(log: Path, since_s: float) -> FloatArray:
     return np.array(path)
 
 
-def measure(path: FloatArray) -> dict[str, Any]:
-    """Return distance, speeds, fall and deviation of a run until it ends: by a fall, the finish line or the time.
-
-    Args:
-        path: (k, 3) torso positions in metres, one a cycle.
-    """
-    x = path[:, 0] - path[0, 0]
-    over = np.flatnonzero((x >= RUN_M) | (path[:, 2] < FALLEN_M))
-    last = int(over[0]) if len(over) else len(x) - 1
-    x, aside = x[: last + 1], abs(path[last, 1] - path[0, 1])
-    speeds = []
-    for line in LINES_M:
-        beyond = np.flatnonzero(x >= line)
-        enough = len(beyond) >= MIN_SAMPLES
-        speeds.append((x[-1] - x[beyond[0]]) / ((len(x) - 1 - beyond[0]) * STEP_S) if enough else None)
-    return {
-        "distance_m": x[-1],
-        "speed_mps": x[-1] / (last * STEP_S),
-        "speeds_by_line": speeds,
-        "fallen": bool(path[last, 2] < FALLEN_M),
-        "deviation_deg": np.degrees(np.arctan2(aside, abs(x[-1]))),
-    }
+def until_over(path: FloatArray) -> FloatArray:
+    """Return the part of a run's path, (k, 3) torso positions in metres, until a fall, the finish line or the end."""
+    over = np.flatnonzero((path[:, 0] - path[0, 0] >= FINISH_X_M - START_X_M) | (path[:, 2] < FALL_HEIGHT_M))
+    return path[: over[0] + 1] if len(over) else path
 
 
-def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(paths: list[FloatArray]) -> dict[str, Any]:
     """Return the statistics of several runs; `top_speed_mps` is the paper's measure."""
-    by_line = [[run["speeds_by_line"][k] for run in runs if run["speeds_by_line"][k]] for k in range(len(LINES_M))]
+    xs = [path[:, 0] for path in paths]
+    by_line = [speeds_beyond(xs, line, PAPER_MIN_SAMPLES) for line in START_LINES_M]
+    distances = [x[-1] - x[0] for x in xs]
     return {
-        "episodes": len(runs),
-        "top_speed_mps": max((float(np.mean(speeds)) for speeds in by_line if speeds), default=None),
-        "speed_mps": float(np.mean([run["speed_mps"] for run in runs])),
-        "distance_m": float(np.mean([run["distance_m"] for run in runs])),
-        "falls": sum(run["fallen"] for run in runs),
-        "deviation_deg": float(np.mean([run["deviation_deg"] for run in runs])),
+        "episodes": len(paths),
+        "top_speed_mps": max((float(speeds.mean()) for speeds in by_line if len(speeds)), default=None),
+        "speed_mps": float(np.mean([d / ((len(x) - 1) * STEP_S) for d, x in zip(distances, xs, strict=True)])),
+        "distance_m": float(np.mean(distances)),
+        "falls": sum(bool(path[-1, 2] < FALL_HEIGHT_M) for path in paths),
+        "deviation_deg": float(np.mean([deviation_deg(path[:, 0], path[:, 1]) for path in paths])),
     }
 
 
-def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[dict[str, Any]]:
-    """Run episodes one after another and return the measurements of each.
+def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[FloatArray]:
+    """Run episodes one after another and return the path of each, (k, 3) torso positions in metres, one a cycle.
 
     Raises:
         ValueError: if the policy was trained without onboard sensing.
@@ -227,7 +206,7 @@ def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[dict[
     robot = spec.robot_description
     if not any(each.name == "vision" for each in robot.perceptors):
         raise ValueError(f"robot.onboard_sensing: {checkpoint} was trained without it")
-    runs = []
+    paths = []
     with tempfile.TemporaryDirectory() as scratch:
         log = Path(scratch) / "game.log"
         launched = replace(RCSSSERVER3D, files={"trainer.rb": SCRIPT.replace("{log}", str(log))})
@@ -241,13 +220,14 @@ def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[dict[
                 for _ in range(round(RUN_S / STEP_S)):
                     environment.step(policy.act(environment.observer.observations))
                 player.end()
-                runs.append(measure(recorded(log, since_s)))
-                last = runs[-1]
-                fall = ", fallen" if last["fallen"] else ""
-                print(f"{episode + 1}: {last['distance_m']:.2f} m, {last['speed_mps']:.2f} m/s{fall}", file=sys.stderr)
+                paths.append(until_over(recorded(log, since_s)))
+                path = paths[-1]
+                end = "fallen" if path[-1, 2] < FALL_HEIGHT_M else "upright"
+                seconds = (len(path) - 1) * STEP_S
+                print(f"{episode + 1}: {path[-1, 0] - path[0, 0]:.2f} m in {seconds:.2f} s, {end}", file=sys.stderr)
         finally:
             environment.close()
-    return runs
+    return paths
 
 
 def main() -> None:
@@ -259,8 +239,8 @@ def main() -> None:
     options = parser.parse_args()
     checkpoint = Path(options.policy)
     checkpoint = checkpoint if checkpoint.is_dir() else naopolicies.folder(options.policy)
-    runs = play(checkpoint, options.episodes, options.seed, os.environ.get(PROGRAM_VARIABLE) or RCSSSERVER3D.name)
-    print(json.dumps(summary(runs), indent=2))
+    paths = play(checkpoint, options.episodes, options.seed, os.environ.get(PROGRAM_VARIABLE) or RCSSSERVER3D.name)
+    print(json.dumps(summary(paths), indent=2))
 
 
 if __name__ == "__main__":

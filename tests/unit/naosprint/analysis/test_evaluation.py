@@ -19,7 +19,7 @@ from naosprint.analysis.results import by_name
 from naosprint.arrays import FloatArray
 from naosprint.tasks.base import World
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, _deviation_deg, _speeds_beyond
+from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, deviation_deg, speeds_beyond
 from numpy._core import _multiarray_umath
 
 DISPATCHED = _multiarray_umath.__cpu_dispatch__
@@ -71,23 +71,23 @@ def test_speed_beyond_a_line_is_that_of_the_rest() -> None:
     slow: FloatArray = -14.0 + 0.01 * np.arange(101.0)
     fast = slow[-1] + 0.04 * np.arange(1.0, 400.0)
     path = np.concatenate([slow, fast])
-    assert _speeds_beyond([path], 1.5, 200) == pytest.approx([2.0])
+    assert speeds_beyond([path], 1.5, 200) == pytest.approx([2.0])
     whole = (path[-1] - path[0]) / ((len(path) - 1) * 0.02)
-    assert _speeds_beyond([path], 0.0, 200) == pytest.approx([whole])
+    assert speeds_beyond([path], 0.0, 200) == pytest.approx([whole])
 
 
 def test_short_episodes_count_only_without_the_papers_rule() -> None:
     """199 samples beyond the line are not enough for the paper."""
     path: FloatArray = -14.0 + 0.04 * np.arange(199.0)
-    assert len(_speeds_beyond([path], 0.0, 200)) == 0
-    assert _speeds_beyond([path], 0.0, 2) == pytest.approx([2.0])
+    assert len(speeds_beyond([path], 0.0, 200)) == 0
+    assert speeds_beyond([path], 0.0, 2) == pytest.approx([2.0])
 
 
 def test_deviation_is_the_angle_from_the_running_direction() -> None:
     """In degrees, on either side."""
-    assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, 10.0])) == pytest.approx(45.0)
-    assert _deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, -10.0])) == pytest.approx(45.0)
-    assert _deviation_deg(np.array([-14.0, 14.0]), np.array([0.3, 0.3])) == 0.0
+    assert deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, 10.0])) == pytest.approx(45.0)
+    assert deviation_deg(np.array([-14.0, -4.0]), np.array([0.0, -10.0])) == pytest.approx(45.0)
+    assert deviation_deg(np.array([-14.0, 14.0]), np.array([0.3, 0.3])) == 0.0
 
 
 def test_challenge_scores_speed_plus_time_in_the_air() -> None:

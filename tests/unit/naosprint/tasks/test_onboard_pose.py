@@ -86,7 +86,7 @@ def test_a_start_that_faces_elsewhere_is_noticed_by_vision() -> None:
 
 
 @pytest.mark.parametrize("robot_type", [0, 3, 4])
-def test_a_standing_robot_knows_its_height(robot_type: int) -> None:
+def test_the_height_of_a_standing_robot_is_estimated(robot_type: int) -> None:
     environment = opened(onboard(robot_type), 4)
     height = environment.observer.names.index("height")
     true = environment.world.position(slice(0, 4))[:, 2]

@@ -39,13 +39,13 @@ HEIGHT_GAIN, CLIMB_GAIN = 0.15, 0.01
 """Share of the difference between both heights that corrects height and vertical speed in a step."""
 
 MIN_SIGHT_GAIN = 0.02
-"""Least share of what a sight shows that corrects the orientation; the first ones count as in a mean of all."""
+"""Smallest gain of a correction by vision; the n-th correction of a run has gain 1/n until then."""
 
 MIN_SIGHTS = 3
 """Landmarks that a correction needs."""
 
 LEVEL = 10.0
-"""Mean square of the horizontal distance of landmarks, m^2, at which half of a tilt is corrected."""
+"""Regularization of the tilt: with landmarks at this mean square distance, m^2, half of it is corrected."""
 
 _LANDMARKS = np.array([position for _, position in LANDMARKS])
 _LEGS = ("hip1", "hip2", "thigh", "shank", "ankle", "foot")

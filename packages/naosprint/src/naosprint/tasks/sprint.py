@@ -281,13 +281,13 @@ class Sprint(Task):
         """Return the paper's statistics, those over all episodes, and the league's run challenge."""
         steps = episodes.steps
         distance = np.array([x[-1] - x[0] for x in episodes.x])
-        deviation = np.array([_deviation_deg(x, y) for x, y in zip(episodes.x, episodes.y, strict=True)])
+        deviation = np.array([deviation_deg(x, y) for x, y in zip(episodes.x, episodes.y, strict=True)])
         airborne = np.array([flags[1:].mean() for flags in episodes.airborne])
         low_at_end = np.array([height[-1] < PAPER_FALL_HEIGHT_M for height in episodes.height])
         paper, everyone = [], []
         for line in START_LINES_M:
-            paper.append(statistics.mean(SPEED, _speeds_beyond(episodes.x, line, PAPER_MIN_SAMPLES)))
-            everyone.append(statistics.mean(SPEED, _speeds_beyond(episodes.x, line, 2)))
+            paper.append(statistics.mean(SPEED, speeds_beyond(episodes.x, line, PAPER_MIN_SAMPLES)))
+            everyone.append(statistics.mean(SPEED, speeds_beyond(episodes.x, line, 2)))
         top = max(paper, key=lambda result: result.value or 0.0)
         challenge = np.array([_challenge(episodes, i) for i in range(len(episodes))])
         results = (
@@ -367,7 +367,7 @@ class Sprint2Erect(Sprint2):
     erect = True
 
 
-def _speeds_beyond(xs: list[FloatArray], line_m: float, min_samples: int) -> FloatArray:
+def speeds_beyond(xs: list[FloatArray], line_m: float, min_samples: int) -> FloatArray:
     """Return each episode's mean speed in m/s over its samples beyond a line, if it has enough of them."""
     speeds = []
     for x in xs:
@@ -379,7 +379,7 @@ def _speeds_beyond(xs: list[FloatArray], line_m: float, min_samples: int) -> Flo
     return np.array(speeds)
 
 
-def _deviation_deg(x: FloatArray, y: FloatArray) -> float:
+def deviation_deg(x: FloatArray, y: FloatArray) -> float:
     """Return the angle in degrees between the running direction and the line from start to end."""
     return float(np.degrees(np.arctan2(abs(y[-1] - y[0]), abs(x[-1] - x[0]))))
 
