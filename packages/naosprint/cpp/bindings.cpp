@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <optional>
 #include <string>
 #include <tuple>
@@ -18,6 +19,8 @@ namespace nb = nanobind;
 
 using Floats = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using Index = nb::ndarray<const std::int64_t, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+using Signs = nb::ndarray<const double, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+using Mirrors = std::vector<std::tuple<Index, Signs>>;
 
 namespace naosprint {
 namespace {
@@ -26,11 +29,28 @@ void require(bool holds, const char* what) {
   if (!holds) throw nb::value_error(what);
 }
 
+Mirror mirror_of(const Index& index, const Signs& sign) {
+  require(index.size() == sign.size(), "mirrors: an index and a sign for each number");
+  Mirror mirror;
+  for (std::size_t i = 0; i < index.size(); ++i) {
+    const std::int64_t other = index.data()[i];
+    require(other >= 0 && other < static_cast<std::int64_t>(index.size()) && index.data()[other] == static_cast<std::int64_t>(i) &&
+                sign.data()[other] == sign.data()[i] && std::fabs(sign.data()[i]) == 1.0,
+            "mirrors: not an exchange of pairs with signs");
+    const int left = static_cast<int>(i), right = static_cast<int>(other);
+    if (left < right) mirror.pairs.push_back({left, right, static_cast<float>(sign.data()[i])});
+    if (left == right) (sign.data()[i] > 0.0 ? mirror.even : mirror.odd).push_back(left);
+  }
+  return mirror;
+}
+
 // Pointers to one network's parameters and gradients.
-class Network {
+class Gradients {
  public:
   // Weight, bias, gradient of the weight, gradient of the bias of each layer. The arrays must outlive this object, which keeps them.
-  Network(std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays, const std::string& kernel) : arrays_(std::move(arrays)) {
+  Gradients(std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays, const Mirrors& mirrors, const std::string& kernel)
+      : arrays_(std::move(arrays)) {
+    std::vector<Layer>& layers = network_.layers;
     kernel_ = kernel.empty() ? &best_kernel() : find_kernel(kernel.c_str());
     require(kernel_ != nullptr, "kernel: not supported by this processor");
     require(!arrays_.empty(), "layers: at least one is needed");
@@ -39,16 +59,35 @@ class Network {
       require(weight.shape(0) == bias.shape(0) && weight.shape(0) == weight_gradient.shape(0) && weight.shape(1) == weight_gradient.shape(1) &&
                   bias.shape(0) == bias_gradient.shape(0),
               "layers: shapes do not match");
-      require(layers_.empty() || static_cast<int>(weight.shape(1)) == layers_.back().outputs, "layers: widths do not match");
-      layers_.push_back({static_cast<int>(weight.shape(1)), static_cast<int>(weight.shape(0)), weight.data(), bias.data(), weight_gradient.data(),
+      require(layers.empty() || static_cast<int>(weight.shape(1)) == layers.back().outputs, "layers: widths do not match");
+      layers.push_back({static_cast<int>(weight.shape(1)), static_cast<int>(weight.shape(0)), weight.data(), bias.data(), weight_gradient.data(),
                          bias_gradient.data()});
     }
+    for (const auto& [index, sign] : mirrors) network_.mirrors.push_back(mirror_of(index, sign));
+    require(mirrors.empty() || mirrors.size() == layers.size() + 1, "mirrors: one of the inputs and one of each layer's outputs");
+    for (std::size_t l = 0; l < mirrors.size(); ++l) {
+      const int width = l == 0 ? layers[0].inputs : layers[l - 1].outputs;
+      require(static_cast<int>(std::get<0>(mirrors[l]).size()) == width, "mirrors: widths do not match");
+      bool plain = l == 0 || l == layers.size() || 2 * static_cast<int>(network_.mirrors[l].pairs.size()) == width;
+      if (l > 0 && l < layers.size())
+        for (const Mirror::Pair& pair : network_.mirrors[l].pairs) plain = plain && pair.sign > 0.0f;
+      require(plain, "mirrors: hidden layers have pairs of sign 1 only");
+    }
+  }
+
+  // Observations as `actor` and `critic` take them.
+  void split(const Floats& observations, const Floats& halves) const {
+    require(observations.ndim() == 2 && static_cast<int>(observations.shape(1)) == network_.layers.front().inputs &&
+                halves.size() == observations.size(),
+            "observations: wrong shape");
+    require(!network_.mirrors.empty(), "mirrors: the network is not symmetric");
+    naosprint::split(network_.mirrors[0], observations.data(), static_cast<std::int64_t>(observations.shape(0)), halves.data());
   }
 
   std::tuple<double, double, double> actor(const Floats& log_std, std::optional<Floats> log_std_gradient, const Floats& observations,
                                            const Floats& actions, const Floats& log_probs, const Floats& advantages, const Index& rows, bool normalize,
                                            float clip_range) {
-    const std::size_t n = observations.shape(0), outputs = static_cast<std::size_t>(layers_.back().outputs);
+    const std::size_t n = observations.shape(0), outputs = static_cast<std::size_t>(network_.layers.back().outputs);
     check(observations, rows);
     require(actions.size() == n * outputs && log_std.size() == outputs && (!log_std_gradient || log_std_gradient->size() == outputs),
             "actions, log_std: wrong shape");
@@ -57,36 +96,51 @@ class Network {
     const Rollout rollout{observations.data(), actions.data(), log_probs.data(), advantages.data(), nullptr};
     float* gradient = log_std_gradient ? log_std_gradient->data() : nullptr;
     nb::gil_scoped_release release;
-    const ActorResult result = kernel_->actor(layers_, log_std.data(), gradient, rollout, {rows.data(), static_cast<int>(rows.size())}, normalize,
+    const ActorResult result = kernel_->actor(network_, log_std.data(), gradient, rollout, {rows.data(), static_cast<int>(rows.size())}, normalize,
                                               clip_range, workspace_);
     return {result.loss, result.clipped, result.kl};
   }
 
   double critic(const Floats& observations, const Floats& returns, const Index& rows, float coefficient) {
     check(observations, rows);
-    require(returns.size() == observations.shape(0) && layers_.back().outputs == 1, "returns: wrong shape");
+    require(returns.size() == observations.shape(0) && network_.layers.back().outputs == 1, "returns: wrong shape");
     const Rollout rollout{observations.data(), nullptr, nullptr, nullptr, returns.data()};
     nb::gil_scoped_release release;
-    return kernel_->critic(layers_, rollout, {rows.data(), static_cast<int>(rows.size())}, coefficient, workspace_);
+    return kernel_->critic(network_, rollout, {rows.data(), static_cast<int>(rows.size())}, coefficient, workspace_);
   }
 
   const char* kernel_name() const { return kernel_->name; }
 
  private:
   void check(const Floats& observations, const Index& rows) const {
-    require(observations.ndim() == 2 && static_cast<int>(observations.shape(1)) == layers_.front().inputs, "observations: wrong shape");
+    require(observations.ndim() == 2 && static_cast<int>(observations.shape(1)) == network_.layers.front().inputs, "observations: wrong shape");
     require(rows.size() >= 1, "rows: at least one is needed");
     for (std::size_t k = 0; k < rows.size(); ++k)
       require(rows.data()[k] >= 0 && rows.data()[k] < static_cast<std::int64_t>(observations.shape(0)), "rows: out of range");
   }
 
   std::vector<std::tuple<Floats, Floats, Floats, Floats>> arrays_;
-  std::vector<Layer> layers_;
+  Network network_;
   const Kernel* kernel_;
   Workspace workspace_;
 };
 
 }  // namespace
+
+void split(const Mirror& mirror, const float* rows, std::int64_t count, float* halves) {
+  const std::size_t width = 2 * mirror.pairs.size() + mirror.even.size() + mirror.odd.size();
+  const std::size_t first = mirror.pairs.size() + mirror.even.size();
+  for (; count > 0; --count, rows += width, halves += width) {
+    float *even = halves, *odd = halves + first;
+    for (const Mirror::Pair& pair : mirror.pairs) {
+      const float left = rows[pair.left], right = pair.sign * rows[pair.right];
+      *even++ = left + right;
+      *odd++ = left - right;
+    }
+    for (int single : mirror.even) *even++ = rows[single];
+    for (int single : mirror.odd) *odd++ = rows[single];
+  }
+}
 
 float* Workspace::take(std::size_t floats) {
   float* at = memory_.data() + used_;
@@ -149,13 +203,15 @@ const Kernel* find_kernel(const char* name) {
 }  // namespace naosprint
 
 NB_MODULE(_kernel, m) {
-  using naosprint::Network;
-  nb::class_<Network>(m, "Network")
-      .def(nb::init<std::vector<std::tuple<Floats, Floats, Floats, Floats>>, const std::string&>(), nb::arg("layers"), nb::arg("kernel"))
-      .def("actor", &Network::actor, nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"), nb::arg("actions"),
+  using naosprint::Gradients;
+  nb::class_<Gradients>(m, "Gradients")
+      .def(nb::init<std::vector<std::tuple<Floats, Floats, Floats, Floats>>, const Mirrors&, const std::string&>(), nb::arg("layers"),
+           nb::arg("mirrors"), nb::arg("kernel"))
+      .def("split", &Gradients::split, nb::arg("observations"), nb::arg("halves"))
+      .def("actor", &Gradients::actor, nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"), nb::arg("actions"),
            nb::arg("log_probs"), nb::arg("advantages"), nb::arg("rows"), nb::arg("normalize"), nb::arg("clip_range"))
-      .def("critic", &Network::critic, nb::arg("observations"), nb::arg("returns"), nb::arg("rows"), nb::arg("coefficient"))
-      .def_prop_ro("kernel", &Network::kernel_name);
+      .def("critic", &Gradients::critic, nb::arg("observations"), nb::arg("returns"), nb::arg("rows"), nb::arg("coefficient"))
+      .def_prop_ro("kernel", &Gradients::kernel_name);
   m.def("kernels", [] {
     std::vector<std::string> names;
     for (const naosprint::Kernel* kernel : naosprint::kKernels)

@@ -86,26 +86,61 @@ inline Vector tanh(Vector x) {
   return x * p / q;
 }
 
-// A network with room for the activations of one tile, and weights in the layout of the products.
-struct Net {
-  const std::vector<Layer>& layers;
-  std::vector<int> in, out;           // padded widths
-  std::vector<float*> forward;        // (inputs, padded outputs): transposed weights
-  std::vector<float*> backward;       // (outputs, padded inputs)
-  std::vector<float*> bias;           // (padded outputs)
-  std::vector<float*> gradient;       // (padded outputs, padded inputs)
-  std::vector<float*> bias_gradient;  // (padded outputs)
-  std::vector<float*> values;         // (kTile, padded width): inputs, then the outputs of each layer
-  std::vector<float*> errors;         // (kTile, padded outputs): derivatives by a layer's outputs before tanh
+// A number of one half: the sum or difference of a pair, or a single number, for which `right` is negative.
+struct Entry {
+  int left, right;
+  float sign;
+};
 
-  Net(const std::vector<Layer>& given, Workspace& workspace) : layers(given) {
+// The numbers of a vector, or of one of its halves.
+std::vector<Entry> entries(const std::vector<Mirror>& mirrors, std::size_t which, int width, int half) {
+  std::vector<Entry> found;
+  if (mirrors.empty()) {
+    for (int i = 0; i < width; ++i) found.push_back({i, -1, 1.0f});
+    return found;
+  }
+  const Mirror& mirror = mirrors[which];
+  for (const Mirror::Pair& pair : mirror.pairs) found.push_back({pair.left, pair.right, half == 0 ? pair.sign : -pair.sign});
+  for (int single : half == 0 ? mirror.even : mirror.odd) found.push_back({single, -1, 1.0f});
+  return found;
+}
+
+// The matrix of a layer, or of one of its halves, in the layouts of the products.
+struct Matrix {
+  int inputs, outputs;
+  int in, out;      // padded
+  float* forward;   // (inputs, padded outputs)
+  float* backward;  // (outputs, padded inputs)
+  float* gradient;  // (padded outputs, padded inputs)
+};
+
+// A vector of every row of a tile, or one of its halves.
+struct Tile {
+  int width;      // padded
+  float* values;  // (kTile, width): inputs, or outputs of a layer after tanh
+  float* errors;  // (kTile, width): derivatives by them before tanh
+};
+
+// A network with room for the activations of one tile.
+struct Net {
+  const Network& network;
+  const int halves;                           // 1 if the network is not symmetric
+  std::vector<std::vector<Matrix>> matrices;  // of each layer
+  std::vector<std::vector<Tile>> tiles;       // inputs, then the outputs of each layer
+  std::vector<float*> bias, bias_gradient;    // of each layer's first half; that of the odd half is zero
+  std::vector<float> output, error;           // of one row, whole
+
+  Net(const Network& given, Workspace& workspace) : network(given), halves(given.mirrors.empty() ? 1 : 2) {
+    const std::vector<Layer>& layers = network.layers;
+    std::vector<std::vector<std::vector<Entry>>> numbers(layers.size() + 1);
     std::size_t floats = 0;
-    for (const Layer& layer : layers) {
-      in.push_back(padded(layer.inputs));
-      out.push_back(padded(layer.outputs));
-      const std::size_t i = static_cast<std::size_t>(in.back()), o = static_cast<std::size_t>(out.back());
-      floats += 3 * i * o + 2 * o + kTile * (i + 2 * o) + 16 * 16;
-    }
+    for (std::size_t l = 0; l <= layers.size(); ++l)
+      for (int h = 0; h < halves; ++h) {
+        numbers[l].push_back(entries(network.mirrors, l, l == 0 ? layers[0].inputs : layers[l - 1].outputs, h));
+        const std::size_t width = static_cast<std::size_t>(padded(static_cast<int>(numbers[l][h].size())));
+        floats += 2 * (kTile + 1) * width + 4 * 16;
+        if (l > 0) floats += 3 * width * static_cast<std::size_t>(padded(static_cast<int>(numbers[l - 1][h].size()))) + 3 * 16;
+      }
     workspace.reserve(floats);
     workspace.begin();
     const auto zeros = [&](std::size_t count) {
@@ -113,100 +148,240 @@ struct Net {
       std::memset(at, 0, sizeof(float) * count);
       return at;
     };
-    values.push_back(zeros(static_cast<std::size_t>(kTile) * in[0]));
-    for (std::size_t l = 0; l < layers.size(); ++l) {
-      const Layer& layer = layers[l];
-      const std::size_t i = static_cast<std::size_t>(in[l]), o = static_cast<std::size_t>(out[l]);
-      forward.push_back(zeros(i * o));
-      backward.push_back(zeros(i * o));
-      gradient.push_back(zeros(i * o));
-      bias.push_back(zeros(o));
-      bias_gradient.push_back(zeros(o));
-      values.push_back(zeros(kTile * o));
-      errors.push_back(zeros(kTile * o));
-      for (int r = 0; r < layer.outputs; ++r) {
-        for (int k = 0; k < layer.inputs; ++k) {
-          const float weight = layer.weight[static_cast<std::size_t>(r) * layer.inputs + k];
-          forward[l][k * o + r] = weight;
-          backward[l][r * i + k] = weight;
-        }
-        bias[l][r] = layer.bias[r];
+    for (std::size_t l = 0; l <= layers.size(); ++l) {
+      tiles.emplace_back();
+      for (int h = 0; h < halves; ++h) {
+        const int width = padded(static_cast<int>(numbers[l][h].size()));
+        tiles[l].push_back({width, zeros(static_cast<std::size_t>(kTile) * width), zeros(static_cast<std::size_t>(kTile) * width)});
       }
     }
+    for (std::size_t l = 0; l < layers.size(); ++l) {
+      const Layer& layer = layers[l];
+      matrices.emplace_back();
+      for (int h = 0; h < halves; ++h) {
+        const std::vector<Entry>&columns = numbers[l][h], &rows = numbers[l + 1][h];
+        const int in = tiles[l][h].width, out = tiles[l + 1][h].width;
+        const std::size_t size = static_cast<std::size_t>(in) * out;
+        const Matrix matrix{static_cast<int>(columns.size()), static_cast<int>(rows.size()), in, out, zeros(size), zeros(size), zeros(size)};
+        for (int r = 0; r < matrix.outputs; ++r) {
+          const float* weights = layer.weight + static_cast<std::size_t>(rows[r].left) * layer.inputs;
+          for (int k = 0; k < matrix.inputs; ++k) {
+            const Entry& column = columns[k];
+            const float left = weights[column.left];
+            const float weight = column.right < 0 ? left : 0.5f * (left + column.sign * weights[column.right]);
+            matrix.forward[static_cast<std::size_t>(k) * out + r] = weight;
+            matrix.backward[static_cast<std::size_t>(r) * in + k] = weight;
+          }
+        }
+        matrices[l].push_back(matrix);
+      }
+      const std::vector<Entry>& rows = numbers[l + 1][0];
+      bias.push_back(zeros(static_cast<std::size_t>(tiles[l + 1][0].width)));
+      bias_gradient.push_back(zeros(static_cast<std::size_t>(tiles[l + 1][0].width)));
+      for (std::size_t r = 0; r < rows.size(); ++r) bias[l][r] = layer.bias[rows[r].left];
+    }
+    output.resize(static_cast<std::size_t>(layers.back().outputs));
+    error.resize(output.size());
   }
 
   // Load the observations of up to kTile rows; further rows are zero.
   void gather(const float* observations, const std::int64_t* index, int count) {
-    const int width = layers[0].inputs;
-    for (int r = 0; r < count; ++r)
-      std::memcpy(values[0] + static_cast<std::size_t>(r) * in[0], observations + index[r] * width, sizeof(float) * width);
-    for (int r = count; r < kTile; ++r) std::memset(values[0] + static_cast<std::size_t>(r) * in[0], 0, sizeof(float) * in[0]);
+    const int whole = network.layers[0].inputs;
+    int first = 0;
+    for (int h = 0; h < halves; ++h) {
+      const Tile& tile = tiles[0][h];
+      const int inputs = matrices[0][h].inputs;
+      for (int r = 0; r < count; ++r)
+        std::memcpy(tile.values + static_cast<std::size_t>(r) * tile.width, observations + index[r] * whole + first, sizeof(float) * inputs);
+      std::memset(tile.values + static_cast<std::size_t>(count) * tile.width, 0, sizeof(float) * (kTile - count) * tile.width);
+      first += inputs;
+    }
   }
 
-  // Compute the outputs, which are the last of `values`.
+  // Compute the outputs, which are the values of the last tiles.
   void run() {
-    for (std::size_t l = 0; l < layers.size(); ++l) {
-      float* outputs = values[l + 1];
-      multiply<false>(kTile, out[l], layers[l].inputs, values[l], in[l], 1, forward[l], out[l], outputs, out[l]);
-      const bool squash = l + 1 < layers.size();
+    for (std::size_t l = 0; l < matrices.size(); ++l) {
+      for (int h = 0; h < halves; ++h) {
+        const Matrix& matrix = matrices[l][h];
+        multiply<false>(kTile, matrix.out, matrix.inputs, tiles[l][h].values, matrix.in, 1, matrix.forward, matrix.out, tiles[l + 1][h].values,
+                        matrix.out);
+      }
+      const Tile& first = tiles[l + 1][0];
+      const bool squash = l + 1 < matrices.size();
+      float* mirrored = squash && halves == 2 ? tiles[l + 1][1].values : nullptr;
       for (int r = 0; r < kTile; ++r)
-        for (int v = 0; v < out[l]; v += kWidth) {
-          float* at = outputs + static_cast<std::size_t>(r) * out[l] + v;
-          const Vector sum = load(at) + load(bias[l] + v);
-          store(at, squash ? tanh(sum) : sum);
+        for (int v = 0; v < first.width; v += kWidth) {
+          const std::size_t at = static_cast<std::size_t>(r) * first.width + v;
+          const Vector sum = load(first.values + at) + load(bias[l] + v);
+          if (mirrored != nullptr) {
+            const Vector difference = load(mirrored + at), left = tanh(sum + difference), right = tanh(sum - difference);
+            store(first.values + at, left + right);
+            store(mirrored + at, left - right);
+          } else {
+            store(first.values + at, squash ? tanh(sum) : sum);
+          }
         }
     }
   }
 
-  // Add the tile's gradient, given the derivatives by the outputs in the last of `errors`, zero for rows that do not count.
+  // Add the tile's gradient, given the derivatives by the outputs in the errors of the last tiles, zero for rows that do not count.
   void learn() {
-    for (std::size_t l = layers.size(); l-- > 0;) {
-      const float *error = errors[l], *inputs = values[l];
-      multiply<true>(out[l], in[l], kTile, error, 1, out[l], inputs, in[l], gradient[l], in[l]);
-      for (int v = 0; v < out[l]; v += kWidth) {
+    for (std::size_t l = matrices.size(); l-- > 0;) {
+      for (int h = 0; h < halves; ++h) {
+        const Matrix& matrix = matrices[l][h];
+        const Tile &inputs = tiles[l][h], &outputs = tiles[l + 1][h];
+        multiply<true>(matrix.out, matrix.in, kTile, outputs.errors, 1, matrix.out, inputs.values, matrix.in, matrix.gradient, matrix.in);
+        if (l > 0)
+          multiply<false>(kTile, matrix.in, matrix.outputs, outputs.errors, matrix.out, 1, matrix.backward, matrix.in, inputs.errors, matrix.in);
+      }
+      const Tile& first = tiles[l + 1][0];
+      for (int v = 0; v < first.width; v += kWidth) {
         Vector sum = load(bias_gradient[l] + v);
-        for (int r = 0; r < kTile; ++r) sum += load(error + static_cast<std::size_t>(r) * out[l] + v);
+        for (int r = 0; r < kTile; ++r) sum += load(first.errors + static_cast<std::size_t>(r) * first.width + v);
         store(bias_gradient[l] + v, sum);
       }
-      if (l == 0) break;
-      float* below = errors[l - 1];
-      multiply<false>(kTile, in[l], layers[l].outputs, error, out[l], 1, backward[l], in[l], below, in[l]);
-      for (std::size_t at = 0; at < static_cast<std::size_t>(kTile) * in[l]; at += kWidth) {
-        const Vector squashed = load(inputs + at);
-        store(below + at, load(below + at) * (1.0f - squashed * squashed));
+      if (l > 0) squash_errors(tiles[l]);
+    }
+  }
+
+  // Multiply derivatives by a layer's outputs by the derivative of tanh.
+  static void squash_errors(const std::vector<Tile>& layer) {
+    const Tile& first = layer[0];
+    for (std::size_t at = 0; at < static_cast<std::size_t>(kTile) * first.width; at += kWidth) {
+      const Vector values = load(first.values + at), errors = load(first.errors + at);
+      if (layer.size() == 1) {
+        store(first.errors + at, errors * (1.0f - values * values));
+        continue;
       }
+      const Vector differences = load(layer[1].values + at), others = load(layer[1].errors + at);
+      const Vector left = 0.5f * (values + differences), right = 0.5f * (values - differences);
+      const Vector by_left = (errors + others) * (1.0f - left * left), by_right = (errors - others) * (1.0f - right * right);
+      store(first.errors + at, by_left + by_right);
+      store(layer[1].errors + at, by_left - by_right);
     }
   }
 
   // Add the gradient of all rows. `differentiate(sample, outputs, errors)` fills in the derivatives by one sample's outputs.
   template <class Differentiate>
   void pass(const float* observations, const Rows& rows, Differentiate differentiate) {
-    const std::size_t width = static_cast<std::size_t>(out.back());
     for (int first = 0; first < rows.count; first += kTile) {
       const int count = rows.count - first < kTile ? rows.count - first : kTile;
       const std::int64_t* index = rows.index + first;
       gather(observations, index, count);
       run();
-      std::memset(errors.back(), 0, sizeof(float) * kTile * width);
-      for (int r = 0; r < count; ++r) differentiate(index[r], values.back() + r * width, errors.back() + r * width);
+      for (const Tile& tile : tiles.back()) std::memset(tile.errors, 0, sizeof(float) * kTile * tile.width);
+      for (int r = 0; r < count; ++r) {
+        if (halves == 1) {
+          const std::size_t at = static_cast<std::size_t>(r) * tiles.back()[0].width;
+          differentiate(index[r], tiles.back()[0].values + at, tiles.back()[0].errors + at);
+        } else {
+          join(r);
+          differentiate(index[r], output.data(), error.data());
+          part(r);
+        }
+      }
       learn();
     }
   }
 
+  // Put the outputs of one row together.
+  void join(int row) {
+    const Mirror& mirror = network.mirrors.back();
+    const Tile &even = tiles.back()[0], &odd = tiles.back()[1];
+    const float *sums = even.values + static_cast<std::size_t>(row) * even.width, *differences = odd.values + static_cast<std::size_t>(row) * odd.width;
+    for (const Mirror::Pair& pair : mirror.pairs) {
+      output[pair.left] = *sums + *differences;
+      output[pair.right] = pair.sign * (*sums++ - *differences++);
+    }
+    for (int single : mirror.even) output[single] = *sums++;
+    for (int single : mirror.odd) output[single] = *differences++;
+  }
+
+  // Take the derivatives of one row apart.
+  void part(int row) {
+    const Mirror& mirror = network.mirrors.back();
+    const Tile &even = tiles.back()[0], &odd = tiles.back()[1];
+    float *sums = even.errors + static_cast<std::size_t>(row) * even.width, *differences = odd.errors + static_cast<std::size_t>(row) * odd.width;
+    for (const Mirror::Pair& pair : mirror.pairs) {
+      *sums++ = error[pair.left] + pair.sign * error[pair.right];
+      *differences++ = error[pair.left] - pair.sign * error[pair.right];
+    }
+    for (int single : mirror.even) *sums++ = error[single];
+    for (int single : mirror.odd) *differences++ = error[single];
+  }
+
   void write_gradient() const {
-    for (std::size_t l = 0; l < layers.size(); ++l)
-      for (int r = 0; r < layers[l].outputs; ++r) {
-        const std::size_t width = static_cast<std::size_t>(layers[l].inputs);
-        std::memcpy(layers[l].weight_gradient + r * width, gradient[l] + static_cast<std::size_t>(r) * in[l], sizeof(float) * width);
-        layers[l].bias_gradient[r] = bias_gradient[l][r];
+    for (std::size_t l = 0; l < matrices.size(); ++l) {
+      const Layer& layer = network.layers[l];
+      if (halves == 2) {
+        write_mirrored(layer, l);
+        continue;
       }
+      for (int r = 0; r < layer.outputs; ++r) {
+        const std::size_t width = static_cast<std::size_t>(layer.inputs);
+        std::memcpy(layer.weight_gradient + r * width, matrices[l][0].gradient + static_cast<std::size_t>(r) * matrices[l][0].in,
+                    sizeof(float) * width);
+        layer.bias_gradient[r] = bias_gradient[l][r];
+      }
+    }
+  }
+
+  // The mean of the gradients of mirrored weights, with the sign of each.
+  void write_mirrored(const Layer& layer, std::size_t l) const {
+    const Mirror &columns = network.mirrors[l], &rows = network.mirrors[l + 1];
+    const Matrix &even = matrices[l][0], &odd = matrices[l][1];
+    const std::size_t width = static_cast<std::size_t>(layer.inputs), column_pairs = columns.pairs.size();
+    std::memset(layer.weight_gradient, 0, sizeof(float) * width * layer.outputs);
+    const float *sums = even.gradient, *differences = odd.gradient, *bias = bias_gradient[l];
+    for (const Mirror::Pair& row : rows.pairs) {
+      float *left = layer.weight_gradient + row.left * width, *right = layer.weight_gradient + row.right * width;
+      for (std::size_t k = 0; k < column_pairs; ++k) {
+        const Mirror::Pair& column = columns.pairs[k];
+        const float same = 0.25f * (sums[k] + differences[k]), crossed = 0.25f * (sums[k] - differences[k]);
+        left[column.left] = same;
+        left[column.right] = column.sign * crossed;
+        right[column.left] = row.sign * crossed;
+        right[column.right] = row.sign * column.sign * same;
+      }
+      for (std::size_t k = 0; k < columns.even.size(); ++k) {
+        left[columns.even[k]] = 0.5f * sums[column_pairs + k];
+        right[columns.even[k]] = row.sign * left[columns.even[k]];
+      }
+      for (std::size_t k = 0; k < columns.odd.size(); ++k) {
+        left[columns.odd[k]] = 0.5f * differences[column_pairs + k];
+        right[columns.odd[k]] = -row.sign * left[columns.odd[k]];
+      }
+      layer.bias_gradient[row.left] = 0.5f * *bias++;
+      layer.bias_gradient[row.right] = row.sign * layer.bias_gradient[row.left];
+      sums += even.in;
+      differences += odd.in;
+    }
+    for (int row : rows.even) {
+      write_single(columns, sums, columns.even, 1.0f, layer.weight_gradient + row * width);
+      layer.bias_gradient[row] = *bias++;
+      sums += even.in;
+    }
+    for (int row : rows.odd) {
+      write_single(columns, differences, columns.odd, -1.0f, layer.weight_gradient + row * width);
+      layer.bias_gradient[row] = 0.0f;
+      differences += odd.in;
+    }
+  }
+
+  // The row of an output that is its own mirror image.
+  static void write_single(const Mirror& columns, const float* gradient, const std::vector<int>& singles, float sign, float* row) {
+    for (const Mirror::Pair& column : columns.pairs) {
+      row[column.left] = 0.5f * *gradient++;
+      row[column.right] = sign * column.sign * row[column.left];
+    }
+    for (int column : singles) row[column] = *gradient++;
   }
 };
 
-ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float* log_std_gradient, const Rollout& rollout, const Rows& rows,
+ActorResult actor(const Network& network, const float* log_std, float* log_std_gradient, const Rollout& rollout, const Rows& rows,
                   bool normalize_advantages, float clip_range, Workspace& workspace) {
-  Net net(layers, workspace);
-  const int actions = layers.back().outputs;
+  Net net(network, workspace);
+  const int actions = network.layers.back().outputs;
   float mean = 0.0f, factor = 1.0f;
   if (normalize_advantages) {
     double sum = 0.0, squares = 0.0;
@@ -232,13 +407,10 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
   std::vector<double> spread(static_cast<std::size_t>(actions), 0.0);
   net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {
     const float* action = rollout.actions + sample * actions;
-    float squares = 0.0f;
-    for (int j = 0; j < actions; ++j) {
-      const float deviation = (action[j] - output[j]) * precision[j];
-      squares = std::fma(deviation, deviation, squares);  // explicit, so that the order of summation is fixed
-      error[j] = deviation;
-    }
-    const float log_ratio = -0.5f * squares - constant - rollout.log_probs[sample];
+    for (int j = 0; j < actions; ++j) error[j] = (action[j] - output[j]) * precision[j];
+    float squares[4] = {};  // explicit, so that the order of summation is fixed
+    for (int j = 0; j < actions; ++j) squares[j % 4] = std::fma(error[j], error[j], squares[j % 4]);
+    const float log_ratio = -0.5f * ((squares[0] + squares[1]) + (squares[2] + squares[3])) - constant - rollout.log_probs[sample];
     const float ratio = std::exp(log_ratio);
     const float advantage = (rollout.advantages[sample] - mean) * factor;
     const float held = ratio < low ? low : ratio > high ? high : ratio;
@@ -248,11 +420,9 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
     clipped += std::fabs(ratio - 1.0f) > clip_range;
     const bool counts = (ratio >= low && ratio <= high) || free < bound;
     const float by_log_prob = counts ? -share * advantage * ratio : 0.0f;
-    for (int j = 0; j < actions; ++j) {
-      const float deviation = error[j];
-      spread[j] += static_cast<double>(by_log_prob * (deviation * deviation - 1.0f));
-      error[j] = by_log_prob * deviation * precision[j];
-    }
+    if (log_std_gradient != nullptr)
+      for (int j = 0; j < actions; ++j) spread[j] += static_cast<double>(by_log_prob * (error[j] * error[j] - 1.0f));
+    for (int j = 0; j < actions; ++j) error[j] *= by_log_prob * precision[j];
   });
   net.write_gradient();
   if (log_std_gradient != nullptr)
@@ -260,8 +430,8 @@ ActorResult actor(const std::vector<Layer>& layers, const float* log_std, float*
   return {loss / rows.count, static_cast<double>(clipped) / rows.count, kl / rows.count};
 }
 
-double critic(const std::vector<Layer>& layers, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace) {
-  Net net(layers, workspace);
+double critic(const Network& network, const Rollout& rollout, const Rows& rows, float coefficient, Workspace& workspace) {
+  Net net(network, workspace);
   const float factor = 2.0f * coefficient / static_cast<float>(rows.count);
   double squares = 0.0;
   net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from gymnasium import spaces
 from naosprint.mirror import Mirror
 from naosprint.rl import _kernel
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
-from naosprint.rl.symmetry import tie_weights
+from naosprint.rl.symmetry import Symmetry, tie_weights
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor
 
@@ -61,6 +62,7 @@ def gradients_of(
     made: Callable[[ActorCriticPolicy], Gradients], policy: ActorCriticPolicy, samples: Samples, chosen: Tensor
 ) -> tuple[tuple[float, ...], dict[str, Tensor]]:
     gradients = made(policy)
+    samples = gradients.prepare(samples)
     results = (*gradients.actor(samples, chosen), gradients.critic(samples, chosen))
     return results, {name: p.grad for name, p in policy.named_parameters() if p.grad is not None}
 
@@ -86,7 +88,7 @@ def test_kernels_compute_the_gradients_of_double_precision(
     used = settings(**changed)
     samples = drawn(new_policy(layers))
     chosen = torch.randperm(N, generator=torch.Generator().manual_seed(1))[:count]
-    results, found = gradients_of(lambda p: KernelGradients(p, used, {}, kernel), new_policy(layers), samples, chosen)
+    results, found = gradients_of(lambda p: KernelGradients(p, used, None, kernel), new_policy(layers), samples, chosen)
     known, wanted = gradients_of(
         lambda p: TorchGradients(p, used), new_policy(layers).double(), doubled(samples), chosen
     )
@@ -99,32 +101,94 @@ def test_kernels_compute_the_gradients_of_double_precision(
         assert difference < 1e-5, name
 
 
+def mirror(width: int, singles: tuple[float, ...]) -> Mirror:
+    """Return a mirror with the signs of single numbers at the end; the pairs before them have both signs."""
+    pairs = width - len(singles)
+    index, sign = np.arange(width), np.ones(width)
+    index[:pairs] = index[:pairs][::-1]
+    sign[pairs:] = singles
+    sign[0] = sign[pairs - 1] = -1.0
+    return Mirror(index, sign)
+
+
 @KERNELS
-def test_gradients_of_tied_weights_stay_mirrored(kernel: str) -> None:
-    observations = Mirror(np.arange(OBSERVATIONS)[::-1].copy(), np.ones(OBSERVATIONS))
-    actions = Mirror(np.arange(ACTIONS)[::-1].copy(), np.ones(ACTIONS))
-    one, other = new_policy((16, 16)), new_policy((16, 16))
-    projections = tie_weights(one, observations, actions)
+@pytest.mark.parametrize("layers", [(128, 128), (40, 6), (16,)])
+@pytest.mark.parametrize(
+    ("observations", "actions"),
+    [
+        (mirror(OBSERVATIONS, (1.0,)), mirror(ACTIONS, ())),
+        (mirror(OBSERVATIONS, (1.0, -1.0, -1.0)), mirror(ACTIONS, (-1.0, 1.0))),
+        (mirror(OBSERVATIONS, (1.0, 1.0, 1.0, -1.0, -1.0)), mirror(ACTIONS, (-1.0, -1.0))),
+    ],
+    ids=["pairs", "singles", "turned"],
+)
+def test_gradients_of_symmetric_networks_are_those_of_double_precision(
+    kernel: str, layers: tuple[int, ...], observations: Mirror, actions: Mirror, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("naosprint.rl.networks.FUSED", False)  # oneDNN has no doubles here
+    one = new_policy(layers)
+    symmetry = tie_weights(one, observations, actions)
+    with torch.no_grad():
+        one.log_std += torch.linspace(-0.2, 0.3, ACTIONS)[
+            torch.from_numpy(np.minimum(actions.index, np.arange(ACTIONS)))
+        ]
+    other = new_policy(layers).double()
     tie_weights(other, observations, actions)
-    samples, chosen = drawn(one), torch.arange(100)
-    _, found = gradients_of(lambda p: KernelGradients(p, settings(), projections, kernel), one, samples, chosen)
-    _, wanted = gradients_of(lambda p: TorchGradients(p, settings()), other, samples, chosen)
+    other.load_state_dict({name: tensor.double() for name, tensor in one.state_dict().items()})
+    samples, chosen = drawn(one), torch.randperm(N, generator=torch.Generator().manual_seed(1))[:200]
+    results, found = gradients_of(lambda p: KernelGradients(p, settings(), symmetry, kernel), one, samples, chosen)
+    known, wanted = gradients_of(lambda p: TorchGradients(p, settings()), other, doubled(samples), chosen)
+    assert results == pytest.approx(known, rel=1e-5, abs=1e-6)
+    assert found.keys() == wanted.keys()
     for name, gradient in wanted.items():
-        torch.testing.assert_close(found[name], gradient, rtol=1e-4, atol=1e-6)
-    assert torch.equal(found["mlp_extractor.policy_net.0.bias"], found["mlp_extractor.policy_net.0.bias"].roll(8))
+        difference = (found[name].double() - gradient).norm() / gradient.norm().clamp_min(1e-9)
+        assert difference < 1e-5, name
+
+
+@KERNELS
+def test_gradients_of_symmetric_networks_are_mirrored_bit_for_bit(kernel: str) -> None:
+    observations, actions = mirror(OBSERVATIONS, (1.0, -1.0, -1.0)), mirror(ACTIONS, (-1.0, 1.0))
+    policy = new_policy((16, 16))
+    symmetry = tie_weights(policy, observations, actions)
+    _, found = gradients_of(
+        lambda p: KernelGradients(p, settings(), symmetry, kernel), policy, drawn(policy), torch.arange(100)
+    )
+    for body, mirrors in (("policy", symmetry.actor), ("value", symmetry.critic)):
+        for layer, (columns, rows) in enumerate(pairwise(mirrors[:-1])):
+            gradient = found[f"mlp_extractor.{body}_net.{2 * layer}.weight"].numpy()
+            assert np.array_equal(gradient, columns.apply(rows.apply(gradient.T).T))
+    assert np.array_equal(
+        found["action_net.weight"].numpy(),
+        symmetry.actor[-2].apply(actions.apply(found["action_net.weight"].numpy().T).T),
+    )
+    assert np.array_equal(found["action_net.bias"].numpy(), actions.apply(found["action_net.bias"].numpy()))
+
+
+@pytest.mark.parametrize(
+    ("mirrors", "message"),
+    [
+        ((Mirror.of_pairs(12), Mirror.of_pairs(16), Mirror.of_pairs(6)), "widths do not match"),
+        ((mirror(OBSERVATIONS, (1.0,)), Mirror.of_pairs(6)), "one of the inputs and one of each layer's outputs"),
+        ((mirror(OBSERVATIONS, (1.0,)), mirror(16, (1.0, 1.0)), Mirror.of_pairs(6)), "hidden layers have pairs"),
+        ((mirror(OBSERVATIONS, (1.0,)), Mirror.of_pairs(16), Mirror(np.roll(np.arange(6), 1), np.ones(6))), "exchange"),
+    ],
+)
+def test_wrong_mirrors_are_named(mirrors: tuple[Mirror, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=f"mirrors: .*{message}"):
+        KernelGradients(new_policy((16,)), settings(), Symmetry(mirrors, mirrors))
 
 
 def test_a_spread_that_is_not_learned_gets_no_gradient() -> None:
     policy = new_policy((16,))
     policy.log_std.requires_grad_(False)
     samples = drawn(policy)
-    _, found = gradients_of(lambda p: KernelGradients(p, settings(), {}), policy, samples, torch.arange(50))
+    _, found = gradients_of(lambda p: KernelGradients(p, settings()), policy, samples, torch.arange(50))
     assert "log_std" not in found
 
 
 def test_wrong_shapes_are_named() -> None:
     policy = new_policy((16,))
-    gradients = KernelGradients(policy, settings(), {})
+    gradients = KernelGradients(policy, settings())
     samples = drawn(policy)
     with pytest.raises(ValueError, match="rows: out of range"):
         gradients.critic(samples, torch.tensor([0, N]))
@@ -133,4 +197,4 @@ def test_wrong_shapes_are_named() -> None:
             Samples(samples.observations[:, 1:].contiguous(), *list(vars(samples).values())[1:]), torch.arange(3)
         )
     with pytest.raises(ValueError, match="kernel: not supported"):
-        KernelGradients(policy, settings(), {}, "mmx")
+        KernelGradients(policy, settings(), None, "mmx")

@@ -1,13 +1,17 @@
 from collections.abc import Sequence
 
-from naosprint.arrays import Float32Array, IntArray
+from naosprint.arrays import Float32Array, FloatArray, IntArray
 
-class Network:
+class Gradients:
     def __init__(
-        self, layers: Sequence[tuple[Float32Array, Float32Array, Float32Array, Float32Array]], kernel: str
+        self,
+        layers: Sequence[tuple[Float32Array, Float32Array, Float32Array, Float32Array]],
+        mirrors: Sequence[tuple[IntArray, FloatArray]],
+        kernel: str,
     ) -> None: ...
     @property
     def kernel(self) -> str: ...
+    def split(self, observations: Float32Array, halves: Float32Array) -> None: ...
     def actor(
         self,
         log_std: Float32Array,

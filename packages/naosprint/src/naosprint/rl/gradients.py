@@ -2,23 +2,32 @@
 
 Both compute the same; the last digits differ. The kernel (packages/naosprint/cpp) passes a minibatch through a network
 in tiles that stay in the processor's cache, forward and backward. It applies to layers of any number and width.
+
+Symmetric networks (:mod:`naosprint.rl.symmetry`) take half the work there. In sums and differences of mirrored numbers
+their layers are block diagonal: sums depend on sums and differences on differences, see Cohen and Welling, "Group
+Equivariant Convolutional Networks" (2016). Only tanh needs the numbers themselves.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
 import torch
 
 from naosprint.rl.networks import linear_layers, run_network
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Iterable
 
     from stable_baselines3.common.policies import ActorCriticPolicy
     from torch import Tensor
+
+    from naosprint.arrays import Float32Array
+    from naosprint.mirror import Mirror
+    from naosprint.rl.symmetry import Symmetry
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 
@@ -45,6 +54,9 @@ class Samples:
 class Gradients(Protocol):
     """Fills in ``grad`` of a policy's parameters; actor and critic share nothing and may run at the same time."""
 
+    def prepare(self, samples: Samples) -> Samples:
+        """Return the samples of a rollout as :meth:`actor` and :meth:`critic` take them."""
+
     def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
         """Compute the gradient of policy loss and entropy for the samples ``chosen``, (k,) indices.
 
@@ -69,6 +81,10 @@ class TorchGradients:
         self._settings = settings
         self._actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
         self._critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
+
+    def prepare(self, samples: Samples) -> Samples:
+        """Return the samples as they are."""
+        return samples
 
     def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
         """Compute the actor's gradient; see :meth:`Gradients.actor`."""
@@ -107,7 +123,7 @@ class KernelGradients:
     Args:
         policy: the networks.
         settings: PPO's settings.
-        projections: functions applied to the gradients of parameters, like PyTorch's hooks.
+        symmetry: mirrors of the networks if their weights are tied.
         kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
     """
 
@@ -115,7 +131,7 @@ class KernelGradients:
         self,
         policy: ActorCriticPolicy,
         settings: Any,
-        projections: Mapping[Tensor, Callable[[Tensor], Tensor]],
+        symmetry: Symmetry | None = None,
         kernel: str = "",
     ) -> None:
         from naosprint.rl import _kernel
@@ -125,10 +141,12 @@ class KernelGradients:
         self._gradients: dict[Tensor, Tensor] = {
             parameter: torch.zeros_like(parameter, requires_grad=False) for parameter in policy.parameters()
         }
-        self._projections = projections
+        # the mirrored spread of each joint, whose gradients are averaged
+        self._pairs = None if symmetry is None else torch.from_numpy(symmetry.actor[-1].index)
+        self._halves: Float32Array | None = None
 
-        def network(layers: tuple[torch.nn.Linear, ...]) -> _kernel.Network:
-            return _kernel.Network(
+        def network(layers: tuple[torch.nn.Linear, ...], mirrors: tuple[Mirror, ...]) -> _kernel.Gradients:
+            return _kernel.Gradients(
                 [
                     (
                         layer.weight.detach().numpy(),
@@ -138,16 +156,28 @@ class KernelGradients:
                     )
                     for layer in layers
                 ],
+                [(mirror.index, mirror.sign) for mirror in mirrors],
                 kernel,
             )
 
         actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
         critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
-        self._actor_parameters = [parameter for layer in actor for parameter in (layer.weight, layer.bias)]
-        self._critic_parameters = [parameter for layer in critic for parameter in (layer.weight, layer.bias)]
+        self._actor_gradients = self._of(parameter for layer in actor for parameter in (layer.weight, layer.bias))
+        self._critic_gradients = self._of(parameter for layer in critic for parameter in (layer.weight, layer.bias))
         if policy.log_std.requires_grad:
-            self._actor_parameters.append(policy.log_std)
-        self._actor, self._critic = network(actor), network(critic)
+            self._actor_gradients += self._of([policy.log_std])
+        self._actor = network(actor, () if symmetry is None else symmetry.actor)
+        self._critic = network(critic, () if symmetry is None else symmetry.critic)
+
+    def prepare(self, samples: Samples) -> Samples:
+        """Return the samples, with observations as sums and differences if the networks are symmetric."""
+        if self._pairs is None:
+            return samples
+        observations = samples.observations.numpy()
+        if self._halves is None or self._halves.shape != observations.shape:
+            self._halves = np.empty_like(observations)
+        self._actor.split(observations, self._halves)
+        return replace(samples, observations=torch.from_numpy(self._halves))
 
     def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
         """Compute the actor's gradient; see :meth:`Gradients.actor`."""
@@ -166,7 +196,9 @@ class KernelGradients:
         )
         if spread is not None:
             spread -= settings.entropy_coefficient
-        self._hand_over(self._actor_parameters)
+            if self._pairs is not None:
+                spread.copy_(0.5 * (spread + spread[self._pairs]))
+        _hand_over(self._actor_gradients)
         return loss, float(gaussian_entropy(log_std.detach())), clipped, kl
 
     def critic(self, samples: Samples, chosen: Tensor) -> float:
@@ -174,14 +206,17 @@ class KernelGradients:
         loss: float = self._critic.critic(
             samples.observations.numpy(), samples.returns.numpy(), chosen.numpy(), self._settings.value_coefficient
         )
-        self._hand_over(self._critic_parameters)
+        _hand_over(self._critic_gradients)
         return loss
 
-    def _hand_over(self, parameters: list[Tensor]) -> None:
-        for parameter in parameters:
-            gradient, project = self._gradients[parameter], self._projections.get(parameter)
-            # gradient clipping writes in place; the kernel overwrites these arrays next time
-            parameter.grad = gradient if project is None else project(gradient)
+    def _of(self, parameters: Iterable[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        return [(parameter, self._gradients[parameter]) for parameter in parameters]
+
+
+def _hand_over(gradients: list[tuple[Tensor, Tensor]]) -> None:
+    for parameter, gradient in gradients:
+        # gradient clipping writes in place; the kernel overwrites these arrays next time
+        parameter.grad = gradient
 
 
 def gaussian_entropy(log_std: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from naosprint.rl.forward import Forward
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
-from naosprint.rl.symmetry import Projections, tie_weights
+from naosprint.rl.symmetry import Symmetry, tie_weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -106,10 +106,10 @@ class PPO(Learner):
         self.settings = settings
         self.environment = environment
         self.processes = environment.processes
-        self.policy, projections = _build_policy(spec, environment)
+        self.policy, symmetry = _build_policy(spec, environment)
         self._optimizer = cast("Adam", self.policy.optimizer)
         self._gradients: Gradients = (
-            KernelGradients(self.policy, settings, projections)
+            KernelGradients(self.policy, settings, symmetry)
             if spec.runtime.compiled_update
             else TorchGradients(self.policy, settings)
         )
@@ -216,6 +216,7 @@ class PPO(Learner):
         if settings.advantage_normalization == "rollout":
             mean, std = self._spread(samples.advantages)
             samples = replace(samples, advantages=(samples.advantages - mean) / (std + 1e-8))
+        samples = self._gradients.prepare(samples)
         batch_size = settings.batch_size // self.processes.size
         parameters = list(policy.parameters())
         losses: list[tuple[float, ...]] = []
@@ -351,13 +352,13 @@ class PPO(Learner):
             }
 
 
-def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple[ActorCriticPolicy, Projections]:
+def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple[ActorCriticPolicy, Symmetry | None]:
     """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed.
 
-    Also return the functions that the gradients of tied weights pass through.
+    Also return the mirrors of the networks if their weights are tied.
     """
     settings = spec.algorithm
-    projections: Projections = {}
+    symmetry: Symmetry | None = None
     # without touching the process's generators
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(spec.seed)
@@ -377,10 +378,10 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple
         if settings.symmetric_policy:
             inner = environment.environment
             actions = Mirror.of_names(inner.actuation.names, *inner.actuation.mirror)
-            projections = tie_weights(policy, inner.observer.mirror, actions)
+            symmetry = tie_weights(policy, inner.observer.mirror, actions)
     if settings.final_log_std is not None:
         policy.log_std.requires_grad_(False)
-    return policy, projections
+    return policy, symmetry
 
 
 def _initialize_unit_norm(policy: ActorCriticPolicy) -> None:

@@ -8,7 +8,7 @@ other's input.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +20,21 @@ from naosprint.mirror import Mirror
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import ActorCriticPolicy
 
-Projections = dict[Tensor, Callable[[Tensor], Tensor]]
-"""Functions that make gradients symmetric, by parameter."""
+
+@dataclass(frozen=True)
+class Symmetry:
+    """What mirroring does to the vectors of symmetric networks.
+
+    Attributes:
+        actor: mirrors of the actor's inputs and of each of its layers' outputs.
+        critic: the same for the critic, whose value does not change.
+    """
+
+    actor: tuple[Mirror, ...]
+    critic: tuple[Mirror, ...]
 
 
-def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> Projections:
+def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror) -> Symmetry:
     """Make actor and critic symmetric, now and after every gradient step.
 
     The weights are replaced by their means with their own mirror images, scaled so that units keep their norms, and
@@ -32,29 +42,29 @@ def tie_weights(policy: ActorCriticPolicy, observations: Mirror, actions: Mirror
     treats all weights alike, as Adam does, keeps them mirrored.
 
     Returns:
-        What the hooks do, by parameter, for gradients that PyTorch does not compute.
+        The mirrors of both networks, for gradients that PyTorch does not compute.
 
     Raises:
         ValueError: if a hidden layer has an odd number of units.
     """
-    projections: Projections = {}
     value = Mirror(np.zeros(1, dtype=np.int64), np.ones(1))
+    found = []
     for body, head, outputs in (
         (policy.mlp_extractor.policy_net, policy.action_net, actions),
         (policy.mlp_extractor.value_net, policy.value_net, value),
     ):
-        inputs = observations
+        mirrors = [observations]
         layers = [layer for layer in (*body, head) if isinstance(layer, nn.Linear)]
         for layer in layers:
-            out = outputs if layer is layers[-1] else Mirror.of_pairs(layer.out_features)
-            projections[layer.weight] = _tie(layer.weight, out, inputs)
-            projections[layer.bias] = _tie(layer.bias, out, None)
-            inputs = out
-    projections[policy.log_std] = _tie(policy.log_std, Mirror(actions.index, np.abs(actions.sign)), None)
-    return projections
+            mirrors.append(outputs if layer is layers[-1] else Mirror.of_pairs(layer.out_features))
+            _tie(layer.weight, mirrors[-1], mirrors[-2])
+            _tie(layer.bias, mirrors[-1], None)
+        found.append(tuple(mirrors))
+    _tie(policy.log_std, Mirror(actions.index, np.abs(actions.sign)), None)
+    return Symmetry(*found)
 
 
-def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> Callable[[Tensor], Tensor]:
+def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> None:
     row_index = torch.from_numpy(rows.index)
     signs = torch.from_numpy(rows.sign).to(torch.float32)
     if columns is not None:
@@ -78,4 +88,3 @@ def _tie(parameter: Tensor, rows: Mirror, columns: Mirror | None) -> Callable[[T
             # one factor for both units of a pair, to the last bit
             parameter.mul_(0.5 * (factors + factors[row_index]))
     parameter.register_hook(symmetric)  # type: ignore[no-untyped-call]
-    return symmetric
