@@ -60,6 +60,19 @@ class Player(Runner):
         self.give((speed, 0.0, np.clip(1.5 * bearing, -TURN_RAD_S, TURN_RAD_S)))
 
 
+class Riser(Runner):
+    """A robot that gets up; it observes the time since it began."""
+
+    def seen(self):
+        time = min(self.cycles * self.cycle_s / 4, 1)
+        waves = (("sin", np.sin), ("cos", np.cos))
+        return (
+            super().seen()
+            | {f"time_{name}_{k}": f(np.pi * k * time) for name, f in waves for k in range(1, 7)}
+            | {"time": time}
+        )
+
+
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", help="exported policy of task velocity")
@@ -73,7 +86,7 @@ def main(arguments=None):
     cycles = []
     agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
     receive(monitor)
-    player, getup = Player(options.run), Player(options.getup) if options.getup else None
+    player, getup = Player(options.run), Riser(options.getup) if options.getup else None
     send(agent, f"(init {player.model} naosprint 2)")
     receive(agent)
     send(monitor, "(ball (pos 25 16 0.11)(vel 0 0 0))")

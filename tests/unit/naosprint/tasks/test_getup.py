@@ -12,9 +12,12 @@ from naosim.robots.booster import K1, T1
 from naosim.simulator import STEP_S, Starts
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.getup import HOLD_STEPS, STANDING_HEIGHT, STANDING_UP, GetUp, GetUpSettings
+from naosprint.tasks.getup import HOLD_STEPS, STANDING_HEIGHT, STANDING_UP, GetUp, GetUpSettings, time_numbers
 
 from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
+
+WIDE = T1.with_parameters({"action_range_rad": 3.2})
+"""A robot whose actions reach the angles of the motions."""
 
 BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
 
@@ -62,17 +65,32 @@ def test_robots_start_lying_on_every_side(robot: Robot) -> None:
     assert "heading_sin" not in environment.observer.names
 
 
-@BOTH
-def test_some_training_episodes_start_from_a_crouch(robot: Robot) -> None:
-    """They are easier; an evaluation has none, and the other starts stay the same."""
-    environment = environment_of(64, robot, crouching_starts=0.5)
-    lying = environment_of(64, robot)
-    crouching = (environment.task.starts(64, 0, 0.0).poses_rad != lying.task.starts(64, 0, 0.0).poses_rad).any(axis=1)
-    assert 16 < crouching.sum() < 48
-    height = environment.simulator.truth.torso_position[:, 2] / robot.standing_height_m
-    assert height[crouching].max() > 0.6 and (height[~crouching] < 0.5).all()
-    settings = environment.task.parameters
-    assert settings.crouching_starts == 0.5 and settings.for_evaluation().crouching_starts == 0.0
+def test_demonstrations_stand_up_from_front_and_back() -> None:
+    """The scripted motions alone, from limbs that are a little off; nobody balances after them."""
+    environment = environment_of(64, WIDE, pose_noise_deg=5.0)
+    held, best = np.zeros(64), np.zeros(64)
+    for _ in range(190):
+        shown = environment.task.demonstration(slice(0, 64))
+        assert shown is not None
+        environment.step(shown)
+        truth = environment.simulator.truth
+        tall = truth.torso_position[:, 2] > STANDING_HEIGHT * T1.standing_height_m
+        held = np.where(tall & (truth.torso_rotation[:, 2, 2] > STANDING_UP), held + 1, 0)
+        best = np.maximum(best, held)
+    stood = (best >= HOLD_STEPS).reshape(-1, 4).mean(axis=0)
+    assert stood[1] > 0.8 and stood[3] > 0.8, "front and back"
+
+
+def test_a_robot_without_a_motion_demonstrates_nothing() -> None:
+    assert environment_of(4, K1).task.demonstration(slice(0, 4)) is None
+
+
+def test_the_time_is_observed_until_nothing_follows() -> None:
+    numbers = time_numbers(np.array([0, 1, 100, 200, 240]))
+    assert numbers.shape == (5, 13) and (np.abs(numbers) <= 1.0).all()
+    assert numbers[:, 0] == pytest.approx([0.0, 0.005, 0.5, 1.0, 1.0])
+    np.testing.assert_array_equal(numbers[3], numbers[4])
+    assert np.abs(numbers[0] - numbers[1]).max() > 0.05
 
 
 def test_the_reward_is_for_height_an_upright_torso_and_the_nominal_pose() -> None:

@@ -108,6 +108,22 @@ class TorchGradients:
             clipped = float(((ratio - 1.0).abs() > clip).float().mean())
             return float(policy_loss), float(entropy), clipped, kl
 
+    def imitation(self, samples: Samples, chosen: Tensor) -> float:
+        """Compute the actor's gradient of the mean squared distance of its means from the samples' actions.
+
+        Args:
+            samples: a rollout's.
+            chosen: (k,) indices.
+
+        Returns:
+            The loss.
+        """
+        _forget(self._actor, self._log_std)
+        mean = run_network(self._actor, samples.observations.index_select(0, chosen))
+        loss = (mean - samples.actions.index_select(0, chosen)).square().mean()
+        torch.autograd.backward(loss)
+        return float(loss.detach())
+
     def critic(self, samples: Samples, chosen: Tensor) -> float:
         """Compute the critic's gradient; see :meth:`Gradients.critic`."""
         _forget(self._critic)

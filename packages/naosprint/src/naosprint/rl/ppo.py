@@ -23,7 +23,7 @@ from naosprint.mirror import Mirror
 from naosprint.rl import schedules
 from naosprint.rl.adam import Adam
 from naosprint.rl.forward import Forward
-from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
+from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
 from naosprint.rl.symmetry import Symmetry, tie_weights
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from naosprint.rl.rollout import TrainingEnvironment
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
+_IMITATION_RATE = 5e-4
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -54,6 +55,7 @@ class Rollout:
         log_probs: (T, n) logarithms of the actions' probability densities.
         advantages: (T, n) estimated advantages.
         returns: (T, n) estimated returns.
+        demonstrations: (T, n, A) actions that the task would have taken, during imitation.
     """
 
     def __init__(self, n_steps: int, n_envs: int, n_observations: int, n_actions: int) -> None:
@@ -65,6 +67,7 @@ class Rollout:
         self.log_probs: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.advantages: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.returns: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.demonstrations: Float32Array = np.zeros((0, n_envs, n_actions), np.float32)
 
     def estimate_advantages(self, last_values: Float32Array, dones: BoolArray, gamma: float, gae_lambda: float) -> None:
         """Fill in advantages and returns by generalized advantage estimation (Schulman et al., 2016).
@@ -123,6 +126,12 @@ class PPO(Learner):
         else:
             self._actor = TorchForward(actor, fused=environment.n >= FEW_ROWS)
             self._critic = TorchForward(critic)
+        if settings.imitation_steps and environment.environment.task.demonstration(slice(0, 1)) is None:
+            raise ValueError(
+                f"algorithm.imitation_steps: task {spec.task.name} demonstrates nothing to robot {spec.robot.name}; "
+                "use 0"
+            )
+        self._imitation = TorchGradients(self.policy, settings)
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
         self.generator = torch.Generator()
         self.generator.manual_seed(self.processes.share(spec).seed)
@@ -168,6 +177,8 @@ class PPO(Learner):
         if self.processes.size > 1:
             self._observations = environment.observations()  # by the statistics that the processes have merged since
         observations, starts = self._observations.copy(), self._starts.copy()
+        imitates = self.steps < self.settings.imitation_steps
+        rollout.demonstrations = np.zeros(rollout.actions.shape if imitates else (0, n, 0), np.float32)
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
         # while the simulator computes for one group, another is processed here
         for step in range(n_steps + 1):
@@ -188,6 +199,8 @@ class PPO(Learner):
                         rewards[transition.bootstrapped] += gamma * self._critic(transition.last_observations)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
+                    if imitates:
+                        rollout.demonstrations[step, group] = environment.environment.task.demonstration(group)
                     actions = self._actor(seen, scaled_noise[step, group], rollout.actions[step, group])
                     environment.step_async(actions, group)
         with torch.no_grad():
@@ -205,6 +218,8 @@ class PPO(Learner):
 
     def update(self) -> dict[str, float]:
         """Improve the policy with the rollout; see :meth:`Learner.update`."""
+        if len(self.rollout.demonstrations):
+            return self._imitate()
         policy, settings, rollout = self.policy, self.settings, self.rollout
         policy.set_training_mode(True)
         rate = schedules.learning_rate(self.spec, self.steps) * self.rate_factor
@@ -266,6 +281,43 @@ class PPO(Learner):
             "action_std": float(policy.log_std.detach().exp().mean()),
             "entropy": entropy_mean,
             "learning_rate": rate,
+        }
+
+    def _imitate(self) -> dict[str, float]:
+        """Fit the actor's means to the demonstrations, and the critic to the returns."""
+        settings, rollout = self.settings, self.rollout
+        self._optimizer.lr = _IMITATION_RATE
+        observations, returns = rollout.flat("observations"), rollout.flat("returns")
+        demonstrations = rollout.flat("demonstrations")
+        parameters = list(self.policy.parameters())
+        samples = Samples(observations, demonstrations, returns, returns, returns)
+        losses: list[tuple[float, ...]] = []
+        batch_size = settings.batch_size // self.processes.size
+        for _ in range(settings.n_epochs):
+            order = torch.randperm(len(returns), generator=self.generator)
+            for first in range(0, len(returns), batch_size):
+                chosen = order[first : first + batch_size]
+                figures = (self._imitation.imitation(samples, chosen), self._imitation.critic(samples, chosen))
+                losses.append(self._mean_of_processes(parameters, figures))
+                self._require_finite(losses[-1], 0.0)
+                self._optimizer.step()
+        self._n_passes += settings.n_epochs
+        self._update_average()
+        if self.steps >= settings.imitation_steps:
+            # PPO's gradients have another scale
+            self._optimizer.state.clear()
+            self._averaged = 0
+        self.updates += 1
+        policy_loss, value_loss = np.mean(losses, axis=0).tolist()
+        return {
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "approx_kl": 0.0,
+            "clip_fraction": 0.0,
+            "explained_variance": _explained_variance(rollout.values, rollout.returns),
+            "action_std": float(self.policy.log_std.detach().exp().mean()),
+            "entropy": float(gaussian_entropy(self.policy.log_std.detach())),
+            "learning_rate": _IMITATION_RATE,
         }
 
     def _beside(self, work: Callable[..., float], *arguments: Any) -> Callable[[], float]:

@@ -177,6 +177,16 @@ class PPOSettings(LearnerSettings):
         description="Where an episode ends without a failure, estimate the value of the next state.",
     )
 
+    imitation_steps: int = Field(
+        default=0,
+        ge=0,
+        le=10_000_000_000,
+        title="Imitation steps",
+        description="Steps at the beginning in which the policy learns the actions that the task demonstrates, and the "
+        "critic their value.",
+        json_schema_extra={"unit": "steps"},
+    )
+
     @model_validator(mode="after")
     def _possible(self) -> Self:
         if self.symmetric_policy and any(width % 2 for width in self.hidden_sizes):

@@ -223,6 +223,11 @@ class Task:
         """Return for each of :attr:`ends` which of the robots ``rows`` reached it."""
         return [flag[rows] for flag in self.flags]
 
+    def demonstration(self, rows: slice) -> FloatArray | None:
+        """Return (k, A) actions to imitate for the next step of the robots ``rows``; None if the task shows none."""
+        del rows
+        return None
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return the (k, M) live :attr:`metrics` of the episodes of the robots ``rows``, which have just ended."""
         return np.zeros((len(rows), 0))

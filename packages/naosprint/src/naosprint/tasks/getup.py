@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.simulator import STEP_S, Starts
@@ -10,10 +10,11 @@ from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task, World
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
+from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.penalties import PenaltySettings, penalties
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from naosim.robots import Robot
 
@@ -70,14 +71,6 @@ class GetUpSettings(PenaltySettings):
         description="Each joint of a lying robot is offset from its nominal angle by up to this angle.",
         json_schema_extra={"unit": "deg"},
     )
-    crouching_starts: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1.0,
-        title="Crouching starts",
-        description="Share of training episodes that start from a crouch with a tilted torso, which is easier. "
-        "Evaluations have none.",
-    )
     episode_steps: int = Field(
         default=250,
         ge=HOLD_STEPS,
@@ -94,22 +87,38 @@ class GetUpSettings(PenaltySettings):
         description="Weight of being near the nominal pose while upright.",
     )
 
-    def for_evaluation(self) -> Self:
-        """Return the same settings without disturbances and without easier starts."""
-        return super().for_evaluation().model_copy(update={"crouching_starts": 0.0})
+
+SIDES: Mapping[str, float] = {"front": 0.5 * np.pi, "back": 1.5 * np.pi}
+"""Sides from which there are scripted motions: direction of the axis about which a robot has tipped over,
+counter-clockwise from its front, radians."""
+
+_PERIODS = 6
+_TIME_S = 4.0
+_TIME = ("time", *(f"time_{wave}_{k}" for k in range(1, _PERIODS + 1) for wave in ("sin", "cos")))
 
 
-_CROUCH = {"hip_pitch": -1.35, "knee_pitch": 1.5, "ankle_pitch": -0.6}
-"""Offsets of the legs' joints from the nominal pose in the deepest crouch, radians, by the end of their names."""
+def time_numbers(steps: IntArray) -> FloatArray:
+    """Return (k, 13) observations of the time since each of (k,) robots began to get up, given in steps.
 
-_CROUCH_LEAN = 0.45
-"""Forward tilt of the torso in the deepest crouch, radians: its centre of mass is above the feet."""
+    Sines and cosines make moments distinguishable that are close to each other; after four seconds nothing changes.
+    """
+    time = np.minimum(steps * STEP_S, _TIME_S) / _TIME_S
+    waves = [wave(np.pi * k * time) for k in range(1, _PERIODS + 1) for wave in (np.sin, np.cos)]
+    return np.stack([time, *waves], axis=1)
 
 
-def _crouch(robot: Robot) -> FloatArray:
-    """Return the (J,) offsets of the deepest crouch."""
-    ends = [[offset for end, offset in _CROUCH.items() if joint.name.endswith(end)] for joint in robot.joints]
-    return np.array([sum(offsets) for offsets in ends])
+def lying(around: FloatArray, tilt: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return (k, 4) torso quaternions w, x, y, z of robots that have tipped over.
+
+    Args:
+        around: (k,) directions of the horizontal axes about which they turn, counter-clockwise from the front, radians.
+        tilt: (k,) angles by which they turn.
+        yaw: (k,) angles by which they turn about the vertical after that.
+    """
+    half = 0.5 * tilt
+    w, x, y = np.cos(half), np.sin(half) * np.cos(around), np.sin(half) * np.sin(around)
+    c, s = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    return np.stack([c * w, c * x - s * y, c * y + s * x, s * w], axis=1)
 
 
 class GetUp(Task):
@@ -133,19 +142,39 @@ class GetUp(Task):
 
     def __init__(self, parameters: GetUpSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
+        scripted = motions(self.name, self.robot.name)
+        self._demonstrations = [self._actions(scripted[side]) for side in SIDES] if scripted else []
         self.max_steps = parameters.episode_steps
         self._held: IntArray = np.zeros(self.n, dtype=np.int64)
         self._stood_at: IntArray = np.zeros(self.n, dtype=np.int64)  # 0: not yet
-        self.arrays = {"held": self._held, "stood_at": self._stood_at}
+        self._side: IntArray = np.zeros(self.n, dtype=np.int64)
+        self.arrays = {"held": self._held, "stood_at": self._stood_at, "side": self._side}
         self._height: FloatArray = np.zeros(self.n)
         self._up: FloatArray = np.zeros(self.n)
         self._off_pose: FloatArray = np.zeros(self.n)
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
-        """Return the robot's usual observations without its heading in the world."""
-        from naosprint.tasks.observations import blocks
+        """Return the robot's usual observations without its heading in the world, and the time."""
+        from naosprint.tasks.observations import ObservationBlock, blocks
 
-        return blocks(self.world, [name for name in self.robot.observations if name != "heading"])
+        usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
+        return [*usual, ObservationBlock(_TIME, lambda rows: time_numbers(self.world.steps[rows]))]
+
+    def _actions(self, motion: Motion) -> FloatArray:
+        """Return the (T, A) actions of a motion, and at last of the nominal pose."""
+        actuation = self.world.actuation
+        assert actuation.action_range_rad is not None
+        angles = motion.targets(self.robot)[:, actuation.index] * actuation.sign
+        actions = np.clip((angles - actuation.nominal) / actuation.action_range_rad, -1.0, 1.0)
+        return np.concatenate([actions, np.zeros((1, actuation.n_actions))])
+
+    def demonstration(self, rows: slice) -> FloatArray | None:
+        """Return the actions of the robot's scripted motion for the side that it lay on, at this time."""
+        if not self._demonstrations:
+            return None
+        steps, sides = self.world.steps[rows], self._side[rows]
+        shown = [actions[np.minimum(steps, len(actions) - 1)] for actions in self._demonstrations]
+        return np.where(sides[:, None] == 0, shown[0], shown[1])
 
     def start_position(self) -> tuple[float, float]:
         """Return a start in the robot's lane."""
@@ -159,25 +188,12 @@ class GetUp(Task):
         offsets = np.deg2rad(rng.uniform(-1.0, 1.0, (count, len(joints))) * self.parameters.pose_noise_deg)
         low = np.array([joint.low_rad for joint in joints])
         high = np.array([joint.high_rad for joint in joints])
-        poses = np.clip(self.robot.nominal + offsets, low, high)
         # tilt by a right angle about a horizontal axis of the torso, then turn about the vertical
         around = 0.5 * np.pi * (np.arange(count) % 4) + rng.uniform(-0.3, 0.3, count)
         tilt = np.pi / 2.0 + rng.uniform(-0.2, 0.2, count)
         yaw = rng.uniform(-np.pi, np.pi, count)
-        crouching = rng.uniform(size=count) < self.parameters.crouching_starts
-        depth = rng.uniform(0.0, 1.0, count)
-        around = np.where(crouching, 0.5 * np.pi + rng.uniform(-0.5, 0.5, count), around)
-        tilt = np.where(crouching, depth * _CROUCH_LEAN + rng.uniform(-0.1, 0.1, count), tilt)
-        bent = self.robot.nominal + depth[:, None] * _crouch(self.robot) + 0.2 * offsets
-        poses = np.where(crouching[:, None], np.clip(bent, low, high), poses)
-        half = 0.5 * tilt
-        tilted = np.stack(
-            [np.cos(half), np.sin(half) * np.cos(around), np.sin(half) * np.sin(around), np.zeros(count)], axis=1
-        )
-        c, s = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-        w, x, y, z = tilted.T
-        orientations = np.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], axis=1)
-        return Starts(poses, self.start_position(), orientations=orientations)
+        poses = np.clip(self.robot.nominal + offsets, low, high)
+        return Starts(poses, self.start_position(), orientations=lying(around, tilt, yaw))
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return rewards for height, for an upright torso at that height, and for the nominal pose once up.
@@ -211,7 +227,9 @@ class GetUp(Task):
         """Reset the attempt."""
         self._held[rows] = self._stood_at[rows] = 0
         self._height[rows] = self.world.position(rows)[:, 2]
-        self._up[rows] = self.world.rotation(rows)[:, 2, 2]
+        rotation = self.world.rotation(rows)
+        self._up[rows] = rotation[:, 2, 2]
+        self._side[rows] = rotation[:, 2, 0] > 0.0  # the front faces up: it lies on the back
 
     def advance(self, rows: slice) -> None:
         """Measure height, tilt, and how long the robot has been standing."""

@@ -23,6 +23,7 @@ class Runner:
         """Begin a run along `heading`, the torso's own if it is None; `lane` is a point of the path, (x, y) metres."""
         self.heading, self.lane, self.position = heading, lane, None
         self.offset, self.command, self.action = 0.0, np.zeros(3), np.zeros(len(self.action_names))
+        self.cycles = 0
 
     def observe(self, position, quaternion, gyro_deg, angles_deg, speeds_deg, command=None):
         """Return the observation, once per cycle.
@@ -49,6 +50,9 @@ class Runner:
         joints = np.radians([angles_deg, speeds_deg]) @ self.joint_view.T
         seen = dict(zip(("command_forward", "command_sideways", "command_turn"), self.command))
         seen["height"], seen["heading_sin"], seen["heading_cos"] = position[2], np.sin(error), np.cos(error)
+        seen["time"], self.cycles = min(self.cycles * self.cycle_s / 4.0, 1.0), self.cycles + 1
+        for wave in "sin", "cos":
+            seen.update((f"time_{wave}_{k}", getattr(np, wave)(np.pi * k * seen["time"])) for k in range(1, 7))
         seen["line_offset"] = np.clip(self.offset, -0.5, 0.5) if self.commanded else self.offset
         for name, vector in ("gravity", rotation[2]), ("gyro", np.radians(gyro_deg)), ("velocity", velocity):
             seen.update(zip((f"{name}_{axis}" for axis in "xyz"), vector))
