@@ -29,7 +29,7 @@ os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 import examine
 import matplotlib as mpl
 import naopolicies
-from naospec import EvaluationSpec, TrainingSpec, recipes
+from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
 from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.report import read_metrics, write_report
@@ -266,7 +266,8 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
         )
     lines += ["", f"![learning curves]({name}/learning-curve.png)", ""]
     lines += examine.page({key: card[key] for key in ("motion", "robustness") if key in card})
-    lines += ["## Gait", ""]
+    repeats = plugins.load(plugins.TASKS, card["task"]).presentation.repeats
+    lines += ["## Gait" if repeats else "## Motion in pictures", ""]
     lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures]
     lines += [
         "## Try it",

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from naosprint import evaluate
 from naosprint.analysis.results import headline, value_text
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.rl.policy import load_policy
+from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment, open_environment
 
 CONDITIONS: dict[str, dict[str, Any]] = {
@@ -49,11 +51,12 @@ def motion(checkpoint: Path) -> dict[str, dict[str, float]]:
     spec = EvaluationSpec().applied_to(manifest.stage_spec)
     environment = open_environment(spec, MOTION_EPISODES, threads=2, seed=SEED)
     try:
-        starts = environment.task.starts(MOTION_EPISODES, SEED, spec.task.start_noise_deg)
-        environment.load_starts(starts)
+        task, noise_deg = environment.task, spec.task.start_noise_deg
         everyone = np.arange(MOTION_EPISODES)
         found = {}
-        for name in ("running", "standing"):
+        for name, drawn in (("running", task.starts), ("standing", partial(Task.starts, task))):
+            starts = drawn(MOTION_EPISODES, SEED, noise_deg)
+            environment.load_starts(starts)
             environment.restart(everyone, everyone % len(starts))
             found[name] = _peaks(environment, policy if name == "running" else None)
     finally:

@@ -1,10 +1,11 @@
-"""Search scripted motions of getting up from front and back; write them where the task ``getup`` finds them.
+"""Search scripted motions of getting up from front, back and right; write them where the task ``getup`` finds them.
 
-    python benchmarks/learning/getup_motion.py [--robot t1] [--minutes 10] [--seed 0]
+    python benchmarks/learning/getup_motion.py [--robot t1] [--sides front back right] [--minutes 10] [--seed 0]
 
-A motion is six keyframes, equal on both sides, and the nominal pose at the end. CMA-ES (Hansen and Ostermeier, 2001)
-draws 48 at a time and runs each in MuJoCo from a lying start with random offsets; later heights, an upright torso and
-weight on the feet count most. The motion that is kept is the mean of the distribution that did best from all starts.
+A motion is six keyframes and the nominal pose at the end. From front and back all are equal on both sides; from the
+right side the first three move left and right apart. CMA-ES (Hansen and Ostermeier, 2001) draws 48 at a time and runs
+each in MuJoCo from a lying start with random offsets; later heights, an upright torso, weight on the feet and standing
+by 2.2 s count most. The motion that is kept is the mean of the distribution that did best from all starts.
 ``--minutes`` is the time for each side.
 """
 
@@ -13,8 +14,9 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cmaes
 import numpy as np
@@ -22,9 +24,11 @@ from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.simulator import Starts
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying
-from naosprint.tasks.motions import Motion
+from naosprint.tasks.motions import Motion, motions
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -32,10 +36,12 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parents[2] / "packages/naosprint/src/naosprint/tasks/motion_data"
 JOINTS = ("shoulder_pitch", "shoulder_roll", "elbow_pitch", "elbow_yaw", "hip_pitch", "hip_roll", "hip_yaw")
 JOINTS += ("knee_pitch", "ankle_pitch")
-POPULATION, STARTS, STEPS, LAST = 48, 12, 190, 50
-SHORTEST_S, LONGEST_S, RETURN_S = 0.12, 0.62, 0.35
-SIGMA = 0.8
-POSE_NOISE_DEG = 5.0
+ALL = (*(f"{side}_{name}" for side in ("left", "right") for name in JOINTS), "waist")
+POPULATION, STARTS, STEPS, LAST = 48, 24, 165, 55
+SHORTEST_S, LONGEST_S, RETURN_S = 0.1, 0.5, 0.3
+FRAMES, APART = 6, 3
+SIGMA, SIGMA_FOUND = 0.8, 0.25
+POSE_NOISE_DEG = 6.0
 
 GUESSES: dict[str, tuple[dict[str, float], ...]] = {
     "front": (
@@ -55,7 +61,10 @@ GUESSES: dict[str, tuple[dict[str, float], ...]] = {
         {"shoulder_pitch": -0.6, "hip_pitch": -1.0, "knee_pitch": 1.2, "ankle_pitch": -0.5},
     ),
 }
-"""Where the search begins: arms to the ground, knees under the torso, squat."""
+"""Where the first search begins: arms to the ground, knees under the torso, squat."""
+
+ROLL = {"left_shoulder_pitch": 1.0, "right_shoulder_pitch": -1.2, "hip_pitch": -1.0, "knee_pitch": 1.8}
+"""First keyframe from the right side, towards the back; the next are those from the back."""
 
 
 class Search:
@@ -63,29 +72,48 @@ class Search:
 
     Args:
         robot: its name.
-        side: ``front`` or ``back``.
+        side: ``front``, ``back`` or ``right``.
+        known: motions found before; the search begins with the one from this side.
         seed: seed of the starts and of the search.
     """
 
-    def __init__(self, robot: str, side: str, seed: int) -> None:
+    def __init__(self, robot: str, side: str, known: Mapping[str, Motion], seed: int) -> None:
         self.robot = robots.get(robot)
-        lefts = {joint.name.removeprefix("left_"): index for index, joint in enumerate(self.robot.joints)}
-        chosen = [self.robot.joints[lefts[name]] for name in JOINTS]
-        self._low = np.array([joint.low_rad for joint in chosen])
-        self._span = np.array([joint.high_rad for joint in chosen]) - self._low
-        self._nominal = self.robot.nominal[[lefts[name] for name in JOINTS]]
         self._rng = np.random.default_rng(seed)
-        self._simulator = MujocoSimulator(self.robot, POPULATION, threads=2)
+        self._simulator = MujocoSimulator(self.robot, POPULATION)
         self._simulator.load_starts(self._starts(SIDES[side]))
         self._weight = 9.81 * float(sum(self._simulator.world.model.body_mass))
-        guess = np.zeros((len(GUESSES[side]), len(JOINTS) + 1))
-        for row, angles in zip(guess, GUESSES[side], strict=True):
-            frame = self._nominal.copy()
-            for name, angle in angles.items():
-                frame[JOINTS.index(name)] = angle
-            share = np.clip((frame - self._low) / self._span, 0.05, 0.95)
-            row[:-1] = np.log(share / (1.0 - share))
-        self._optimizer = cmaes.CMA(mean=guess.ravel(), sigma=SIGMA, seed=seed, population_size=POPULATION)
+        self._rows = [ALL if side == "right" and row < APART else JOINTS for row in range(FRAMES)]
+        begins = known.get(side, known.get("back")) if side == "right" else known.get(side)
+        guesses = [dict(frame) for frame in GUESSES.get(side, GUESSES["back"])]
+        seconds = np.full(FRAMES, 0.5 * (SHORTEST_S + LONGEST_S))
+        if begins is not None:
+            guesses = [{name: angles[row] for name, angles in begins.angles_rad.items()} for row in range(FRAMES)]
+            seconds = np.diff([0.0, *begins.times_s])[:FRAMES]
+        if side == "right" and begins is not known.get("right"):
+            guesses[0] = ROLL
+        mean = [self._numbers(*each) for each in zip(self._rows, guesses, seconds, strict=True)]
+        sigma = SIGMA if begins is None else SIGMA_FOUND
+        self._optimizer = cmaes.CMA(np.concatenate(mean), sigma, seed=seed, population_size=POPULATION)
+
+    def _limits(self, name: str) -> tuple[float, float, float]:
+        """Return lower limit, upper limit and nominal angle of a joint, or of a pair, with the left side's signs."""
+        index = next(i for i, joint in enumerate(self.robot.joints) if joint.name in (name, f"left_{name}"))
+        joint, nominal = self.robot.joints[index], float(self.robot.nominal[index])
+        if joint.sign < 0.0:
+            return -joint.high_rad, -joint.low_rad, -nominal
+        return joint.low_rad, joint.high_rad, nominal
+
+    def _numbers(self, names: tuple[str, ...], guess: Mapping[str, float], seconds: float) -> Floats:
+        """Return the numbers of the search that stand for a keyframe."""
+        shares = []
+        for name in names:
+            low, high, nominal = self._limits(name)
+            alike = name.removeprefix("left_").removeprefix("right_")
+            angle = guess.get(name, guess.get(alike, guess.get(f"left_{name}", nominal)))
+            shares.append((angle - low) / (high - low))
+        share = np.clip([*shares, (seconds - SHORTEST_S) / (LONGEST_S - SHORTEST_S)], 0.05, 0.95)
+        return np.log(share / (1.0 - share))
 
     def _starts(self, around: float) -> Starts:
         rng, joints = self._rng, self.robot.joints
@@ -99,16 +127,26 @@ class Search:
 
     def motion(self, numbers: Floats) -> Motion:
         """Return the motion that (D,) numbers of the search stand for."""
-        rows = 1.0 / (1.0 + np.exp(-numbers.reshape(-1, len(JOINTS) + 1)))
-        times = np.cumsum(SHORTEST_S + (LONGEST_S - SHORTEST_S) * rows[:, -1])
-        frames = np.concatenate([self._low + self._span * rows[:, :-1], self._nominal[None]])
+        shares, first = 1.0 / (1.0 + np.exp(-numbers)), 0
+        times, names = [], self._rows[0]
+        angles: dict[str, list[float]] = {name: [] for name in names}
+        for row in self._rows:
+            part = dict(zip((*row, "seconds"), shares[first : first + len(row) + 1], strict=True))
+            first += len(row) + 1
+            times.append(SHORTEST_S + (LONGEST_S - SHORTEST_S) * part["seconds"])
+            for name in names:
+                low, high, nominal = self._limits(name)
+                share = part.get(name, part.get(name.removeprefix("left_").removeprefix("right_")))
+                angles[name].append(nominal if share is None else low + (high - low) * share)
+        for name in names:
+            angles[name].append(self._limits(name)[2])
         return Motion(
-            [round(float(at), 3) for at in (*times, times[-1] + RETURN_S)],
-            {name: [round(float(angle), 3) for angle in frames[:, k]] for k, name in enumerate(JOINTS)},
+            [round(float(at), 3) for at in np.cumsum([*times, RETURN_S])],
+            {name: [round(float(angle), 3) for angle in column] for name, column in angles.items()},
         )
 
     def scores(self, motions: list[Motion], starts: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Return the (n,) scores of n motions, and the share of the last second in which each robot stands."""
+        """Return the (n,) scores of n motions, and the share of the last 1.1 s in which each robot stands."""
         simulator, everyone = self._simulator, slice(0, POPULATION)
         targets = np.tile(self.robot.nominal, (STEPS, POPULATION, 1))
         for row, motion in enumerate(motions):
@@ -143,7 +181,7 @@ class Search:
                 scores, standing = self.scores([mean] * POPULATION, np.arange(POPULATION) % STARTS)
                 if scores.mean() > best[0]:
                     best = float(scores.mean()), mean
-                print(f"  {generation}: score {scores.mean():.2f}, stands {standing.mean():.0%} of the last second")
+                print(f"  {generation}: score {scores.mean():.2f}, stands {standing.mean():.0%} of the end", flush=True)
             generation += 1
         self._simulator.close()
         assert best[1] is not None
@@ -151,20 +189,20 @@ class Search:
 
 
 def main() -> None:
-    """Search both sides and write."""
+    """Search from each side and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="t1")
+    parser.add_argument("--sides", nargs="+", choices=list(SIDES), default=list(SIDES))
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    found: dict[str, Any] = {}
-    for side in SIDES:
-        print(f"{options.robot}, {side}")
-        motion = Search(options.robot, side, options.seed).run(60.0 * options.minutes)
-        found[side] = {"times_s": motion.times_s, "angles_rad": motion.angles_rad}
-    file = FOLDER / f"getup-{options.robot}.json"
-    file.write_text(json.dumps(found, indent=2) + "\n")
-    print(f"wrote {file.name}")
+    for side in options.sides:
+        print(f"{options.robot}, {side}", flush=True)
+        motion = Search(options.robot, side, motions("getup", options.robot), options.seed).run(60.0 * options.minutes)
+        found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
+        file = FOLDER / f"getup-{options.robot}.json"
+        file.write_text(json.dumps(found, indent=2) + "\n")
+        print(f"wrote {file.name}", flush=True)
 
 
 if __name__ == "__main__":

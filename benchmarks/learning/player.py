@@ -1,9 +1,10 @@
 """Run the example agent from point to point on a real rcssservermj, and film it.
 
-    python benchmarks/learning/player.py [--policy t1-run] [--targets 10] [--seed 0] [--film FOLDER]
+    python benchmarks/learning/player.py [--policy t1-run] [--tumble] [--targets 10] [--seed 0] [--film FOLDER]
 
-Exports a bundled policy of task velocity, starts a server in real time on loopback, and runs
-packages/naosprint/examples/play_t1.py, which knows only what the robot perceives. Prints what the agent prints. The
+Exports bundled policies of tasks velocity and getup, starts a server in real time on loopback, and runs
+packages/naosprint/examples/play_t1.py, which knows only what the robot perceives. With ``--tumble`` the robot throws
+itself over before each target and has to get up first. Prints what the agent prints. The
 film shows the first targets by forward kinematics from the perceived pose and angles. Exits with the agent's code: 0
 if every target was reached.
 """
@@ -15,7 +16,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import naopolicies
 import numpy as np
@@ -30,6 +33,11 @@ from naosprint.analysis.replay import Replay
 from naosprint.export import policy_arrays
 from naosprint.rl.policy import load_policy
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from naosim.launchers import Address, Launcher
+
 AGENT = Path(__file__).parents[2] / "packages" / "naosprint" / "examples" / "play_t1.py"
 REALTIME = ServerProgram(
     name="rcssservermj",
@@ -39,31 +47,43 @@ REALTIME = ServerProgram(
 FILM_S, GIF_S = 20.0, 8.0
 
 
+@contextmanager
+def running(launcher: Launcher) -> Iterator[Address]:
+    """Run a server, and yield its address once it listens."""
+    server = launcher.start()
+    try:
+        deadline = time.monotonic() + 60.0
+        while not server.owns(server.address.monitor_port):
+            if not server.alive() or time.monotonic() > deadline:
+                raise TimeoutError(f"the server does not listen: {server.describe()}")
+            time.sleep(0.05)
+        yield server.address
+    finally:
+        server.stop()
+
+
 def main() -> int:
     """Play once; return the agent's exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--policy", default="t1-run", help="bundled policy of task velocity")
+    parser.add_argument("--getup", default="t1-getup", help="bundled policy of task getup")
+    parser.add_argument("--tumble", action="store_true", help="throw the robot over before each target")
     parser.add_argument("--targets", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--film", type=Path, metavar="FOLDER", help="write player.mp4 and player.gif there")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        path, record = Path(scratch) / "policy.npz", Path(scratch) / "cycles.npz"
-        np.savez(path, **policy_arrays(*load_policy(naopolicies.folder(options.policy))))
-        server = ProcessLauncher(REALTIME, (sys.executable, "-m", "rcsssmj")).start()
-        try:
-            deadline = time.monotonic() + 60.0
-            while not server.owns(server.address.monitor_port):
-                if not server.alive() or time.monotonic() > deadline:
-                    raise TimeoutError(f"the server does not listen: {server.describe()}")
-                time.sleep(0.05)
-            address = server.address
-            play = [sys.executable, str(AGENT), str(path), "--host", address.host, "--record", str(record)]
+        record, paths = Path(scratch) / "cycles.npz", []
+        for name in (options.policy, options.getup):
+            paths.append(Path(scratch) / f"{name}.npz")
+            np.savez(paths[-1], **policy_arrays(*load_policy(naopolicies.folder(name))))
+        with running(ProcessLauncher(REALTIME, (sys.executable, "-m", "rcsssmj"))) as address:
+            play = [sys.executable, str(AGENT), str(paths[0]), "--getup", str(paths[1])]
+            play += ["--tumble"] if options.tumble else []
+            play += ["--host", address.host, "--record", str(record)]
             play += ["--ports", str(address.agent_port), str(address.monitor_port)]
             play += ["--targets", str(options.targets), "--seed", str(options.seed)]
             code = subprocess.run(play, check=False).returncode
-        finally:
-            server.stop()
         if options.film and record.exists():
             replay = replay_of(np.load(record), TrainingSpec.model_validate(naopolicies.spec(options.policy)))
             options.film.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """Run a T1 from point to point on a rcssservermj with a policy of task velocity; stand up after falls with another.
 
-python play_t1.py run.npz [--getup getup.npz] [--targets 10] [--seed 0] [--host 127.0.0.1] [--ports 60000 60001]
-    [--record cycles.npz]
+python play_t1.py run.npz [--getup getup.npz] [--tumble] [--targets 10] [--seed 0] [--host 127.0.0.1]
+    [--ports 60000 60001] [--record cycles.npz]
 
 NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py beside it.
 """
@@ -15,7 +15,9 @@ import numpy as np
 from run_policy_t1 import Runner, receive, send
 
 ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
-LYING = 0.6  # of the standing height
+LYING, STANDING, UPRIGHT = 0.6, 0.88, 0.94  # of the standing height; upward component of the torso's z axis
+TUMBLE_CYCLES, REST_CYCLES, REST_DEG = 50, 100, 30.0
+GETUP_CYCLES, HOLD_CYCLES = 250, 25
 
 
 def wrapped(angle):
@@ -63,6 +65,21 @@ class Player(Runner):
 class Riser(Runner):
     """A robot that gets up; it observes the time since it began."""
 
+    def begin(self):
+        super().begin()
+        self.held, self.stood_s = 0, None
+
+    @property
+    def stands(self):
+        return self.place[2] > STANDING * self.standing_height_m and self.rotation[2, 2] > UPRIGHT
+
+    def perceive(self, message):
+        super().perceive(message)
+        if hasattr(self, "held"):
+            self.held = self.held + 1 if self.stands else 0
+            if self.held == HOLD_CYCLES and self.stood_s is None:
+                self.stood_s = (self.cycles - HOLD_CYCLES + 1) * self.cycle_s
+
     def seen(self):
         time = min(self.cycles * self.cycle_s / 4, 1)
         waves = (("sin", np.sin), ("cos", np.cos))
@@ -73,16 +90,28 @@ class Riser(Runner):
         )
 
 
+def tumble(robot, step, rng):
+    """Throw a robot over by random angles, and let it come to rest with limbs at random."""
+    while robot.place[2] > LYING * robot.standing_height_m:
+        wild, limbs = rng.uniform(robot.low_rad, robot.high_rad), rng.uniform(-1, 1, len(robot.low_rad))
+        rest = np.clip(robot.start_pose_rad + np.radians(REST_DEG) * limbs, robot.low_rad, robot.high_rad)
+        for cycle in range(TUMBLE_CYCLES + REST_CYCLES):
+            step(robot, wild if cycle < TUMBLE_CYCLES else rest)
+
+
 def main(arguments=None):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", help="exported policy of task velocity")
     parser.add_argument("--getup", help="exported policy of task getup")
+    parser.add_argument("--tumble", action="store_true", help="throw the robot over before each target; needs --getup")
     parser.add_argument("--targets", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--ports", type=int, nargs=2, default=(60000, 60001), metavar=("AGENT", "MONITOR"))
     parser.add_argument("--record", help="file for what the robot perceived of itself in each cycle")
     options = parser.parse_args(arguments)
+    if options.tumble and not options.getup:
+        parser.error("--tumble needs --getup, the policy that stands the robot up again")
     cycles = []
     agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
     receive(monitor)
@@ -108,11 +137,13 @@ def main(arguments=None):
         step(player, player.start_pose_rad, "(beam -5 0 0)" if cycle == 5 else "")
     monitor.close()
     player.begin()
-    rng = np.random.default_rng(options.seed)
+    rng, thrown = np.random.default_rng(options.seed), np.random.default_rng(options.seed)
     results = []
     for number, target in enumerate(rng.uniform((-12, -8), (12, 8), (options.targets, 2)), start=1):
         began, start = clock, player.place[:2].copy()
         standing = 0
+        if options.tumble:
+            tumble(player, step, thrown)
         while standing < 50 and clock < began + PATIENCE_S:
             if player.place[2] < LYING * player.standing_height_m:
                 falls += 1
@@ -120,10 +151,8 @@ def main(arguments=None):
                     agent.close()
                     raise SystemExit(f"the robot fell on the way to target {number}; --getup can stand it up")
                 getup.begin()
-                for _ in range(250):
+                while getup.cycles < GETUP_CYCLES and getup.held < HOLD_CYCLES:
                     step(getup, getup.act(getup.observe()))
-                    if getup.place[2] > 0.9 * player.standing_height_m and getup.cycles > 50:
-                        break
                 attempts += 1
                 player.begin()
             error = np.hypot(*(target - player.place[:2]))

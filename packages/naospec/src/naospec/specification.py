@@ -376,11 +376,20 @@ class TrainingSpec(_Specification):
         return tuple(accumulate(stage.planned_steps for stage in self.stage_specs))
 
     def overrides(self) -> dict[str, Any]:
-        """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``."""
+        """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``.
+
+        What a learner offers beyond the preset is compared with its default.
+        """
         found: dict[str, Any] = {}
         family = self.robot_description.family
         for section in presets.SECTIONS:
-            for name, value in presets.values(self.algorithm.preset, section, family).items():
+            values = presets.values(self.algorithm.preset, section, family)
+            if section == "algorithm":
+                fields = type(self.algorithm).model_fields
+                values = {
+                    name: fields[name].get_default() for name in fields if name not in ("name", "preset")
+                } | values
+            for name, value in values.items():
                 mine = getattr(getattr(self, section), name, value)
                 if mine != (tuple(value) if isinstance(value, list) else value):
                     found[f"{section}.{name}"] = mine

@@ -53,20 +53,28 @@ def list_policies(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     if as_json:
         context.json(cards)
         return
-    shown = {result["name"]: result["title"] for card in cards for result in _headline(card)}
-    columns = ("Name", "Aliases", "Robot", "Task", *shown.values(), "Trained")
-    table = listing(*columns)
+    # a table for tasks with the same results: with all in one, most cells would be empty
+    tables: dict[tuple[str, ...], list[Any]] = {}
     for card in cards:
-        texts = {result["name"]: format_value(metric_of(result), result["value"]) for result in _headline(card)}
-        table.add_row(
-            card.get("reference", card["name"]),
-            ", ".join(card.get("aliases", ())) or MISSING,
-            card["robot"],
-            card["task"],
-            *(texts.get(name, MISSING) for name in shown),
-            steps_text(card),
+        tables.setdefault(tuple(card["headline"]), []).append(card)
+    for shown, alike in tables.items():
+        titles = {result["name"]: result["title"] for card in alike for result in _headline(card)}
+        table = listing(
+            "Name", "Aliases", "Robot", "Task", *(titles[name] for name in shown if name in titles), "Trained"
         )
-    context.out.print(table if cards else "No policies are bundled with this version.")
+        for card in alike:
+            texts = {result["name"]: format_value(metric_of(result), result["value"]) for result in _headline(card)}
+            table.add_row(
+                card.get("reference", card["name"]),
+                ", ".join(card.get("aliases", ())) or MISSING,
+                card["robot"],
+                card["task"],
+                *(texts.get(name, MISSING) for name in shown if name in titles),
+                steps_text(card),
+            )
+        context.out.print(table)
+    if not cards:
+        context.out.print("No policies are bundled with this version.")
 
 
 def steps_text(card: Mapping[str, Any]) -> str:

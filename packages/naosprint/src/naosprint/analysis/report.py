@@ -114,7 +114,7 @@ def write_report(
     _write_tables(directory, summary, paths, rows)
     steps = len(replay.positions)
     if film:
-        begin = _window(steps)[0]
+        begin = _window(steps, spec)[0]
         write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
@@ -181,8 +181,10 @@ def _episodes_spec(summary: Mapping[str, Any]) -> TrainingSpec:
     return TrainingSpec.model_validate({**training, "stages": [], "task": summary["task"]["settings"], "robot": robot})
 
 
-def _window(samples: int) -> tuple[int, int]:
-    """Return the half-open range of steps that shows the gait: the middle of the run."""
+def _window(samples: int, spec: TrainingSpec) -> tuple[int, int]:
+    """Return the half-open range of steps that shows the motion: the middle of a run, the beginning of others."""
+    if not spec.task_class.presentation.repeats:
+        return 0, min(GIF_STEPS, samples)
     begin = max(0, (samples - WINDOW_STEPS) // 2)
     return begin, min(begin + WINDOW_STEPS, samples)
 
@@ -216,20 +218,24 @@ def _plots(
         figure = figures.trajectories(paths["x"], paths["y"], paths["failed"] > 0.0, presentation.lines)
         caption = f"Paths of the first {len(paths['x'])} episodes, from above."
         found.append(_Plot("trajectories", "Trajectories", caption, figure))
-    begin, end = _window(len(replay.positions))
+    begin, end = _window(len(replay.positions), spec)
     left, right = replay.foot_forces[:, 0].astype(np.float64), replay.foot_forces[:, 1].astype(np.float64)
-    if replay.robot.shapes:
+    if replay.robot.shapes and presentation.repeats:
         figure = figures.frame_strip(replay, figures.stride(left, begin, 8))
         caption = "From one touchdown of the left foot to the next. Blue: left, orange: right."
         found.append(_Plot("frames", "One stride", caption, figure))
+    elif replay.robot.shapes:
+        figure = figures.frame_strip(replay, [round(step) for step in np.linspace(begin, end - 1, 8)])
+        found.append(_Plot("frames", "The motion", "From the beginning. Blue: left, orange: right.", figure))
     if (np.abs(replay.foot_forces) > CONTACT_N).any():
         figure = figures.gait_diagram(left[begin:end], right[begin:end], begin)
-        caption = "Foot contacts by the force perceptors, at most two seconds in the middle of the run."
+        where = "two seconds in the middle of the run" if presentation.repeats else "three seconds from the beginning"
+        caption = f"Foot contacts by the force perceptors, at most {where}."
         if replay.failed:
             caption += f" The episode ended after {replay.duration_s:.2f} s: {replay.end.lower()}."
         found.append(_Plot("gait", "Gait", caption, figure))
     if paths["joint_angles"].size:
-        first, last = _window(len(paths["joint_angles"]))
+        first, last = _window(len(paths["joint_angles"]), spec)
         figure = figures.joint_angles(paths["joint_angles"][first:last], spec.robot_description, first)
         caption = "The joints that move most, as policies see them: equal angles on both sides are a symmetric posture."
         found.append(_Plot("joints", "Joint angles", caption, figure))

@@ -88,9 +88,9 @@ class GetUpSettings(PenaltySettings):
     )
 
 
-SIDES: Mapping[str, float] = {"front": 0.5 * np.pi, "back": 1.5 * np.pi}
-"""Sides from which there are scripted motions: direction of the axis about which a robot has tipped over,
-counter-clockwise from its front, radians."""
+SIDES: Mapping[str, float] = {"front": 0.5 * np.pi, "back": 1.5 * np.pi, "right": 0.0}
+"""Sides from which there are scripted motions, that of the left is mirrored: direction of the axis about which a robot
+has tipped over, counter-clockwise from its front, radians."""
 
 _PERIODS = 6
 _TIME_S = 4.0
@@ -133,6 +133,7 @@ class GetUp(Task):
         charts=(Chart("Success", ("success_rate", "standing_rate")), Chart("Reward", ("reward",))),
         listed=("success_rate", "standing_rate"),
         headline=("success_rate", "time_s", "standing_rate", "final_height_m"),
+        repeats=False,
     )
 
     @classmethod
@@ -143,7 +144,10 @@ class GetUp(Task):
     def __init__(self, parameters: GetUpSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
         scripted = motions(self.name, self.robot.name)
-        self._demonstrations = [self._actions(scripted[side]) for side in SIDES] if scripted else []
+        self._demonstrations: FloatArray | None = None  # (4, T, A)
+        if scripted:
+            moves = [*(scripted[side] for side in SIDES), scripted["right"].mirrored(self.robot)]
+            self._demonstrations = self._actions(moves)
         self.max_steps = parameters.episode_steps
         self._held: IntArray = np.zeros(self.n, dtype=np.int64)
         self._stood_at: IntArray = np.zeros(self.n, dtype=np.int64)  # 0: not yet
@@ -160,21 +164,23 @@ class GetUp(Task):
         usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
         return [*usual, ObservationBlock(_TIME, lambda rows: time_numbers(self.world.steps[rows]))]
 
-    def _actions(self, motion: Motion) -> FloatArray:
-        """Return the (T, A) actions of a motion, and at last of the nominal pose."""
+    def _actions(self, moves: Sequence[Motion]) -> FloatArray:
+        """Return the (k, T, A) actions of motions, each followed by those of the nominal pose."""
         actuation = self.world.actuation
         assert actuation.action_range_rad is not None
-        angles = motion.targets(self.robot)[:, actuation.index] * actuation.sign
-        actions = np.clip((angles - actuation.nominal) / actuation.action_range_rad, -1.0, 1.0)
-        return np.concatenate([actions, np.zeros((1, actuation.n_actions))])
+        tables = [move.targets(self.robot)[:, actuation.index] * actuation.sign for move in moves]
+        angles = np.tile(actuation.nominal, (len(moves), 1 + max(map(len, tables)), 1))
+        for row, table in zip(angles, tables, strict=True):
+            row[: len(table)] = table
+        return np.clip((angles - actuation.nominal) / actuation.action_range_rad, -1.0, 1.0)
 
     def demonstration(self, rows: slice) -> FloatArray | None:
         """Return the actions of the robot's scripted motion for the side that it lay on, at this time."""
-        if not self._demonstrations:
+        if self._demonstrations is None:
             return None
-        steps, sides = self.world.steps[rows], self._side[rows]
-        shown = [actions[np.minimum(steps, len(actions) - 1)] for actions in self._demonstrations]
-        return np.where(sides[:, None] == 0, shown[0], shown[1])
+        return self._demonstrations[
+            self._side[rows], np.minimum(self.world.steps[rows], self._demonstrations.shape[1] - 1)
+        ]
 
     def start_position(self) -> tuple[float, float]:
         """Return a start in the robot's lane."""
@@ -229,7 +235,8 @@ class GetUp(Task):
         self._height[rows] = self.world.position(rows)[:, 2]
         rotation = self.world.rotation(rows)
         self._up[rows] = rotation[:, 2, 2]
-        self._side[rows] = rotation[:, 2, 0] > 0.0  # the front faces up: it lies on the back
+        front, left = rotation[:, 2, 0], rotation[:, 2, 1]  # upward components
+        self._side[rows] = np.where(np.abs(front) > np.abs(left), front > 0.0, np.where(left > 0.0, 2, 3))
 
     def advance(self, rows: slice) -> None:
         """Measure height, tilt, and how long the robot has been standing."""

@@ -73,6 +73,7 @@ class Presentation:
         headline: results of an evaluation on cards and in summaries, the most important first.
         references: values to compare with.
         lines: lines to draw across the field.
+        repeats: whether the motion repeats, as strides do; otherwise reports show its beginning.
     """
 
     charts: tuple[Chart, ...] = ()
@@ -80,6 +81,7 @@ class Presentation:
     headline: tuple[str, ...] = ()
     references: tuple[Reference, ...] = ()
     lines: tuple[FieldLine, ...] = ()
+    repeats: bool = True
 
 
 @dataclass(frozen=True)

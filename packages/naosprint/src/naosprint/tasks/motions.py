@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Motion:
-    """Target angles, interpolated linearly between keyframes, equal on both sides.
+    """Target angles, interpolated linearly between keyframes.
 
     Attributes:
         times_s: (K,) time of each keyframe after the start of the motion; before the first the robot has the nominal
             pose.
-        angles_rad: (K,) angles by the end of a joint's name, of the left side; other joints have their nominal angle.
+        angles_rad: (K,) angles by the name of a joint, or by its name without ``left_`` or ``right_`` if both sides
+            move alike; with the left side's signs. Other joints have their nominal angle.
     """
 
     times_s: Sequence[float]
@@ -37,11 +38,23 @@ class Motion:
         steps = np.arange(round(times[-1] / STEP_S)) * STEP_S
         targets = np.repeat(robot.nominal[None], len(steps), axis=0)
         for index, joint in enumerate(robot.joints):
-            for end, angles in self.angles_rad.items():
-                if joint.name.removeprefix("left_").removeprefix("right_") == end:
-                    frames = np.concatenate([[robot.nominal[index]], joint.sign * np.asarray(angles)])
-                    targets[:, index] = np.interp(steps, times, frames)
+            alike = joint.name.removeprefix("left_").removeprefix("right_")
+            angles = self.angles_rad.get(joint.name, self.angles_rad.get(alike))
+            if angles is not None:
+                frames = np.concatenate([[robot.nominal[index]], joint.sign * np.asarray(angles)])
+                targets[:, index] = np.interp(steps, times, frames)
         return targets
+
+    def mirrored(self, robot: Robot) -> Motion:
+        """Return the motion with left and right exchanged."""
+        exchanged = {"left": "right", "right": "left"}
+        signs = {joint.name: joint.mirror_sign for joint in robot.joints}
+        angles = {}
+        for name, values in self.angles_rad.items():
+            side, _, end = name.partition("_")
+            partner = f"{exchanged[side]}_{end}" if side in exchanged else name
+            angles[partner] = [signs.get(name, 1.0) * value for value in values]
+        return Motion(self.times_s, angles)
 
 
 def motions(task: str, robot: str) -> Mapping[str, Motion]:
