@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from naosprint.rl.rollout import TrainingEnvironment
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
-_IMITATION_RATE = 5e-4
+_IMITATION_RATE, _LEAST_RATE = 1e-3, 0.05
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
 
 
@@ -178,6 +178,7 @@ class PPO(Learner):
             self._observations = environment.observations()  # by the statistics that the processes have merged since
         observations, starts = self._observations.copy(), self._starts.copy()
         imitates = self.steps < self.settings.imitation_steps
+        shown_to = round(self._imitation_left() * n)
         rollout.demonstrations = np.zeros(rollout.actions.shape if imitates else (0, n, 0), np.float32)
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
         # while the simulator computes for one group, another is processed here
@@ -199,9 +200,12 @@ class PPO(Learner):
                         rewards[transition.bootstrapped] += gamma * self._critic(transition.last_observations)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
-                    if imitates:
-                        rollout.demonstrations[step, group] = environment.environment.task.demonstration(group)
                     actions = self._actor(seen, scaled_noise[step, group], rollout.actions[step, group])
+                    if imitates:
+                        shown = rollout.demonstrations[step, group]
+                        shown[:] = environment.environment.task.demonstration(group)
+                        led = max(0, shown_to - group.start)
+                        actions[:led] = (shown + scaled_noise[step, group])[:led]
                     environment.step_async(actions, group)
         with torch.no_grad():
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - environment.n_actions * _HALF_LOG_TWO_PI
@@ -283,10 +287,19 @@ class PPO(Learner):
             "learning_rate": rate,
         }
 
+    def _imitation_left(self) -> float:
+        """Return the share of the imitation that is still to come: 1 at its beginning, 0 after it."""
+        return max(0.0, 1.0 - self.steps / max(1, self.settings.imitation_steps))
+
     def _imitate(self) -> dict[str, float]:
-        """Fit the actor's means to the demonstrations, and the critic to the returns."""
+        """Fit the actor's means to the demonstrations, and the critic to the returns.
+
+        The demonstrations lead a share of the environments that goes down to none, so that the policy learns from the
+        states of a good motion first and from its own at last (Ross et al., 2011). The learning rate falls with it.
+        """
         settings, rollout = self.settings, self.rollout
-        self._optimizer.lr = _IMITATION_RATE
+        rate = _IMITATION_RATE * max(_LEAST_RATE, self._imitation_left())
+        self._optimizer.lr = rate
         observations, returns = rollout.flat("observations"), rollout.flat("returns")
         demonstrations = rollout.flat("demonstrations")
         parameters = list(self.policy.parameters())
@@ -317,7 +330,7 @@ class PPO(Learner):
             "explained_variance": _explained_variance(rollout.values, rollout.returns),
             "action_std": float(self.policy.log_std.detach().exp().mean()),
             "entropy": float(gaussian_entropy(self.policy.log_std.detach())),
-            "learning_rate": _IMITATION_RATE,
+            "learning_rate": rate,
         }
 
     def _beside(self, work: Callable[..., float], *arguments: Any) -> Callable[[], float]:
