@@ -4,9 +4,9 @@
 
 A motion is six keyframes and the nominal pose at the end. From front and back all are equal on both sides; from the
 right side the first three move left and right apart. CMA-ES (Hansen and Ostermeier, 2001) draws 48 at a time and runs
-each in MuJoCo from a lying start with random offsets and with noise on all targets, as in a training that explores; later
-heights, an upright torso, weight on the feet and standing by 2.4 s count most. The motion that is kept is the mean of the distribution that did best from all starts.
-``--minutes`` is the time for each side.
+each in MuJoCo from a start of the task and with noise on all targets, as in a training that explores; later heights, an
+upright torso, weight on the feet and standing by 2.4 s count most. The motion that is kept is the mean of the
+distribution that did best from all starts. ``--minutes`` is the time for each side.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.simulator import Starts
-from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying
+from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
 from naosprint.tasks.motions import Motion, motions
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ POPULATION, STARTS, STEPS, LAST = 48, 24, 175, 55
 SHORTEST_S, LONGEST_S, RETURN_S = 0.1, 0.5, 0.3
 FRAMES, APART = 6, 3
 SIGMA, SIGMA_FOUND = 0.8, 0.25
-POSE_NOISE_DEG, TARGET_NOISE_RAD = 15.0, 0.1
+POSE_NOISE_DEG, TARGET_NOISE_RAD = 30.0, 0.1
 
 GUESSES: dict[str, tuple[dict[str, float], ...]] = {
     "front": (
@@ -75,13 +75,14 @@ class Search:
         side: ``front``, ``back`` or ``right``.
         known: motions found before; the search begins with the one from this side.
         seed: seed of the starts and of the search.
+        threads: threads of the simulator.
     """
 
-    def __init__(self, robot: str, side: str, known: Mapping[str, Motion], seed: int) -> None:
+    def __init__(self, robot: str, side: str, known: Mapping[str, Motion], seed: int, threads: int) -> None:
         self.robot = robots.get(robot)
         self._rng = np.random.default_rng(seed)
-        self._simulator = MujocoSimulator(self.robot, POPULATION)
-        self._simulator.load_starts(self._starts(SIDES[side]))
+        self._simulator = MujocoSimulator(self.robot, POPULATION, threads=threads)
+        self._simulator.load_starts(self._starts(side))
         self._weight = 9.81 * float(sum(self._simulator.world.model.body_mass))
         self._rows = [ALL if side == "right" and row < APART else JOINTS for row in range(FRAMES)]
         begins = known.get(side, known.get("back")) if side == "right" else known.get(side)
@@ -115,15 +116,24 @@ class Search:
         share = np.clip([*shares, (seconds - SHORTEST_S) / (LONGEST_S - SHORTEST_S)], 0.05, 0.95)
         return np.log(share / (1.0 - share))
 
-    def _starts(self, around: float) -> Starts:
-        rng, joints = self._rng, self.robot.joints
-        offsets = np.deg2rad(rng.uniform(-1.0, 1.0, (STARTS, len(joints))) * POSE_NOISE_DEG)
-        poses = np.clip(
-            self.robot.nominal + offsets, [joint.low_rad for joint in joints], [joint.high_rad for joint in joints]
-        )
-        tipped = around + rng.uniform(-0.15, 0.15, STARTS), np.pi / 2.0 + rng.uniform(-0.1, 0.1, STARTS)
+    def _starts(self, side: str) -> Starts:
+        """Return starts as in the task that come to rest on this side."""
+        rng, joints, simulator = self._rng, self.robot.joints, self._simulator
+        limits = [joint.low_rad for joint in joints], [joint.high_rad for joint in joints]
         lane = (0.0, float(self.robot.data.get("lane_y_m", 0.0)))
-        return Starts(poses, lane, orientations=lying(*tipped, np.zeros(STARTS)))
+        poses: list[Floats] = []
+        orientations: list[Floats] = []
+        while len(poses) < STARTS:
+            offsets = np.deg2rad(rng.uniform(-1.0, 1.0, (POPULATION, len(joints))) * POSE_NOISE_DEG)
+            drawn = np.clip(self.robot.nominal + offsets, *limits)
+            around = SIDES[side] + rng.uniform(-0.3, 0.3, POPULATION)
+            tipped = lying(around, np.pi / 2.0 + rng.uniform(-0.2, 0.2, POPULATION), np.zeros(POPULATION))
+            simulator.load_starts(Starts(drawn, lane, orientations=tipped))
+            simulator.start(np.arange(POPULATION), np.arange(POPULATION))
+            rests = side_of(simulator.truth.torso_rotation) == list(SIDES).index(side)
+            poses += list(drawn[rests])
+            orientations += list(tipped[rests])
+        return Starts(np.array(poses[:STARTS]), lane, orientations=np.array(orientations[:STARTS]))
 
     def motion(self, numbers: Floats) -> Motion:
         """Return the motion that (D,) numbers of the search stand for."""
@@ -196,10 +206,12 @@ def main() -> None:
     parser.add_argument("--sides", nargs="+", choices=list(SIDES), default=list(SIDES))
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
     for side in options.sides:
         print(f"{options.robot}, {side}", flush=True)
-        motion = Search(options.robot, side, motions("getup", options.robot), options.seed).run(60.0 * options.minutes)
+        search = Search(options.robot, side, motions("getup", options.robot), options.seed, options.threads)
+        motion = search.run(60.0 * options.minutes)
         found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
         file = FOLDER / f"getup-{options.robot}.json"
         file.write_text(json.dumps(found, indent=2) + "\n")

@@ -121,6 +121,13 @@ def lying(around: FloatArray, tilt: FloatArray, yaw: FloatArray) -> FloatArray:
     return np.stack([c * w, c * x - s * y, c * y + s * x, s * w], axis=1)
 
 
+def side_of(rotation: FloatArray) -> IntArray:
+    """Return which side robots with (k, 3, 3) torso rotations lie on: 0 to 2 for those of :data:`SIDES`, 3 for left."""
+    front, left = rotation[:, 2, 0], rotation[:, 2, 1]  # upward components
+    sides = np.where(np.abs(front) > np.abs(left), front > 0.0, np.where(left > 0.0, 2, 3))
+    return np.asarray(sides, dtype=np.int64)
+
+
 class GetUp(Task):
     """Stand up from lying on the front, the back, or a side, and stay up."""
 
@@ -235,8 +242,7 @@ class GetUp(Task):
         self._height[rows] = self.world.position(rows)[:, 2]
         rotation = self.world.rotation(rows)
         self._up[rows] = rotation[:, 2, 2]
-        front, left = rotation[:, 2, 0], rotation[:, 2, 1]  # upward components
-        self._side[rows] = np.where(np.abs(front) > np.abs(left), front > 0.0, np.where(left > 0.0, 2, 3))
+        self._side[rows] = side_of(rotation)
 
     def advance(self, rows: slice) -> None:
         """Measure height, tilt, and how long the robot has been standing."""
