@@ -23,6 +23,7 @@ std::string PerceptorReader::read(std::string_view message, const PerceptorTarge
   Cursor cursor(message);
   std::string_view tag, field, word;
   joints_seen = 0;
+  std::size_t next_joint = 0;  // servers list joints in an order of their own, which is mostly ours
   for (double* touch : to.touch)
     for (int c = 0; c < 6; ++c) touch[c] = std::numeric_limits<double>::quiet_NaN();
   std::fill_n(to.vision, 3 * landmarks_.size(), std::numeric_limits<double>::quiet_NaN());
@@ -37,8 +38,12 @@ std::string PerceptorReader::read(std::string_view message, const PerceptorTarge
       bool turned = false;
       while (cursor.enter(field)) {
         if (field == "n" && cursor.atom(word)) {
-          const auto found = index_.find(word);
-          if (found != index_.end()) joint = found->second;
+          if (next_joint < names_.size() && names_[next_joint] == word) {
+            joint = static_cast<int>(next_joint);
+          } else if (const auto found = index_.find(word); found != index_.end()) {
+            joint = found->second;
+          }
+          next_joint = static_cast<std::size_t>(joint + 1);
         } else if (field == "ax") {
           if (!cursor.number(angle)) return wrong("a joint angle");
           turned = true;

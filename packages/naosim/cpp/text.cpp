@@ -1,77 +1,51 @@
 #include "text.hpp"
 
+#include <array>
 #include <charconv>
 #include <cmath>
+#include <cstdint>
 #include <cstdio>
 #include <cstring>
 
 namespace naosim::protocol {
 
 namespace {
-bool blank(char c) { return c == ' ' || c == '\t' || c == '\n' || c == '\r' || c == '\0'; }
-bool bracket(char c) { return c == '(' || c == ')'; }
+
+constexpr int kExactDigits = 15;  // integers and powers of ten of up to so many digits are exact, so their quotient is rounded once
+constexpr std::array<double, kExactDigits + 1> kPowers = {1e0, 1e1, 1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                                          1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15};
+
+// Reads what servers print nearly always: a sign, digits, and perhaps a point among them.
+bool parse_short(std::string_view word, double& value) {
+  const bool negative = !word.empty() && word.front() == '-';
+  if (negative) word.remove_prefix(1);
+  if (word.empty() || word.size() > kExactDigits + 1) return false;
+  std::int64_t digits = 0;
+  std::size_t point = word.size();
+  for (std::size_t k = 0; k < word.size(); ++k) {
+    const unsigned digit = static_cast<unsigned char>(word[k]) - unsigned{'0'};
+    if (digit < 10) {
+      digits = 10 * digits + digit;
+    } else if (word[k] == '.' && point == word.size()) {
+      point = k;
+    } else {
+      return false;
+    }
+  }
+  const bool pointed = point < word.size();
+  if (word.size() - pointed == 0 || word.size() - pointed > kExactDigits) return false;
+  const double magnitude = static_cast<double>(digits) / kPowers[pointed ? word.size() - point - 1 : 0];
+  value = negative ? -magnitude : magnitude;
+  return true;
+}
+
 }  // namespace
-
-void Cursor::skip_blanks() {
-  while (at_ != end_ && blank(*at_)) ++at_;
-}
-
-bool Cursor::done() {
-  skip_blanks();
-  return at_ == end_;
-}
-
-bool Cursor::at_list() {
-  skip_blanks();
-  return at_ != end_ && *at_ == '(';
-}
-
-bool Cursor::enter() {
-  if (!at_list()) return false;
-  ++at_;
-  return true;
-}
-
-bool Cursor::enter(std::string_view& tag) {
-  if (!enter()) return false;
-  if (!atom(tag)) tag = {};
-  return true;
-}
-
-bool Cursor::atom(std::string_view& word) {
-  skip_blanks();
-  const char* first = at_;
-  while (at_ != end_ && !blank(*at_) && !bracket(*at_)) ++at_;
-  word = {first, static_cast<std::size_t>(at_ - first)};
-  return at_ != first;
-}
 
 bool parse_number(std::string_view word, double& value) {
   if (!word.empty() && word.front() == '+') word.remove_prefix(1);
+  if (parse_short(word, value)) return true;
   const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
   return error == std::errc{} && end == word.data() + word.size() && !word.empty();
-}
-
-bool Cursor::number(double& value) {
-  std::string_view word;
-  return atom(word) && parse_number(word, value);
-}
-
-bool Cursor::numbers(double* values, int count) {
-  for (int k = 0; k < count; ++k)
-    if (!number(values[k])) return false;
-  return true;
-}
-
-bool Cursor::leave() {
-  for (int depth = 1; at_ != end_; ++at_) {
-    if (*at_ == '(') ++depth;
-    if (*at_ == ')' && --depth == 0) {
-      ++at_;
-      return true;
-    }
-  }
-  return false;
 }
 
 void append_fixed(std::string& out, double value, int digits) {
