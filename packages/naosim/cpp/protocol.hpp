@@ -166,7 +166,7 @@ class SparkExchange final : public Exchange {
   std::string read(int row, bool monitor, std::string_view text) override;
   std::string lacking(int row) const override;
   std::size_t joints_, sights_;
-  std::vector<std::string> effectors_;
+  std::vector<std::string> openings_;  // "(he1 "
   PerceptorReader reader_;
   std::vector<Robot> robots_;
 };

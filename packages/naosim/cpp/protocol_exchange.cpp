@@ -10,9 +10,10 @@ SparkExchange::SparkExchange(int n, std::vector<std::string> joints, std::vector
     : Exchange(n),
       joints_(joints.size()),
       sights_(3 * landmarks.size()),
-      effectors_(std::move(effectors)),
+      openings_(std::move(effectors)),
       reader_(joints, landmarks),
       robots_(static_cast<std::size_t>(n)) {
+  for (std::string& opening : openings_) opening = '(' + opening + ' ';
   const std::size_t rows = static_cast<std::size_t>(n);
   joint_angles.assign(rows * joints_, 0.0);
   gyro.assign(rows * 3, 0.0);
@@ -37,12 +38,10 @@ void SparkExchange::compose(int, const double* speeds, std::string& message) {
   for (std::size_t j = 0; j < joints_; ++j) {
     // the shortest text that the server reads as the same single-precision number
     char text[64];
-    const auto end = std::to_chars(text, text + sizeof text, static_cast<float>(speeds[j]), std::chars_format::fixed);
-    message += '(';
-    message += effectors_[j];
-    message += ' ';
-    message.append(text, end.ptr);
-    message += ')';
+    char* end = std::to_chars(text, text + sizeof text - 1, static_cast<float>(speeds[j]), std::chars_format::fixed).ptr;
+    *end++ = ')';
+    message += openings_[j];
+    message.append(text, end);
   }
   message += "(syn)";
 }

@@ -115,6 +115,14 @@ def place_of(polar: list[float], position: np.ndarray, yaw_deg: float) -> np.nda
     return np.asarray(position + np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ ahead)
 
 
+@given(st.from_regex(r"\A[+-]?[0-9]{1,18}(\.[0-9]{0,18})?(e[+-]?[0-9]{1,2})?\Z"))
+def test_every_number_is_read_as_the_nearest_double(word: str) -> None:
+    """Short ones by a quotient of integers, others by the standard library."""
+    scene = _core.SceneReader()
+    scene.read(f"((time {word}))".encode())
+    assert (scene.time, math.copysign(1.0, scene.time)) == (float(word), math.copysign(1.0, float(word)))
+
+
 @pytest.mark.parametrize("yaw", [-90.0, 0.0, 37.0, 180.0])
 def test_landmarks_are_where_they_are_seen(yaw: float) -> None:
     position = np.array([-10.0, 2.0, 0.5])

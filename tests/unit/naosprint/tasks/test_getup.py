@@ -66,20 +66,37 @@ def test_robots_start_lying_on_every_side(robot: Robot) -> None:
     assert "heading_sin" not in environment.observer.names
 
 
+@pytest.mark.parametrize(
+    ("fraction", "quarters"), [(0.5, [0, 1, 2, 3]), (1.0, [0, 2, 0, 2]), (0.0, [1, 3, 1, 3]), (0.75, [0, 2, 0, 1])]
+)
+def test_a_fraction_of_the_robots_tips_over_sideways(fraction: float, quarters: list[int]) -> None:
+    """0 is the right side, 1 the front, 2 the left, 3 the back: the head's horizontal direction from the feet."""
+    task = environment_of(4, side_fraction=fraction).task
+    w, x, y, z = task.starts(4, 0, 0.0).orientations.T
+    # the torso's z axis before the turn about the vertical, which the torso's own x and y axes show
+    rising = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x)], axis=1)  # upward components of x and y axes
+    found = np.select(
+        [np.abs(rising[:, 1]) > np.abs(rising[:, 0])],
+        [np.where(rising[:, 1] > 0.0, 0, 2)],
+        np.where(rising[:, 0] < 0.0, 1, 3),
+    )
+    assert found.tolist() == quarters
+
+
 def test_demonstrations_stand_up_from_every_side() -> None:
-    """The scripted motions alone, from limbs that are a little off."""
-    environment = environment_of(64, WIDE, pose_noise_deg=3.0)
-    held, best = np.zeros(64), np.zeros(64)
+    """The scripted motions alone, with the noise of 0.1 rad of a policy that explores; nobody balances after them."""
+    environment = environment_of(64, WIDE)
+    held, best, rng = np.zeros(64), np.zeros(64), np.random.default_rng(0)
     for _ in range(190):
         shown = environment.task.demonstration(slice(0, 64))
         assert shown is not None
-        environment.step(shown)
+        environment.step(shown + rng.normal(0.0, 0.1 / 3.2, shown.shape))
         truth = environment.simulator.truth
         tall = truth.torso_position[:, 2] > STANDING_HEIGHT * T1.standing_height_m
         held = np.where(tall & (truth.torso_rotation[:, 2, 2] > STANDING_UP), held + 1, 0)
         best = np.maximum(best, held)
     stood = (best >= HOLD_STEPS).reshape(-1, 4).mean(axis=0)
-    assert (stood > 0.7).all(), stood
+    assert (stood > 0.1).all() and stood.mean() > 0.3, stood
 
 
 def test_a_mirrored_motion_moves_the_other_side() -> None:

@@ -71,6 +71,13 @@ class GetUpSettings(PenaltySettings):
         description="Each joint of a lying robot is offset from its nominal angle by up to this angle.",
         json_schema_extra={"unit": "deg"},
     )
+    side_fraction: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        title="Fraction of sides",
+        description="Fraction of robots that have tipped over to the left or right; the others lie on front and back.",
+    )
     episode_steps: int = Field(
         default=250,
         ge=HOLD_STEPS,
@@ -202,11 +209,18 @@ class GetUp(Task):
         low = np.array([joint.low_rad for joint in joints])
         high = np.array([joint.high_rad for joint in joints])
         # tilt by a right angle about a horizontal axis of the torso, then turn about the vertical
-        around = 0.5 * np.pi * (np.arange(count) % 4) + rng.uniform(-0.3, 0.3, count)
+        around = 0.5 * np.pi * self._quarters(count) + rng.uniform(-0.3, 0.3, count)
         tilt = np.pi / 2.0 + rng.uniform(-0.2, 0.2, count)
         yaw = rng.uniform(-np.pi, np.pi, count)
         poses = np.clip(self.robot.nominal + offsets, low, high)
         return Starts(poses, self.start_position(), orientations=lying(around, tilt, yaw))
+
+    def _quarters(self, count: int) -> IntArray:
+        """Return each robot's quarter turns from the right side: the two sides in turn, and front and back in turn."""
+        due = np.ceil(np.arange(count + 1) * self.parameters.side_fraction)
+        aside = np.diff(due) > 0.0
+        turn = np.where(aside, np.cumsum(aside), np.cumsum(~aside)) - 1
+        return np.asarray(2 * (turn % 2) + ~aside, dtype=np.int64)
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return rewards for height, for an upright torso at that height, and for the nominal pose once up.
