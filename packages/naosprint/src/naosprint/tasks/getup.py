@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S, Starts
@@ -76,7 +76,8 @@ class GetUpSettings(PenaltySettings):
         ge=0.0,
         le=1.0,
         title="Fraction of sides",
-        description="Fraction of robots that have tipped over to the left or right; the others lie on front and back.",
+        description="Fraction of robots that have tipped over to the left or right; the others lie on front and back. "
+        "Evaluations have as many of either.",
     )
     episode_steps: int = Field(
         default=250,
@@ -93,6 +94,11 @@ class GetUpSettings(PenaltySettings):
         title="Pose weight",
         description="Weight of being near the nominal pose while upright.",
     )
+
+    def for_evaluation(self) -> Self:
+        """Return the settings without disturbances, and with as many robots on the sides as on front and back."""
+        side_fraction = type(self).model_fields["side_fraction"].get_default()
+        return super().for_evaluation().model_copy(update={"side_fraction": side_fraction})
 
 
 SIDES: Mapping[str, float] = {"front": 0.5 * np.pi, "back": 1.5 * np.pi, "right": 0.0}
