@@ -41,7 +41,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 """Settings of the task by the name of a disturbance."""
 
 MOTION_EPISODES, MOTION_STEPS = 16, 500
-AT_LIMIT = 0.99
+AT_LIMIT, FALLEN = 0.99, 0.6
 SEED = 4242
 
 
@@ -74,6 +74,8 @@ def _peaks(environment: Environment, policy: Any) -> dict[str, float]:
         actions = still if policy is None else policy.act(environment.observations, None)
         environment.step(actions, active)
         active &= ~environment.terminated & ~environment.truncated
+        if policy is None:  # of the tasks, getup does not end with a fall
+            active &= simulator.truth.torso_position[:, 2] > FALLEN * simulator.robot.standing_height_m
         if not active.any():
             break
         speed = max(speed, float(np.abs(environment.world.perceptors["joint_speeds"][active]).max()))

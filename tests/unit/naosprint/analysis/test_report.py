@@ -210,6 +210,8 @@ def test_film_and_caption_agree(evaluation: Path) -> None:
     text = Film(short).caption(79)
     seconds, distance = text.split()[0], text.split()[2]
     assert f"{distance} m from the start in {seconds} s, fall. Lines" in film_caption(short)
+    assert "episodes by distance:" in film_caption(short)
+    assert "episodes by final height:" in film_caption(short, repeats=False)
     assert len(replay.positions) > FILM_STEPS
     assert "in 60.00 s, time limit. The film shows the first 24.98 s" in film_caption(replay)
     assert replay.moved_m(0, FILM_STEPS - 1) == pytest.approx(_shown_distance(Film(replay), FILM_STEPS - 1), abs=0.01)

@@ -298,13 +298,14 @@ class _Recorder:
 
 
 def _replay(recorder: _Recorder, episodes: Episodes, spec: TrainingSpec) -> Replay:
-    """Return the median one of the first episodes by distance covered, then by length."""
-    # episodes that ended alike differ in their lengths
-    order = sorted(
-        range(recorder.shown),
-        key=lambda i: (round(float(episodes.x[i][-1] - episodes.x[i][0]), 1), -len(episodes.x[i])),
-    )
-    median = order[recorder.shown // 2]
+    """Return the median one of the first episodes by distance covered, or by final height where nothing repeats."""
+
+    def rank(number: int) -> tuple[float, int]:
+        x, height = episodes.x[number], episodes.height[number]
+        reached = x[-1] - x[0] if spec.task_class.presentation.repeats else height[-1]
+        return round(float(reached), 1), -len(x)  # episodes that ended alike differ in their lengths
+
+    median = sorted(range(recorder.shown), key=rank)[recorder.shown // 2]
     reached = [end for end in recorder.environment.task.ends if episodes.ends[end.name][median]]
     return Replay(
         robot=spec.robot_description,

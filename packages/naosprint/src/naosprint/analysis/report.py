@@ -131,7 +131,7 @@ def write_report(
             details=_details(summary, spec, rows),
             plots=[(plot, drawings[plot.name]) for plot in plots],
             film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
-            film_caption=film_caption(replay),
+            film_caption=film_caption(replay, repeats=spec.task_class.presentation.repeats),
             references=[reference.title for reference in spec.task_class.presentation.references],
         )
     )
@@ -143,10 +143,11 @@ def film_frames(replay: Replay) -> range:
     return range(min(len(replay.positions), FILM_STEPS))
 
 
-def film_caption(replay: Replay) -> str:
+def film_caption(replay: Replay, *, repeats: bool = True) -> str:
     """Return the caption of the film of an episode: the numbers of its last picture, and how the episode ended."""
+    rank = "distance" if repeats else "final height"
     moved = f"{replay.moved_m():.2f} m from the start in {replay.duration_s:.2f} s"
-    caption = f"The median of the first episodes by distance: {moved}, {(replay.end or 'time limit').lower()}."
+    caption = f"The median of the first episodes by {rank}: {moved}, {(replay.end or 'time limit').lower()}."
     last = film_frames(replay)[-1]
     if last < len(replay.positions) - 1:
         caption += f" The film shows the first {last * STEP_S:.2f} s, {replay.moved_m(0, last):.2f} m."
