@@ -289,7 +289,8 @@ class PPO(Learner):
 
     def _imitation_left(self) -> float:
         """Return the share of the imitation that is still to come: 1 at its beginning, 0 after it."""
-        return max(0.0, 1.0 - self.steps / max(1, self.settings.imitation_steps))
+        steps: int = self.settings.imitation_steps
+        return max(0.0, 1.0 - self.steps / max(1, steps))
 
     def _imitate(self) -> dict[str, float]:
         """Fit the actor's means to the demonstrations, and the critic to the returns.

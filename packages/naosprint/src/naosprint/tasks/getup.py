@@ -198,9 +198,8 @@ class GetUp(Task):
         """Return the actions of the robot's scripted motion for the side that it lay on, at this time."""
         if self._demonstrations is None:
             return None
-        return self._demonstrations[
-            self._side[rows], np.minimum(self.world.steps[rows], self._demonstrations.shape[1] - 1)
-        ]
+        steps = np.minimum(self.world.steps[rows], self._demonstrations.shape[1] - 1)
+        return np.asarray(self._demonstrations[self._side[rows], steps])
 
     def start_position(self) -> tuple[float, float]:
         """Return a start in the robot's lane."""
