@@ -84,7 +84,9 @@ class Search:
         self._simulator = MujocoSimulator(self.robot, POPULATION, threads=threads)
         self._simulator.load_starts(self._starts(side))
         self._weight = 9.81 * float(sum(self._simulator.world.model.body_mass))
-        self._rows = [ALL if side == "right" and row < APART else JOINTS for row in range(FRAMES)]
+        named = {joint.name for joint in self.robot.joints}
+        apart = tuple(name for name in ALL if name in named)  # a K1 has no waist
+        self._rows = [apart if side == "right" and row < APART else JOINTS for row in range(FRAMES)]
         begins = known.get(side, known.get("back")) if side == "right" else known.get(side)
         guesses = [dict(frame) for frame in GUESSES.get(side, GUESSES["back"])]
         seconds = np.full(FRAMES, 0.5 * (SHORTEST_S + LONGEST_S))

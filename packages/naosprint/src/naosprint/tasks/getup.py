@@ -165,7 +165,7 @@ class GetUp(Task):
         super().__init__(parameters, world, seed)
         scripted = motions(self.name, self.robot.name)
         self._demonstrations: FloatArray | None = None  # (4, T, A)
-        if scripted:
+        if scripted.keys() >= SIDES.keys():
             moves = [*(scripted[side] for side in SIDES), scripted["right"].mirrored(self.robot)]
             self._demonstrations = self._actions(moves)
         self.max_steps = parameters.episode_steps
