@@ -37,6 +37,7 @@ using SetState = void (*)(const void* model, void* data, const double* state, in
 using GetState = void (*)(const void* model, const void* data, double* state, int signature);
 
 constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
+constexpr double kSliding = 0.1;                             // rad/s; joint friction is proportional to slower speeds
 
 // By default the library writes warnings to a file in the working directory. Here each world keeps its last one.
 thread_local std::string* world_warning = nullptr;
@@ -70,12 +71,14 @@ struct World {
   const void* model;
   void* data;
   double *ctrl, *sensordata, *qpos;
+  double *joint_speeds, *joint_torques;  // the joints' part of qvel and qfrc_applied
 };
 
 class Worlds {
  public:
   Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
-         const Addresses& sensordata, const Addresses& qpos, int substeps, int delay, bool truncate, int threads)
+         const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds, const Addresses& torques,
+         const Doubles& friction, int substeps, int delay, bool truncate, int threads)
       : step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
         get_state_(pointer_to<GetState>(functions["mj_getState"])),
@@ -86,7 +89,8 @@ class Worlds {
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
       worlds_.push_back({pointer<const void>(model), pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
-                         pointer<double>(qpos.data()[k])});
+                         pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]), pointer<double>(torques.data()[k])});
+    friction_.assign(friction.data(), friction.data() + friction.size());
     const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
     pending.assign(n * joints, 0.0);
     joint_angles.assign(n * joints, 0.0);
@@ -122,6 +126,7 @@ class Worlds {
       }
       world_warning = &warnings[row];
       for (int s = 0; s < substeps_; ++s) {
+        apply_friction(world);
         step_(world.model, world.data);
         note_feet(row, s);
       }
@@ -152,11 +157,14 @@ class Worlds {
 
   void set_model(int row, std::uint64_t model) { worlds_[row].model = pointer<const void>(model); }
 
-  // Nothing but mj_step, for benchmarks.
+  // Nothing but mj_step and the joints' friction, for benchmarks.
   void step_bare(int cycles) {
     for (int cycle = 0; cycle < cycles; ++cycle)
       for (const World& world : worlds_)
-        for (int s = 0; s < substeps_; ++s) step_(world.model, world.data);
+        for (int s = 0; s < substeps_; ++s) {
+          apply_friction(world);
+          step_(world.model, world.data);
+        }
   }
 
   std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
@@ -167,6 +175,12 @@ class Worlds {
   template <class T>
   static T pointer_to(nb::handle address) {
     return reinterpret_cast<T>(static_cast<std::uintptr_t>(nb::cast<std::uint64_t>(address)));
+  }
+
+  // Coulomb friction of the joints as torques, where the model has none.
+  void apply_friction(const World& world) const {
+    for (std::size_t j = 0; j < friction_.size(); ++j)
+      world.joint_torques[j] = -friction_[j] * std::fmax(-1.0, std::fmin(1.0, world.joint_speeds[j] / kSliding));
   }
 
   void note_feet(int row, int substep) {
@@ -208,6 +222,7 @@ class Worlds {
   int substeps_, delay_;
   bool truncate_;
   std::vector<World> worlds_;
+  std::vector<double> friction_;
   naosim::ThreadPool pool_;
 };
 
@@ -222,17 +237,20 @@ NB_MODULE(_mujoco, m) {
   nb::class_<Worlds>(m, "Worlds")
       .def("__init__",
            [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature,
-              const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos, int substeps, int delay,
-              bool truncate, int threads) {
-             require(data.size() >= 1 && ctrl.size() == data.size() && sensordata.size() == data.size() && qpos.size() == data.size(),
-                     "one address per world is needed");
+              const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos,
+              const Addresses& speeds, const Addresses& torques, const Doubles& friction, int substeps, int delay, bool truncate,
+              int threads) {
+             require(data.size() >= 1, "one world at least");
+             for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &torques})
+               require(each->size() == data.size(), "one address per world is needed");
+             require(friction.size() == 0 || friction.size() == static_cast<std::size_t>(joints), "friction: one value per joint, or none");
              require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
-             new (self) Worlds(functions, model, {joints, positions, torso, state, signature}, data, ctrl, sensordata, qpos, substeps, delay,
-                               truncate, threads);
+             new (self) Worlds(functions, model, {joints, positions, torso, state, signature}, data, ctrl, sensordata, qpos, speeds,
+                               torques, friction, substeps, delay, truncate, threads);
            }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
            nb::arg("state"), nb::arg("signature"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
-           nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
+           nb::arg("speeds"), nb::arg("torques"), nb::arg("friction"), nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
       .def("step",
            [](Worlds& self, const Doubles& targets, int first, const std::optional<Bytes>& active) {
              const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;

@@ -68,6 +68,9 @@ class MujocoBatch:
             ctrl=_addresses(data.ctrl.ctypes.data for data in self.data),
             sensordata=_addresses(data.sensordata.ctypes.data for data in self.data),
             qpos=_addresses(data.qpos.ctypes.data for data in self.data),
+            speeds=_addresses(data.qvel[world.first_speed :].ctypes.data for data in self.data),
+            torques=_addresses(data.qfrc_applied[world.first_speed :].ctypes.data for data in self.data),
+            friction=world.friction,
             substeps=SUBSTEPS,
             delay=delay,
             truncate=truncate,
@@ -94,7 +97,7 @@ class MujocoBatch:
         self._worlds.step_unchanged()
 
     def step_bare(self, cycles: int) -> None:
-        """Call ``mj_step`` four times a cycle and do nothing else, one world after the other, in this thread."""
+        """Call ``mj_step`` four times a cycle, with joint friction and nothing else, one world after the other, in this thread."""
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: World) -> None:

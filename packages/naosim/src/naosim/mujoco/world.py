@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
@@ -97,22 +97,30 @@ class World:
         joints: number of the robot's joints.
         torso: where the torso's seven coordinates begin in ``qpos``; the joints follow them. The ball's come before, if
             there is a ball.
+        friction: (J,) Coulomb friction of the joints in N m, to be applied as torques; empty if it is a constraint of the
+            model.
     """
 
     model: Any
     joints: int
     torso: int
+    friction: Floats
 
     @property
     def ball(self) -> bool:
         """Whether there is a ball."""
         return self.torso > 0
 
+    @property
+    def first_speed(self) -> int:
+        """Where the joints' speeds begin in ``qvel``."""
+        return int(self.model.nv) - self.joints
+
     def with_gains(self, kp: Floats, kd: Floats) -> World:
         """Return the world with (J,) motor gains in N m/rad and N m s/rad."""
         model = copy.copy(self.model)
         set_gains(model, kp, kd)
-        return World(model, self.joints, self.torso)
+        return replace(self, model=model)
 
     def varied(self, mass_variation: float, friction: float, gravity: float, rng: np.random.Generator) -> World:
         """Return the world with other masses of the robot's bodies; friction and gravity are multiplied."""
@@ -125,7 +133,7 @@ class World:
         model.geom_friction[self.geoms, 0] *= friction
         model.opt.gravity *= gravity
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        return World(model, self.joints, self.torso)
+        return replace(self, model=model)
 
     def new_data(self, ball_position: tuple[float, float] = PARKED_BALL_M) -> Any:
         """Return an ``MjData`` with the robot where it was attached and the ball on the ground."""
@@ -179,7 +187,9 @@ def world_of(robot: Robot, *, exact: bool = True) -> World:
 def compiled(robot: str, exact: bool) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
-    A world that is not exact has neither ball nor air.
+    A world that is not exact has neither ball nor air, and the joints' friction is not part of the constraint solver,
+    which takes most of a step: it has 10 instead of 33 rows while a T1 runs. A cycle later, joint speeds differ by 0.3 %
+    of their root mean square.
     """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
@@ -219,6 +229,12 @@ def compiled(robot: str, exact: bool) -> World:
     model = world.compile()
     # a world that diverges stays where it is, for the caller to see, instead of being reset automatically
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    joints, friction = model.nu // 3, np.zeros(0)
     if not exact:
         model.opt.density = model.opt.viscosity = 0.0
-    return World(model, model.nu // 3, 7 if exact else 0)
+        # one robot is one island: to look for islands costs time and changes nothing
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+        if model.dof_frictionloss.any():
+            friction = model.dof_frictionloss[-joints:].copy()
+            model.dof_frictionloss[:] = 0.0
+    return World(model, joints, 7 if exact else 0, friction)
