@@ -97,7 +97,7 @@ class MujocoBatch:
         self._worlds.step_unchanged()
 
     def step_bare(self, cycles: int) -> None:
-        """Call ``mj_step`` four times a cycle, with joint friction and nothing else, one world after the other, in this thread."""
+        """Call ``mj_step`` four times a cycle, with joint friction and nothing else, in this thread."""
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: World) -> None:

@@ -31,8 +31,8 @@ class EmbeddedParameters(SimulatorParameters):
         default=False,
         title="Exact world",
         description=(
-            "Match the server bit for bit; evaluations always do. Otherwise ball and air are left out and joint friction "
-            "is simplified, which is up to half as fast again."
+            "Match the server bit for bit; evaluations always do. Otherwise ball and air are left out and joint "
+            "friction is simplified, which is up to half as fast again."
         ),
     )
     truncate: bool = Field(

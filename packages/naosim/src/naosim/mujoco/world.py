@@ -97,8 +97,8 @@ class World:
         joints: number of the robot's joints.
         torso: where the torso's seven coordinates begin in ``qpos``; the joints follow them. The ball's come before, if
             there is a ball.
-        friction: (J,) Coulomb friction of the joints in N m, to be applied as torques; empty if it is a constraint of the
-            model.
+        friction: (J,) Coulomb friction of the joints in N m, to be applied as torques; empty if the model has it as a
+            constraint.
     """
 
     model: Any
@@ -188,8 +188,8 @@ def compiled(robot: str, exact: bool) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
     A world that is not exact has neither ball nor air, and the joints' friction is not part of the constraint solver,
-    which takes most of a step: it has 10 instead of 33 rows while a T1 runs. A cycle later, joint speeds differ by 0.3 %
-    of their root mean square.
+    which takes most of a step: it has 10 instead of 33 rows while a T1 runs. A cycle later, joint speeds differ by
+    0.3 % of their root mean square.
     """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
