@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstring>
-#include <limits>
+#include <stdexcept>
 
 namespace naosim {
 
@@ -129,35 +129,37 @@ void Batch::publish(int environment) {
   std::memcpy(&out_.torso_rotation[row * 9], r, sizeof r);
 }
 
-// Run a cycle; command(row, joint) is a joint's speed.
+// Run a cycle of one group; command(row, joint) is a joint's speed.
+template <class Command>
+void Batch::step_group(int index, const std::uint8_t* lanes, const Command& command_of, std::atomic<int>& bad) {
+  const int joints = model_.joint_count();
+  const unsigned chosen = lanes_of(index, lanes);
+  if (chosen == 0) return;
+  alignas(64) double command[(kMaxBodies - 1) * 8] = {};
+  for (int lane = 0; lane < lanes_; ++lane) {
+    if (!(chosen >> lane & 1u)) continue;
+    const std::size_t row = static_cast<std::size_t>(index) * lanes_ + lane;
+    for (int j = 0; j < joints; ++j) command[j * lanes_ + lane] = command_of(row, j);
+  }
+  const unsigned failed = kernel_.step(model_, group(index), command, chosen, self_collision_, statistics_[index]);
+  for (int lane = 0; lane < lanes_; ++lane) {
+    if (!(chosen >> lane & 1u)) continue;
+    const int environment = index * lanes_ + lane;
+    publish(environment);
+    // one body that is not finite makes the whole tree so
+    const double* x = &out_.torso_position[static_cast<std::size_t>(environment) * 3];
+    const double* r = &out_.torso_rotation[static_cast<std::size_t>(environment) * 9];
+    if (!(failed >> lane & 1u) && std::isfinite(x[0] + x[1] + x[2] + r[0])) continue;
+    for (int first = bad; environment < first && !bad.compare_exchange_weak(first, environment);) {
+    }
+  }
+}
+
 template <class Command>
 int Batch::run(const std::uint8_t* lanes, Command command_of) {
-  constexpr int kNone = std::numeric_limits<int>::max();
-  const int joints = model_.joint_count();
-  std::atomic<int> bad{kNone};
-  pool_.run(groups_, [&](int index) {
-    const unsigned chosen = lanes_of(index, lanes);
-    if (chosen == 0) return;
-    alignas(64) double command[(kMaxBodies - 1) * 8] = {};
-    for (int lane = 0; lane < lanes_; ++lane) {
-      if (!(chosen >> lane & 1u)) continue;
-      const std::size_t row = static_cast<std::size_t>(index) * lanes_ + lane;
-      for (int j = 0; j < joints; ++j) command[j * lanes_ + lane] = command_of(row, j);
-    }
-    const unsigned failed = kernel_.step(model_, group(index), command, chosen, self_collision_, statistics_[index]);
-    for (int lane = 0; lane < lanes_; ++lane) {
-      if (!(chosen >> lane & 1u)) continue;
-      const int environment = index * lanes_ + lane;
-      publish(environment);
-      // one body that is not finite makes the whole tree so
-      const double* x = &out_.torso_position[static_cast<std::size_t>(environment) * 3];
-      const double* r = &out_.torso_rotation[static_cast<std::size_t>(environment) * 9];
-      if (!(failed >> lane & 1u) && std::isfinite(x[0] + x[1] + x[2] + r[0])) continue;
-      for (int first = bad; environment < first && !bad.compare_exchange_weak(first, environment);) {
-      }
-    }
-  });
-  return bad == kNone ? -1 : bad.load();
+  Cycle cycle;
+  pool_.run(groups_, [&](int index) { step_group(index, lanes, command_of, cycle.bad); });
+  return cycle.result();
 }
 
 int Batch::step(const double* speeds, const std::uint8_t* lanes) {
@@ -165,19 +167,56 @@ int Batch::step(const double* speeds, const std::uint8_t* lanes) {
   return run(lanes, [=](std::size_t row, int j) { return speeds[row * joints + j]; });
 }
 
+// Whether a row's target and perceived angles are finite.
+bool Batch::finite(const double* targets, int row) const {
+  const std::size_t joints = static_cast<std::size_t>(model_.joint_count());
+  const double* angles = &out_.joint_angles[static_cast<std::size_t>(row) * joints];
+  double sum = 0.0;  // 0 times a number that is not finite is NaN
+  for (std::size_t j = 0; j < joints; ++j) sum += 0.0 * targets[j] + 0.0 * angles[j];
+  return sum == 0.0;
+}
+
+// Speeds of joints that a proportional controller drives to the targets of the rows from `first` on.
+struct Controller {
+  const double *targets, *angles, *max_speed;
+  double gain;
+  std::size_t joints, first;
+  double operator()(std::size_t row, int j) const {
+    const double wanted = gain * (targets[(row - first) * joints + j] - angles[row * joints + j] * (3.14159265358979323846 / 180.0));
+    return std::min(std::max(wanted, -max_speed[j]), max_speed[j]);
+  }
+};
+
 int Batch::drive(const double* targets, double gain, const double* max_speed, const std::uint8_t* lanes) {
   const std::size_t joints = static_cast<std::size_t>(model_.joint_count());
-  const double* angles = out_.joint_angles.data();
-  for (std::size_t row = 0; row < static_cast<std::size_t>(n_); ++row) {
-    if (lanes != nullptr && !lanes[row]) continue;
-    double sum = 0.0;  // 0 times a number that is not finite is NaN
-    for (std::size_t j = row * joints; j < (row + 1) * joints; ++j) sum += 0.0 * targets[j] + 0.0 * angles[j];
-    if (sum != 0.0) return kNotFinite;
-  }
-  return run(lanes, [=](std::size_t row, int j) {
-    const double wanted = gain * (targets[row * joints + j] - angles[row * joints + j] * (3.14159265358979323846 / 180.0));
-    return std::min(std::max(wanted, -max_speed[j]), max_speed[j]);
-  });
+  for (int row = 0; row < n_; ++row)
+    if ((lanes == nullptr || lanes[row]) && !finite(targets + row * joints, row)) return kNotFinite;
+  return run(lanes, Controller{targets, out_.joint_angles.data(), max_speed, gain, joints, 0});
+}
+
+int Batch::begin_drive(const double* targets, double gain, const double* max_speed, int first, int count) {
+  const std::size_t joints = static_cast<std::size_t>(model_.joint_count());
+  for (int k = 0; k < count; ++k)
+    if (!finite(targets + k * joints, first + k)) return kNotFinite;
+  Cycle& cycle = cycles_[first];
+  if (cycle.running) throw std::logic_error("begin_drive: the cycle before is not finished");
+  cycle.running = true;
+  cycle.targets.assign(targets, targets + count * joints);
+  cycle.max_speed.assign(max_speed, max_speed + joints);
+  cycle.bad = kNone;
+  const Controller controller{cycle.targets.data(), out_.joint_angles.data(), cycle.max_speed.data(), gain, joints, static_cast<std::size_t>(first)};
+  cycle.round.count = (count + lanes_ - 1) / lanes_;
+  cycle.round.job = [this, controller, &cycle, group = first / lanes_](int index) { step_group(group + index, nullptr, controller, cycle.bad); };
+  pool_.begin(cycle.round);
+  return -1;
+}
+
+int Batch::finish_drive(int first) {
+  Cycle& cycle = cycles_[first];
+  if (!cycle.running) throw std::logic_error("finish_drive: no cycle has begun");
+  pool_.finish(cycle.round);
+  cycle.running = false;
+  return cycle.result();
 }
 
 void Batch::reset(const std::uint8_t* lanes) {

@@ -2,6 +2,8 @@
 #pragma once
 #include <atomic>
 #include <cstddef>
+#include <limits>
+#include <map>
 #include <memory>
 #include <new>
 #include <vector>
@@ -48,6 +50,11 @@ class Batch {
   // max_speed, (joints,) rad/s. Returns kNotFinite, and steps nothing, if a target or perceived angle is not finite.
   int drive(const double* targets, double gain, const double* max_speed, const std::uint8_t* lanes);
   static constexpr int kNotFinite = -2;
+  // The same for the environments [first, first + count), which share no group with others, in the background: returns kNotFinite or -1
+  // at once; finish_drive(first) returns what drive does.
+  int begin_drive(const double* targets, double gain, const double* max_speed, int first, int count);
+  int finish_drive(int first);
+  int lanes() const { return lanes_; }
   void reset(const std::uint8_t* lanes);
   void beam(const double* position, const double* yaw_deg, const std::uint8_t* lanes);  // (n, 3), (n,)
   void set_bodies(const double* bodies, const std::uint8_t* lanes);                    // (n, bodies, 13)
@@ -63,8 +70,19 @@ class Batch {
   void gather(int environment, std::size_t first, std::size_t count, void* to) const;
   void store(int environment, const Environment& state);
   unsigned lanes_of(int group, const std::uint8_t* lanes) const;
+  struct Cycle {
+    Round round;
+    std::vector<double> targets, max_speed;
+    bool running = false;
+    std::atomic<int> bad{kNone};
+    int result() const { return bad == kNone ? -1 : bad.load(); }
+  };
+  static constexpr int kNone = std::numeric_limits<int>::max();
   template <class Command>
   int run(const std::uint8_t* lanes, Command command);
+  template <class Command>
+  void step_group(int index, const std::uint8_t* lanes, const Command& command, std::atomic<int>& bad);
+  bool finite(const double* targets, int row) const;
   template <class Change>
   void edit(const std::uint8_t* lanes, Change change);
   Environment spawned() const;
@@ -83,7 +101,8 @@ class Batch {
   std::unique_ptr<double[], Free> words_;
   std::vector<Statistics> statistics_;
   BatchArrays out_;
-  ThreadPool pool_;
+  std::map<int, Cycle> cycles_;  // in the background, by their first environment
+  ThreadPool pool_;              // after what its helpers use
   Kinematics kinematics_;
 };
 

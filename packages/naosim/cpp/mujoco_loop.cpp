@@ -11,6 +11,8 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <map>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -113,26 +115,29 @@ class Worlds {
   // Step the rows from `first` on with (count, J) target angles, except those that `active` leaves out and those that have diverged.
   // Without targets the worlds keep their commands.
   void step(const double* targets, int first, int count, const std::uint8_t* active) {
+    const std::size_t joints = static_cast<std::size_t>(layout_.joints);
     pool_.run(count, [&](int k) {
-      const int row = first + k;
-      if ((active != nullptr && !active[k]) || diverged[row]) return;
-      const std::size_t joints = static_cast<std::size_t>(layout_.joints);
-      const World& world = worlds_[row];
-      double* waiting = &pending[row * joints];
-      for (std::size_t j = 0; j < joints && targets != nullptr; ++j) {
-        const double target = command_degrees(targets[k * joints + j]) * kRadians;
-        world.ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
-        waiting[j] = target;
-      }
-      world_warning = &warnings[row];
-      for (int s = 0; s < substeps_; ++s) {
-        apply_friction(world);
-        step_(world.model, world.data);
-        note_feet(row, s);
-      }
-      world_warning = nullptr;
-      publish(row);
+      if (active == nullptr || active[k]) step_row(first + k, targets == nullptr ? nullptr : targets + k * joints);
     });
+  }
+
+  // The same in the background; finish() returns when all rows from `first` on are stepped.
+  void begin(const double* targets, int first, int count) {
+    const std::size_t joints = static_cast<std::size_t>(layout_.joints);
+    Cycle& cycle = cycles_[first];
+    if (cycle.running) throw std::logic_error("begin: the step before is not finished");
+    cycle.running = true;
+    cycle.targets.assign(targets, targets + count * joints);
+    cycle.round.count = count;
+    cycle.round.job = [this, &cycle, first, joints](int k) { step_row(first + k, &cycle.targets[k * joints]); };
+    pool_.begin(cycle.round);
+  }
+
+  void finish(int first) {
+    Cycle& cycle = cycles_[first];
+    if (!cycle.running) throw std::logic_error("finish: no step has begun");
+    pool_.finish(cycle.round);
+    cycle.running = false;
   }
 
   // One row of a snapshot: integration state, sensordata, pending command.
@@ -172,6 +177,32 @@ class Worlds {
   std::vector<std::string> warnings;
 
  private:
+  struct Cycle {
+    naosim::Round round;
+    std::vector<double> targets;
+    bool running = false;
+  };
+
+  void step_row(int row, const double* targets) {
+    if (diverged[row]) return;
+    const std::size_t joints = static_cast<std::size_t>(layout_.joints);
+    const World& world = worlds_[row];
+    double* waiting = &pending[row * joints];
+    for (std::size_t j = 0; j < joints && targets != nullptr; ++j) {
+      const double target = command_degrees(targets[j]) * kRadians;
+      world.ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
+      waiting[j] = target;
+    }
+    world_warning = &warnings[row];
+    for (int s = 0; s < substeps_; ++s) {
+      apply_friction(world);
+      step_(world.model, world.data);
+      note_feet(row, s);
+    }
+    world_warning = nullptr;
+    publish(row);
+  }
+
   template <class T>
   static T pointer_to(nb::handle address) {
     return reinterpret_cast<T>(static_cast<std::uintptr_t>(nb::cast<std::uint64_t>(address)));
@@ -223,7 +254,8 @@ class Worlds {
   bool truncate_;
   std::vector<World> worlds_;
   std::vector<double> friction_;
-  naosim::ThreadPool pool_;
+  std::map<int, Cycle> cycles_;  // in the background, by their first row
+  naosim::ThreadPool pool_;      // last: its helpers use the rest
 };
 
 int row_of(const Worlds& worlds, int row) {
@@ -262,6 +294,18 @@ NB_MODULE(_mujoco, m) {
              nb::gil_scoped_release release;
              self.step(data, first, static_cast<int>(count), mask);
            }, nb::arg("targets"), nb::arg("first"), nb::arg("active").none())
+      .def("begin",
+           [](Worlds& self, const Doubles& targets, int first) {
+             const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;
+             require(targets.size() == count * joints, "targets: wrong shape");
+             require(first >= 0 && first + static_cast<int>(count) <= self.size(), "rows: out of range");
+             self.begin(targets.data(), first, static_cast<int>(count));
+           }, nb::arg("targets"), nb::arg("first"))
+      .def("finish",
+           [](Worlds& self, int first) {
+             nb::gil_scoped_release release;
+             self.finish(first);
+           }, nb::arg("first"))
       .def("step_unchanged",
            [](Worlds& self) {
              nb::gil_scoped_release release;

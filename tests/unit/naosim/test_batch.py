@@ -10,6 +10,7 @@ from naosim.robots import nao_model
 from naosim.simspark import BatchSimulator, centre_of_mass
 from naosim.simspark.control import GAIN, motor_speeds
 from naosim.simspark.motion import stepping_speeds
+from naosim.simulator import halves
 from numpy.typing import NDArray
 
 JOINTS = 22
@@ -329,6 +330,50 @@ def test_the_compiled_controller_drives_as_the_python_one() -> None:
         driven.drive(targets, GAIN, limits, mask)
         stepped.step(motor_speeds(targets, stepped.perceptors.joint_angles, limits), mask)
     np.testing.assert_array_equal(driven.snapshot(), stepped.snapshot())
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_groups_in_the_background_move_as_all_together(threads: int) -> None:
+    together, turns = BatchSimulator(29), BatchSimulator(29, threads=threads)
+    limits, rng = turns.model.max_speed, np.random.default_rng(1)
+    first, second = halves(29, turns.lanes)
+    assert (first.stop % turns.lanes, second.stop) == (0, 29)
+    targets = rng.uniform(-2.0, 2.0, (40, 29, JOINTS))
+    for cycle in targets:
+        together.drive(cycle, GAIN, limits)
+    for group in (first, second):
+        turns.begin_drive(targets[0, group], GAIN, limits, group.start)
+    for cycle in targets[1:]:
+        for group in (first, second):
+            turns.finish_drive(group.start)
+            turns.begin_drive(cycle[group], GAIN, limits, group.start)
+    for group in (first, second):
+        turns.finish_drive(group.start)
+    np.testing.assert_array_equal(turns.snapshot(), together.snapshot())
+
+
+def test_what_has_begun_is_finished_once_before_it_begins_again() -> None:
+    sim = BatchSimulator(32, threads=2)
+    targets, limits = np.zeros((16, JOINTS)), sim.model.max_speed
+    with pytest.raises(RuntimeError, match="no cycle has begun"):
+        sim.finish_drive(0)
+    sim.begin_drive(targets, GAIN, limits, 0)
+    with pytest.raises(RuntimeError, match="not finished"):
+        sim.begin_drive(targets, GAIN, limits, 0)
+    for first in (4, 24):
+        with pytest.raises(ValueError, match="rows"):
+            sim.begin_drive(targets, GAIN, limits, first)
+    targets[3, 4] = np.nan
+    with pytest.raises(ValueError, match=r"targets_rad\[3, 4\]: environment 19, joint"):
+        sim.begin_drive(targets, GAIN, limits, 16)
+    sim.finish_drive(0)
+
+
+def test_closing_while_a_cycle_runs_waits_for_it() -> None:
+    for _ in range(20):
+        sim = BatchSimulator(32, threads=2)
+        sim.begin_drive(np.zeros((32, JOINTS)), GAIN, sim.model.max_speed, 0)
+        del sim
 
 
 def test_targets_that_are_not_finite_are_named() -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import Simulator, Truth
+from naosim.simulator import Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -67,10 +67,10 @@ class FleetSimulator(Simulator):
         super().__init__(robot, n)
         self._fleet = fleet
         self._idle_s = idle_s
-        if n > 1:
-            self.groups = (slice(0, -(-n // 2)), slice(-(-n // 2), n))
+        self.groups = halves(n)
         self._servers: Ints = np.arange(n)
         self._standbys = [Standby(n + row) for row in range(n)] if fleet.n > n else []
+        self.prepares_starts = bool(self._standbys)
         self._motions: dict[int, Motion] = {}  # by server, of those that prepare a start
         self._commands = np.zeros((fleet.n, len(robot.joints)))
         self._sent: Flags = np.zeros(fleet.n, dtype=np.bool_)  # servers whose replies are outstanding

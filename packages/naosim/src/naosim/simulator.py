@@ -107,6 +107,12 @@ class Truth:
     torso_rotation: Floats
 
 
+def halves(n: int, multiple: int = 1) -> tuple[slice, ...]:
+    """Return two groups of about n / 2 robots, the first a multiple of a number; one if there are too few robots."""
+    middle = -(-n // (2 * multiple)) * multiple
+    return (slice(0, middle), slice(middle, n)) if 2 * multiple <= n else (slice(0, n),)
+
+
 class Simulator(ABC):
     """n robots of one kind, stepped together.
 
@@ -124,6 +130,7 @@ class Simulator(ABC):
             whole life, so that compiled code may keep their addresses.
         threads_address: address of the simulator's threads, on which compiled code of others may work between two calls
             (``Threads`` in packages/naosim/cpp/thread_pool.hpp); 0 without any. Valid as long as the simulator exists.
+        prepares_starts: whether :meth:`start` makes use of the starts of the episodes that follow.
         latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
             command already does.
     """
@@ -132,6 +139,7 @@ class Simulator(ABC):
     truth: Truth
     latency_steps: int = 1
     stable_arrays: bool = False
+    prepares_starts: bool = False
     threads_address: int = 0
 
     def __init__(self, robot: Robot, n: int) -> None:

@@ -129,6 +129,23 @@ def test_a_robot_on_its_feet_moves_almost_as_in_the_exact_world() -> None:
     assert 1e-4 < farthest < 0.05, "metres"
 
 
+def test_worlds_in_the_background_move_as_all_together() -> None:
+    together, turns = opened(5), opened(5, threads=2)
+    assert turns.groups == (slice(0, 3), slice(3, 5))
+    for step in range(20):
+        targets = T1.nominal + 0.1 * np.sin(step / 3 + np.arange(5))[:, None]
+        together.step(targets)
+        for group in turns.groups:
+            if step:
+                turns.step_wait(group)
+            turns.step_async(targets[group], group)
+    for group in turns.groups:
+        turns.step_wait(group)
+    np.testing.assert_array_equal(turns.snapshot(), together.snapshot())
+    with pytest.raises(RuntimeError, match="no step has begun"):
+        turns.batch.finish(0)
+
+
 def test_perceptors_without_truncation_have_all_digits() -> None:
     cut, full = opened(1), opened(1, truncate=False)
     for name, values in full.perceptors.items():

@@ -92,6 +92,25 @@ class MujocoBatch:
         mask = None if active is None else np.ascontiguousarray(active, dtype=np.bool_).view(np.uint8)
         self._worlds.step(np.ascontiguousarray(targets_rad, dtype=np.float64), first, mask)
 
+    def begin(self, targets_rad: Floats, first: int) -> None:
+        """Begin to step the worlds from ``first`` on with (k, J) target angles, in the background.
+
+        Until :meth:`finish` has returned, nothing else may use these worlds.
+
+        Raises:
+            ValueError: if a shape is wrong.
+            RuntimeError: if these worlds have not finished the step before.
+        """
+        self._worlds.begin(np.ascontiguousarray(targets_rad, dtype=np.float64), first)
+
+    def finish(self, first: int) -> None:
+        """Finish what :meth:`begin` began.
+
+        Raises:
+            RuntimeError: if nothing has begun.
+        """
+        self._worlds.finish(first)
+
     def step_unchanged(self) -> None:
         """Step all worlds with the actuators' controls as they are in :attr:`data`."""
         self._worlds.step_unchanged()

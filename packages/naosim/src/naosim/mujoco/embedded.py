@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import EmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import World, library, torque_shares, world_of
-from naosim.simulator import CONTACT_N, Simulator, Truth
+from naosim.simulator import CONTACT_N, Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -55,7 +55,9 @@ class MujocoSimulator(Simulator):
         self.latency_steps = 1 + parameters.action_delay
         self._starts: Floats | None = None
         self._failures = 0
-        self._pending: tuple[Floats, Flags | None] | None = None
+        self.groups = halves(n)
+        self._begun: set[int] = set()
+        self._pending: dict[int, tuple[Floats, Flags]] = {}
         self.threads_address = self.batch.threads_address
 
     def _new_batch(self, n: int) -> MujocoBatch:
@@ -71,7 +73,7 @@ class MujocoSimulator(Simulator):
     # steps
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
-        """Store the commands of a step for :meth:`step_wait`: all robots are one group.
+        """Begin a step in the background; one of some robots begins in :meth:`step_wait`.
 
         Raises:
             ValueError: if the targets have a wrong shape or are not finite.
@@ -79,20 +81,28 @@ class MujocoSimulator(Simulator):
         self.require_open()
         self.require_group(rows)
         targets = np.array(targets_rad, dtype=np.float64)
-        if targets.shape != (self.n, self.world.joints):
-            raise ValueError(f"targets_rad: expected shape {(self.n, self.world.joints)}, got {targets.shape}")
+        if targets.shape != (rows.stop - rows.start, self.world.joints):
+            raise ValueError(
+                f"targets_rad: expected shape {(rows.stop - rows.start, self.world.joints)}, got {targets.shape}"
+            )
         if not np.isfinite(targets if active is None else targets[active]).all():
             raise ValueError("targets_rad: expected finite numbers")
-        self._pending = targets, active
+        if active is None:
+            self.batch.begin(targets, rows.start)
+            self._begun.add(rows.start)
+        else:
+            self._pending[rows.start] = targets, active
 
     def step_wait(self, rows: slice) -> None:
-        """Run the step that :meth:`step_async` began."""
+        """Finish the step that :meth:`step_async` began."""
         self.require_open()
         self.require_group(rows)
-        if self._pending is not None:
-            targets, active = self._pending
-            self._pending = None
-            self.batch.step(targets, active=active)
+        if rows.start in self._begun:
+            self._begun.discard(rows.start)
+            self.batch.finish(rows.start)
+        elif rows.start in self._pending:
+            targets, active = self._pending.pop(rows.start)
+            self.batch.step(targets, rows.start, active)
 
     # starts
 

@@ -193,16 +193,53 @@ class BatchSimulator:
         targets = self._array("targets_rad", targets_rad, (self.n, len(self.model.joints)))
         failed = self._core.drive(targets, gain, max_speed, self._lanes(mask))
         if failed == _NOT_FINITE:
-            wrong = ~np.isfinite(targets + self.perceptors.joint_angles)
-            if mask is not None:
-                wrong &= np.asarray(mask, bool)[:, None]
-            environment, joint = (int(k) for k in np.argwhere(wrong)[0])
-            raise ValueError(
-                f"targets_rad[{environment}, {joint}]: environment {environment}, "
-                f"joint {self.model.joints[joint].name}: target and perceived angle must be finite numbers, not "
-                f"{targets[environment, joint]} and {self.perceptors.joint_angles[environment, joint]}"
-            )
+            self._raise_not_finite(targets, 0, None if mask is None else np.asarray(mask, bool))
         self._require_finite(failed)
+
+    def begin_drive(self, targets_rad: ArrayLike, gain: float, max_speed: Floats, first: int) -> None:
+        """Begin what :meth:`drive` does for the environments from ``first`` on, in the background.
+
+        Until :meth:`finish_drive` has returned, nothing else may use these environments.
+
+        Args:
+            targets_rad: (k, joints); speed = gain * (target - perceived angle).
+            gain: 1/s.
+            max_speed: (joints,) largest speeds, rad/s.
+            first: a multiple of :attr:`lanes`, as is ``first + k`` unless it is ``n``.
+
+        Raises:
+            ValueError: wrong shape or rows, or a target or angle is not finite; nothing has begun then.
+            RuntimeError: these environments have not finished what they began.
+        """
+        targets = np.ascontiguousarray(targets_rad, dtype=np.float64)
+        if self._core.begin_drive(targets, gain, max_speed, first) == _NOT_FINITE:
+            self._raise_not_finite(targets, first, None)
+
+    def finish_drive(self, first: int) -> None:
+        """Finish what :meth:`begin_drive` began.
+
+        Raises:
+            FloatingPointError: an environment's state is no longer finite; the message names it, the others step.
+            RuntimeError: nothing has begun.
+        """
+        failed = self._core.finish_drive(first)
+        self._require_finite(failed)
+
+    @property
+    def lanes(self) -> int:
+        """Return the number of environments that share vector registers."""
+        return int(self._core.lanes)
+
+    def _raise_not_finite(self, targets: Floats, first: int, mask: NDArray[np.bool_] | None) -> None:
+        wrong = ~np.isfinite(targets + self.perceptors.joint_angles[first : first + len(targets)])
+        if mask is not None:
+            wrong &= mask[:, None]
+        row, joint = (int(k) for k in np.argwhere(wrong)[0])
+        raise ValueError(
+            f"targets_rad[{row}, {joint}]: environment {first + row}, "
+            f"joint {self.model.joints[joint].name}: target and perceived angle must be finite numbers, not "
+            f"{targets[row, joint]} and {self.perceptors.joint_angles[first + row, joint]}"
+        )
 
     @staticmethod
     def _require_finite(failed: int) -> None:
@@ -300,7 +337,7 @@ class BatchSimulator:
         Raises:
             ValueError: wrong shape, or an index is out of range.
         """
-        self._core.restore_from(np.asarray(rows, np.int64), snapshots, np.asarray(chosen, np.int64))
+        self._core.restore_from(rows, snapshots, chosen)
 
     def _indices(self, mask: ArrayLike | None) -> NDArray[np.intp]:
         lanes = self._lanes(mask)

@@ -10,7 +10,7 @@ from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
 from naosim.simspark.control import GAIN, settle
 from naosim.simspark.vision import LandmarkVision
-from naosim.simulator import CONTACT_N, Simulator, Truth
+from naosim.simulator import CONTACT_N, Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -48,29 +48,40 @@ class EmbeddedSimulator(Simulator):
         if self._vision is not None:
             self.perceptors["vision"] = self._vision.seen
         self.truth = Truth(truth.torso_position, truth.torso_rotation)
-        self._pending: tuple[Floats, Flags | None] | None = None
+        if self._vision is None:  # which sees all robots at once
+            self.groups = halves(n, self._engine.lanes)
+        self._begun: set[int] = set()
+        self._pending: dict[int, tuple[Floats, Flags | None]] = {}
         self._starts: Bytes | None = None
         self.threads_address = self._engine.threads_address
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
-        """Store the targets of a step for :meth:`step_wait`: all robots are one group."""
+        """Begin a step in the background; one of some robots, or with vision, begins in :meth:`step_wait`."""
         self.require_open()
         self.require_group(rows)
-        self._pending = np.array(targets_rad, dtype=np.float64), active
+        if active is None and self._vision is None:
+            self._engine.begin_drive(targets_rad, GAIN, self._max_speed, rows.start)
+            self._begun.add(rows.start)
+        else:
+            self._pending[rows.start] = np.array(targets_rad, dtype=np.float64), active
 
     def step_wait(self, rows: slice) -> None:
-        """Run the step that :meth:`step_async` began."""
+        """Finish the step that :meth:`step_async` began."""
         self.require_open()
         self.require_group(rows)
-        if self._pending is not None:
-            targets, active = self._pending
-            self._pending = None
+        if rows.start in self._begun:
+            self._begun.discard(rows.start)
+            self._engine.finish_drive(rows.start)
+        elif rows.start in self._pending:
+            targets, active = self._pending.pop(rows.start)
+            every, chosen = np.zeros((self.n, targets.shape[-1])), np.zeros(self.n, dtype=np.bool_)
+            every[rows], chosen[rows] = targets, True if active is None else active
             if self._vision is not None:
                 # a reply shows what was in sight before its cycle
-                seeing = self._vision.due(np.arange(self.n) if active is None else np.flatnonzero(active))
+                seeing = self._vision.due(np.flatnonzero(chosen))
                 if len(seeing):
                     self._vision.see(seeing, self.bodies()[seeing, self._head])
-            self._engine.drive(targets, GAIN, self._max_speed, active)
+            self._engine.drive(every, GAIN, self._max_speed, chosen)
 
     def load_starts(self, starts: Starts) -> None:
         """Simulate the starts and keep snapshots of the settled robots.

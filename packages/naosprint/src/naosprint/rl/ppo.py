@@ -145,12 +145,11 @@ class PPO(Learner):
         if spec.runtime.learner_threads > 1:
             count = torch.get_num_threads()
             self._other_thread = ThreadPoolExecutor(1, "critic", initializer=lambda: torch.set_num_threads(count))
-        self._observations: Float32Array = np.zeros((environment.n, environment.n_observations), np.float32)
         self._starts: BoolArray = np.ones(environment.n, dtype=np.bool_)
 
     def begin(self) -> None:
         """Begin the first episodes."""
-        self._observations = self.environment.reset()
+        self.environment.reset()
         self._starts = np.ones(self.environment.n, dtype=np.bool_)
 
     def act(self, observations: Float32Array) -> Float32Array:
@@ -174,9 +173,9 @@ class PPO(Learner):
             log_std = policy.log_std.detach()
             noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
             scaled_noise = (noise * log_std.exp()).numpy()
-        if self.processes.size > 1:
-            self._observations = environment.observations()  # by the statistics that the processes have merged since
-        observations, starts = self._observations.copy(), self._starts.copy()
+        # by what all groups and processes have contributed to the statistics
+        observations, starts = environment.observations(), self._starts.copy()
+        _require_finite(environment, observations, slice(0, n))
         imitates = self.steps < self.settings.imitation_steps
         shown_to = round(self._imitation_left() * n)
         rollout.demonstrations = np.zeros(rollout.actions.shape if imitates else (0, n, 0), np.float32)
@@ -191,8 +190,7 @@ class PPO(Learner):
                 seen = rollout.observations[step, group] if step < n_steps else observations[group]
                 if step:
                     transition = environment.step_wait(group, seen)
-                    if not np.isfinite(seen.sum()):
-                        raise TrainingDivergedError(_locate(environment, seen, group))
+                    _require_finite(environment, seen, group)
                     starts[group] = transition.dones
                     rewards = rollout.rewards[step - 1, group]
                     rewards[:] = transition.rewards
@@ -214,7 +212,7 @@ class PPO(Learner):
         rollout.values[:] = self._critic(samples).reshape(n_steps, n)
         last_values = self._critic(observations)[:, 0]
         rollout.estimate_advantages(last_values, starts, gamma, self.settings.gae_lambda)
-        self._observations, self._starts = observations, starts
+        self._starts = starts
         self.steps += n * n_steps * self.processes.size
         return True
 
@@ -402,10 +400,10 @@ class PPO(Learner):
         return state
 
     def load_state(self, state: Mapping[str, AnyArray], observations: Float32Array) -> None:
-        """Restore what :meth:`state` returned; ``observations`` are those to act on next."""
+        """Restore what :meth:`state` returned; :meth:`collect` computes the observations itself."""
+        del observations
         self.generator.set_state(torch.from_numpy(np.array(state["generator"], dtype=np.uint8)))
         self._starts = np.array(state["episode_starts"], dtype=np.bool_)
-        self._observations = observations
         self._n_passes = int(np.asarray(state["n_updates"])[0])
         self.rate_factor = float(np.asarray(state["rate_factor"], dtype=np.float64)[0])
         self._averaged = int(np.asarray(state["averaged"])[0])
@@ -466,7 +464,9 @@ def _explained_variance(values: Float32Array, returns: Float32Array) -> float:
     return 1.0 - float(np.var(returns - values)) / variance if variance > 0.0 else 0.0
 
 
-def _locate(environment: TrainingEnvironment, observations: Float32Array, group: slice) -> str:
+def _require_finite(environment: TrainingEnvironment, observations: Float32Array, group: slice) -> None:
+    if np.isfinite(observations.sum()):
+        return
     row, column = np.argwhere(~np.isfinite(observations))[0]
     name = environment.environment.observer.names[column]
-    return f"observation {name!r} of environment {group.start + row} is no longer finite"
+    raise TrainingDivergedError(f"observation {name!r} of environment {group.start + row} is no longer finite")

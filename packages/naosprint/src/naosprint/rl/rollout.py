@@ -156,16 +156,19 @@ class TrainingEnvironment:
         """Measure the episodes that ended and report lost robots."""
         environment = self.environment
         # an episode of a lost robot, or one that was truncated to train the start, is not a whole run
-        whole = ended[~environment.lost[ended] & ~environment.short[ended]]
-        general = np.stack([self._rewards[whole], environment.steps[whole].astype(np.float64)], axis=1)
-        self.window.add(np.concatenate([general, environment.task.measure(whole)], axis=1))
-        for row in ended[environment.lost[ended]].tolist():
+        lost = environment.lost[ended]
+        whole = ended[~(lost | environment.short[ended])]
+        if len(whole):
+            general = np.stack([self._rewards[whole], environment.steps[whole].astype(np.float64)], axis=1)
+            self.window.add(np.concatenate([general, environment.task.measure(whole)], axis=1))
+        for row in ended[lost].tolist():
             self.on_loss(row, environment.simulator.loss_reason(row))
 
     def _restart(self, rows: IntArray) -> None:
-        episodes = self._episode[rows]
-        both = np.concatenate([episodes, episodes + 1])
-        starts, following = choose_starts(self._seed, self._n_starts, np.tile(rows, 2), both).reshape(2, -1)
+        episodes, following = self._episode[rows], None
+        starts = choose_starts(self._seed, self._n_starts, rows, episodes)
+        if self.environment.simulator.prepares_starts:
+            following = choose_starts(self._seed, self._n_starts, rows, episodes + 1)
         self.environment.restart(rows, starts, following)
         self._episode[rows] += 1
         self._rewards[rows] = 0.0

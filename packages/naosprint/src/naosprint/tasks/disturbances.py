@@ -153,7 +153,8 @@ class Disturbances:
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``."""
-        self._waiting[:, rows] = self._simulator.robot.nominal
+        if len(self._waiting):
+            self._waiting[:, rows] = self._simulator.robot.nominal
 
     def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:
         """Return the (k, J) targets that act now, and keep the new ones for later."""
