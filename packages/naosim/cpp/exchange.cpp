@@ -1,7 +1,9 @@
+#include <fcntl.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/socket.h>
+#include <sys/time.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -38,11 +40,15 @@ std::string seconds_text(double seconds) {
 
 // Acknowledge received data at once. The kernel would wait up to 40 ms for an answer that could carry the
 // acknowledgement, and rcssserver3d, which leaves Nagle's algorithm on, would hold the next frame back for as long. To
-// an agent port every command is such an answer; a monitor port gets none.
+// an agent port every command is such an answer; a monitor port gets none. It costs a call after every read, so it is
+// done on connections on which a frame has been late.
 void acknowledge(int fd) {
   const int now = 1;
   ::setsockopt(fd, IPPROTO_TCP, TCP_QUICKACK, &now, sizeof now);
 }
+
+// How long a read waits for one server before all of them are polled.
+constexpr timeval kMoment{0, 20000};
 
 constexpr char kDetached[] = "no server is attached";
 
@@ -66,8 +72,14 @@ void Exchange::attach(int row, int agent_fd, int monitor_fd) {
   for (Stream* stream : {&c.agent, &c.monitor}) {
     stream->buffer.clear();
     stream->used = 0;
+    stream->acknowledges = false;
   }
   c.messages = c.frames = c.message_goal = c.frame_goal = 0;
+  for (const int fd : {agent_fd, monitor_fd}) {
+    if (fd < 0) continue;
+    ::setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &kMoment, sizeof kMoment);
+    ::fcntl(fd, F_SETFL, ::fcntl(fd, F_GETFL) & ~O_NONBLOCK);
+  }
   c.spoken = Clock::now();
   c.failure.clear();
   c.failed = false;
@@ -120,15 +132,16 @@ void Exchange::post(int row, bool monitor, std::string_view payload) {
   send(row, monitor, framed);
 }
 
-bool Exchange::receive(int row, bool monitor) {
+bool Exchange::receive(int row, bool monitor, bool waiting) {
   Channel& c = channels_[row];
   Stream& stream = monitor ? c.monitor : c.agent;
   if (!c.failure.empty() || stream.fd < 0) return false;
   char chunk[65536];
   for (;;) {
-    const ssize_t got = ::recv(stream.fd, chunk, sizeof chunk, MSG_DONTWAIT);
+    const ssize_t got = ::recv(stream.fd, chunk, sizeof chunk, waiting ? 0 : MSG_DONTWAIT);
     if (got > 0) {
-      if (monitor) acknowledge(stream.fd);
+      waiting = false;
+      if (stream.acknowledges) acknowledge(stream.fd);
       stream.buffer.append(chunk, static_cast<std::size_t>(got));
       if (!parse(row, monitor)) return false;
       if (static_cast<std::size_t>(got) < sizeof chunk) return true;
@@ -138,6 +151,10 @@ bool Exchange::receive(int row, bool monitor) {
     } else if (errno == EINTR) {
       continue;
     } else if (errno == EAGAIN || errno == EWOULDBLOCK) {
+      if (monitor && waiting) {
+        stream.acknowledges = true;
+        acknowledge(stream.fd);
+      }
       return true;
     } else {
       fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
@@ -241,6 +258,15 @@ void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
   std::vector<int> waiting;
   for (int row = 0; row < size(); ++row)
     if ((rows == nullptr || rows[row]) && due(channels_[row])) waiting.push_back(row);
+  const auto still_waiting = [&] {
+    waiting.erase(std::remove_if(waiting.begin(), waiting.end(), [&](int row) { return !due(channels_[row]); }), waiting.end());
+  };
+  // A server usually answers within a moment. To wait for it in the read saves a call in every cycle.
+  for (const int row : waiting) {
+    const bool frame = frame_due(channels_[row]);
+    if (receive(row, frame, true) && frame) receive(row, false);
+  }
+  still_waiting();
   std::vector<pollfd> polled;
   std::vector<std::pair<int, bool>> whose;
   while (!waiting.empty()) {
@@ -272,7 +298,7 @@ void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
     }
     for (std::size_t k = 0; k < polled.size() && ready > 0; ++k)
       if (polled[k].revents != 0 && receive(whose[k].first, whose[k].second) && whose[k].second) receive(whose[k].first, false);
-    waiting.erase(std::remove_if(waiting.begin(), waiting.end(), [&](int row) { return !due(channels_[row]); }), waiting.end());
+    still_waiting();
   }
 }
 

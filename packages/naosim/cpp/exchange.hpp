@@ -54,6 +54,7 @@ class Exchange {
     int fd = -1;
     std::string buffer;
     std::size_t used = 0;
+    bool acknowledges = false;  // at once, since the server waits for it
   };
   struct Channel {
     Stream agent, monitor;
@@ -66,7 +67,8 @@ class Exchange {
   int failed() const;
   void send(int row, bool monitor, std::string_view framed);
   void wait(const std::uint8_t* rows, double timeout_s);
-  bool receive(int row, bool monitor);  // false once the row has failed
+  // Read what there is, or wait for it for a moment; false once the row has failed.
+  bool receive(int row, bool monitor, bool waiting = false);
   bool parse(int row, bool monitor);
   std::vector<Channel> channels_;
 };

@@ -84,7 +84,7 @@ def test_a_lost_server_is_told_and_replaced_while_the_others_go_on() -> None:
         remote.step(still)
         remote.step(still)
         assert remote.failed.tolist() == [True, True, False]
-        assert "agent port: " in remote.reason(0)
+        assert "port: closed by the server" in remote.reason(0)
         assert "exit code -9" in remote.reason(0)
         assert "no reply within 1.0 s" in remote.reason(1)
         before = remote.perceptors.time[2]
