@@ -301,15 +301,17 @@ def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     actions = 0.2 * rng.standard_normal((64, env.n, env.n_actions))
     targets = [environment.actuation.targets(a) for a in actions]
-    simulator, turn, everyone = environment.simulator, iter(range(1 << 62)), slice(0, env.n)
+    simulator, turn = environment.simulator, iter(range(1 << 62))
 
     def engine() -> int:
         simulator.step(targets[next(turn) % len(targets)])
         return env.n
 
     def environments() -> int:
-        env.step_async(actions[next(turn) % len(actions)], everyone)
-        env.step_wait(everyone)
+        drawn = actions[next(turn) % len(actions)]
+        for group in env.groups:
+            env.step_wait(group)
+            env.step_async(drawn[group], group)
         return env.n
 
     def learner() -> int:
@@ -319,7 +321,12 @@ def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
         return spec.rollout_steps
 
     env.reset()
-    found = {"environments": _rate(environments), "learner": _rate(learner)}
+    for group in env.groups:
+        env.step_async(actions[0][group], group)
+    found = {"environments": _rate(environments)}
+    for group in env.groups:
+        env.step_wait(group)
+    found["learner"] = _rate(learner)
     env.reset()
     # robots that lie on the ground cost more than running ones: they are restarted now and then
     found["engine"] = _rate(engine, every=100, then=lambda: env.reset())
@@ -338,11 +345,37 @@ def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
     return found
 
 
-def _rate(work: Callable[[], int], *, every: int = 0, then: Callable[[], object] = lambda: None) -> float:
+def threads(workdir: Path) -> dict[str, Any]:
+    """Measure rollouts that one thread collects and that two collect, actor included, in turns."""
+    del workdir
+    learners = {}
+    for count in (1, 2):
+        spec = spec_of(total_steps=10_000_000_000, simulator_threads=count, learner_threads=1)
+        set_learner_threads(1)
+        environment, n_starts = open_training_environment(spec)
+        env = TrainingEnvironment.from_spec(spec, environment, n_starts)
+        learners[count] = plugins.load(plugins.LEARNERS, "ppo").open(spec, env)
+        learners[count].begin()
+
+    def collected(count: int) -> int:
+        learners[count].collect()
+        return learners[count].spec.rollout_steps
+
+    rounds = [
+        {str(count): _rate(partial(collected, count), seconds=MEASURE_S / 4) for count in learners} for _ in range(4)
+    ]
+    for learner in learners.values():
+        learner.environment.close()
+    return {"steps_per_s": rounds, "ratios": [found["2"] / found["1"] for found in rounds]}
+
+
+def _rate(
+    work: Callable[[], int], *, every: int = 0, then: Callable[[], object] = lambda: None, seconds: float = MEASURE_S
+) -> float:
     """Return units of work per second of ``work``, not counting what is done after each ``every`` calls."""
     work()
     done, spent, calls = 0, 0.0, 0
-    while spent < MEASURE_S:
+    while spent < seconds:
         began = time.perf_counter()
         done += work()
         spent += time.perf_counter() - began
@@ -354,6 +387,7 @@ def _rate(work: Callable[[], int], *, every: int = 0, then: Callable[[], object]
 
 SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "throughput": throughput,
+    "threads": threads,
     "random": random_policy,
     "seeds": seeds(),
     **{f"seeds-{robot}": seeds(robot) for robot in OTHER_ROBOTS},
