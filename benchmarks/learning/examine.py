@@ -2,9 +2,9 @@
 
     python benchmarks/learning/examine.py t1-sprint [--episodes 200]
 
-Motion: the largest joint speed, force on a foot, and depth of a contact, beside those of the same robot standing, and
-how much of the time motors are at their torque limit. A policy that exploits the solver shows here: joints faster than
-motors turn, or soles deep in the ground.
+Motion: the largest joint speed, force on a foot, and depth of a contact in episodes without a fall, beside those of the
+same robot standing, and how much of the time motors are at their torque limit. A policy that exploits the solver shows
+here: joints faster than motors turn, or soles deep in the ground.
 
 Robustness: the headline results with one disturbance at a time, in the server's own world otherwise.
 """
@@ -67,30 +67,36 @@ def motion(checkpoint: Path) -> dict[str, dict[str, float]]:
 def _peaks(environment: Environment, policy: Any) -> dict[str, float]:
     simulator = environment.simulator
     assert isinstance(simulator, MujocoSimulator)
-    active = np.ones(environment.n, dtype=np.bool_)
-    speed = force = depth = limited = samples = 0.0
+    active, fell = np.ones(environment.n, dtype=np.bool_), np.zeros(environment.n, dtype=np.bool_)
+    peaks = np.zeros((3, environment.n))  # joint speed, foot force, contact depth
+    limited = samples = 0.0
     still = np.zeros((environment.n, environment.actuation.n_actions))
     for _ in range(MOTION_STEPS):
         actions = still if policy is None else policy.act(environment.observations, None)
         environment.step(actions, active)
+        fell |= active & environment.failed
         active &= ~environment.terminated & ~environment.truncated
         if policy is None:  # of the tasks, getup does not end with a fall
             active &= simulator.truth.torso_position[:, 2] > FALLEN * simulator.robot.standing_height_m
         if not active.any():
             break
-        speed = max(speed, float(np.abs(environment.world.perceptors["joint_speeds"][active]).max()))
-        force = max(force, float(simulator.foot_frames()[active].max()))
-        distances = [
-            data.contact.dist.min(initial=0.0) for data, runs in zip(simulator.batch.data, active, strict=True) if runs
-        ]
-        depth = max(depth, -float(min(distances)))
+        depths = [-data.contact.dist.min(initial=0.0) for data in simulator.batch.data]
+        now = np.stack(
+            [
+                np.radians(np.abs(environment.world.perceptors["joint_speeds"]).max(axis=1)),
+                simulator.foot_frames().max(axis=(1, 2)),
+                1000.0 * np.array(depths),
+            ]
+        )
+        peaks[:, active] = np.maximum(peaks, now)[:, active]
         shares = np.abs(simulator.torque_shares(slice(0, environment.n))[active])
         limited += float((shares > AT_LIMIT).sum())
         samples += shares.size
+    speed, force, depth = peaks[:, ~fell].max(axis=1, initial=0.0).tolist()
     return {
-        "joint_speed_rad_s": round(float(np.radians(speed)), 1),
+        "joint_speed_rad_s": round(speed, 1),
         "foot_force_n": round(force),
-        "contact_depth_mm": round(1000.0 * depth, 1),
+        "contact_depth_mm": round(depth, 1),
         "torque_at_limit": round(limited / max(samples, 1.0), 3),
     }
 
