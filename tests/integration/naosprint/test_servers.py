@@ -22,7 +22,7 @@ from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
 from naosprint import NullReporter, evaluate, train
 from naosprint.__main__ import main
-from naosprint.arrays import FloatArray, IntArray
+from naosprint.arrays import BoolArray, FloatArray, IntArray
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 
@@ -46,14 +46,16 @@ class Engine(EmbeddedSimulator):
     def start(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
         """Leave the robot where it stands."""
 
+    def step_async(self, targets_rad: FloatArray, rows: slice, active: BoolArray | None = None) -> None:
+        """Store the targets of a step."""
+        self._targets = np.array(targets_rad)
+        assert active is None and rows == slice(0, self.n)
+
     def step_wait(self, rows: slice) -> None:
         """Run a step with joint speeds as they are sent."""
-        if self._pending is not None:
-            targets, active = self._pending
-            self._pending = None
-            speeds = motor_speeds(targets, self.perceptors["joint_angles"], self._max_speed)
-            self.sent = speeds.astype(np.float32).astype(np.float64)
-            self._engine.step(self.sent, active)
+        speeds = motor_speeds(self._targets, self.perceptors["joint_angles"], self._max_speed)
+        self.sent = speeds.astype(np.float32).astype(np.float64)
+        self._engine.step(self.sent)
 
 
 class Server(RemoteSimulator):
