@@ -260,6 +260,35 @@ class Velocity : public Operation {
   Table<double> position_, quaternion_, before_, velocity_;
 };
 
+// Forward and lateral velocity on the field, from the difference of the last two true positions.
+class GroundVelocity : public Operation {
+ public:
+  explicit GroundVelocity(const Arguments& a) : position_(a.real("position", 3)), before_(a.real("before", 2)), velocity_(a.real("velocity", 2)) {}
+  int width() const override { return 2; }
+  void begin(const Rows& rows) override {
+    for (int k = 0; k < rows.count; ++k)
+      for (int c = 0; c < 2; ++c) {
+        before_[rows[k]][c] = position_[rows[k]][c];
+        velocity_[rows[k]][c] = 0.0;
+      }
+  }
+  void update(const Rows& rows) override {
+    for (int k = 0; k < rows.count; ++k)
+      for (int c = 0; c < 2; ++c) {
+        const double now = position_[rows[k]][c];
+        velocity_[rows[k]][c] = (now - before_[rows[k]][c]) / kStepS;
+        before_[rows[k]][c] = now;
+      }
+  }
+  void measure(const Rows& rows, const Table<double>& out) const override {
+    for (int k = 0; k < rows.count; ++k)
+      for (int c = 0; c < 2; ++c) out[rows[k]][c] = velocity_[rows[k]][c];
+  }
+
+ private:
+  Table<double> position_, before_, velocity_;
+};
+
 // Coordinate of the torso, at the start of the episode, and how much it changed in the latest step.
 class Displacement : public Operation {
  public:
@@ -378,6 +407,7 @@ const std::map<std::string, std::unique_ptr<Operation> (*)(const Arguments&)> kO
     {"foot_counters", make<FootCounters>},
     {"gravity", make<Gravity>},
     {"velocity", make<Velocity>},
+    {"ground_velocity", make<GroundVelocity>},
     {"displacement", make<Displacement>},
     {"deviation", make<Deviation>},
     {"below", make<Below>},

@@ -44,11 +44,14 @@ class Runner:
         loaded = np.array([self.felt[3][3:].any(), self.felt[2][3:].any()])
         if self.features is None:
             self.features, self.loaded, self.steps, self.counters = now, loaded, -1, np.array([-1, -1])
+            self.position = torso[:2, 3]
         rates = now - self.features
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
         self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
         self.features, self.loaded = now, loaded
-        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters])
+        velocity = (torso[:2, 3] - self.position) / self.cycle_s if self.sees_velocity else []
+        self.position = torso[:2, 3]
+        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
 
     def act(self, observation):
         """Return the joints' target angles in radians, in the server's order and with its signs."""

@@ -23,6 +23,8 @@ DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algor
 
 DEFAULT_PRESET = "fast"
 
+_CANDIDATE_SEED_STEP = 1000
+
 
 class TaskSettings(Section):
     """Settings that every task has; a task adds its own.
@@ -170,11 +172,19 @@ class Stage(BaseModel):
         ge=1,
         le=10_000_000_000,
         title="Steps",
-        description="Environment steps of the stage; rounded up to whole rollouts.",
+        description="Environment steps of the stage, for each candidate; rounded up to whole rollouts.",
         json_schema_extra={"unit": "steps"},
     )
     seed: int | None = Field(
         default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
+    )
+    candidates: int = Field(
+        default=1,
+        ge=1,
+        le=16,
+        title="Candidates",
+        description="Policies that the stage trains one after the other, each with a seed of its own. The one with the "
+        "highest mean reward per step, over its latest 100 episodes, continues.",
     )
     robot: str | None = Field(
         default=None,
@@ -233,7 +243,8 @@ class TrainingSpec(_Specification):
         ge=1,
         le=10_000_000_000,
         title="Total steps",
-        description="Environment steps to train for; rounded up to whole rollouts. With stages: their sum.",
+        description="Environment steps to train for; rounded up to whole rollouts. With stages: their sum, all "
+        "candidates included.",
         json_schema_extra={"unit": "steps"},
     )
     seed: int = Field(
@@ -282,9 +293,10 @@ class TrainingSpec(_Specification):
             filled["task"] = {**filled["task"], "version": task.version}
         stages = filled.get("stages")
         if stages and "total_steps" not in filled:
-            steps = [stage.get("steps") if isinstance(stage, dict) else stage.steps for stage in stages]
-            if all(isinstance(count, int) and count > 0 for count in steps):
-                filled["total_steps"] = sum(steps)
+            given = [stage if isinstance(stage, dict) else stage.model_dump() for stage in stages]
+            factors = [(stage.get("steps"), stage.get("candidates", 1)) for stage in given]
+            if all(isinstance(factor, int) and factor > 0 for pair in factors for factor in pair):
+                filled["total_steps"] = sum(steps * candidates for steps, candidates in factors)
         return filled
 
     @model_validator(mode="after")
@@ -300,11 +312,12 @@ class TrainingSpec(_Specification):
         # frozen for all other code: a task fills in what depends on the robot
         object.__setattr__(self, "task", task.resolve(self.task, robot))
         if self.stages:
-            if self.total_steps != sum(stage.steps for stage in self.stages):
+            total = sum(stage.steps * stage.candidates for stage in self.stages)
+            if self.total_steps != total:
                 raise PydanticCustomError(
                     "stage_steps",
                     "total_steps: {total} is not the sum of the stages' steps, {sum}; leave total_steps out",
-                    {"total": self.total_steps, "sum": sum(stage.steps for stage in self.stages)},
+                    {"total": self.total_steps, "sum": total},
                 )
             shapes = [stage.algorithm.policy_shape() for stage in self.stage_specs]
             for number, shape in enumerate(shapes):
@@ -365,15 +378,30 @@ class TrainingSpec(_Specification):
 
     @property
     def planned_steps(self) -> int:
-        """Steps that the training takes: those of each stage rounded up to whole rollouts."""
+        """Steps that the training takes: those of each stage and candidate rounded up to whole rollouts."""
         if not self.stages:
             return -(-self.total_steps // self.rollout_steps) * self.rollout_steps
-        return sum(stage.planned_steps for stage in self.stage_specs)
+        return self.stage_ends[-1]
 
     @property
     def stage_ends(self) -> tuple[int, ...]:
         """Steps at which each stage ends."""
-        return tuple(accumulate(stage.planned_steps for stage in self.stage_specs))
+        steps = (spec.planned_steps for spec in self.stage_specs)
+        return tuple(accumulate(count * number for count, number in zip(steps, self.stage_candidates, strict=True)))
+
+    @property
+    def stage_candidates(self) -> tuple[int, ...]:
+        """Number of candidates of each stage."""
+        return tuple(stage.candidates for stage in self.stages) or (1,)
+
+    def candidate_spec(self, stage: int, candidate: int) -> TrainingSpec:
+        """Return the specification of one candidate of a stage; both are counted from 0.
+
+        The first candidate has the stage's seed; each further one adds 1,000.
+        """
+        spec = self.stage_specs[stage]
+        seed = (spec.seed + _CANDIDATE_SEED_STEP * candidate) % 2**31
+        return spec if candidate == 0 else spec.model_copy(update={"seed": seed})
 
     def overrides(self) -> dict[str, Any]:
         """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``.

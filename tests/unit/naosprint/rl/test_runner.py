@@ -33,7 +33,7 @@ def test_training_takes_its_steps_and_reports(make_spec: Make, tmp_path: Path, r
     assert read_manifest(result.checkpoint).steps == 2048
     documented = {metric.name for metric in columns(spec)}
     # an embedded simulator has no servers, there are no stages, and a worker measures the processes
-    assert recorder.rows[-1].keys() == documented - {"server_failures", "stage", "cpus", "memory_mb"}
+    assert recorder.rows[-1].keys() == documented - {"server_failures", "stage", "candidate", "cpus", "memory_mb"}
     assert all(0 < row["simulator_s"] < row["collect_s"] for row in recorder.rows)
     for row in recorder.rows:
         assert all(isinstance(value, float) and math.isfinite(value) for value in row.values())

@@ -57,11 +57,14 @@ def same(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray]) -> None:
         assert one.tobytes() == other.tobytes() or np.isnan(one.astype(np.float64)).any() or (one == 0).any()
 
 
-@pytest.mark.parametrize("robot", ["nao-0", "nao-4"])
+@pytest.mark.parametrize(("robot", "settings"), [("nao-0", {}), ("nao-4", {}), ("nao-0", {"ground_velocity": True})])
 @pytest.mark.parametrize("task", [Sprint1, Sprint2])
-def test_a_compiled_step_has_the_bits_of_the_python_code(robot: str, task: type[Task]) -> None:
+def test_a_compiled_step_has_the_bits_of_the_python_code(
+    robot: str, settings: dict[str, Any], task: type[Task]
+) -> None:
+    description = robots.get(robot).with_parameters(settings)
     compiled, plain = (
-        opened(EmbeddedSimulator(robots.get(robot), 19, threads=2), task, compiled=wanted, **FULL)
+        opened(EmbeddedSimulator(description, 19, threads=2), task, compiled=wanted, **FULL)
         for wanted in (True, False)
     )
     assert compiled.compiled

@@ -8,10 +8,10 @@ symmetric posture.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from naosim.robots import nao_model
 from naosim.robots.description import (
@@ -66,12 +66,25 @@ class NaoParameters(RobotParameters):
         description="Whether policies observe only what a player perceives: the torso's yaw and height are estimated "
         "from gyroscope, accelerometer, joint angles, foot contacts and vision.",
     )
+    ground_velocity: bool = Field(
+        default=False,
+        title="Ground velocity",
+        description="Whether policies also observe the torso's forward and lateral velocity on the field, from the "
+        "differences of its true positions.",
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.onboard_sensing and self.ground_velocity:
+            raise ValueError("ground_velocity: a robot with onboard_sensing does not perceive it; set one of the two")
+        return self
 
     def description(self, robot: Robot) -> dict[str, Any]:
         """Return perceptors and observations."""
         perceptors = [each for each in robot.perceptors if each != _VISION]
         if not self.onboard_sensing:
-            return {"perceptors": tuple(perceptors), "observations": _OBSERVATIONS}
+            more = ("ground_velocity",) if self.ground_velocity else ()
+            return {"perceptors": tuple(perceptors), "observations": (*_OBSERVATIONS, *more)}
         seen = {"yaw": "onboard_pose"}
         names = (seen.get(name, name) for name in _OBSERVATIONS if name != "height")
         return {"perceptors": (*perceptors, _VISION), "observations": tuple(names)}

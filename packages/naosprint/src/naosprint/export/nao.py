@@ -41,6 +41,7 @@ def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
         "drop_m": np.array(DROP_M),
         "settling_cycles": np.array(SETTLING_CYCLES),
         "observation_index": np.array([both.index(name) for name in observations if name in both]),
+        "sees_velocity": np.array("forward_velocity" in observations),
         **kinematics(model),
         **(onboard(model) if any(each.name == "vision" for each in robot.perceptors) else {}),
     }

@@ -75,6 +75,7 @@ TARGETS = {
             "left_foot": _perceived("foot_left"),
             "right_foot": _perceived("foot_right"),
             "vision": _perceived("vision"),
+            "position": lambda environment: environment.world.position(slice(0, 1))[:, :2],
         },
     ),
 }
@@ -108,8 +109,12 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
     Every array has a row per cycle; the episode ends early if the robot falls.
     """
     spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.spec)
+    family = spec.robot_description.family
     environment = open_environment(spec, 1, threads=1)
-    measured = {name: measure for name, measure in target.inputs.items() if name != "vision" or _sees(environment)}
+    left_out = {"vision": not _sees(environment), "position": "forward_velocity" not in environment.observer.names}
+    measured = {
+        name: measure for name, measure in target.inputs.items() if family != nao.FAMILY or not left_out.get(name)
+    }
     rows: dict[str, list[AnyArray]] = {name: [] for name in (*measured, *_EXPECTED)}
     try:
         environment.load_starts(environment.task.starts(1, 0, _NOISE_DEG))

@@ -11,7 +11,9 @@ import numpy as np
 from naosim.simulator import ServerLostError
 from naospec import plugins
 
+from naosprint.rl.candidates import Candidates
 from naosprint.rl.checkpoint import (
+    CANDIDATES,
     ENVIRONMENT,
     LEARNER,
     POLICY,
@@ -121,6 +123,7 @@ def train(
         reporter = NullReporter()
     set_learner_threads(spec.runtime.learner_threads)
     stage, progress = 0, _Progress()
+    candidates = Candidates(spec.stage_candidates[stage])
     if resume is not None:
         manifest = read_manifest(resume)
         _require_same_training(resume, manifest.spec, spec)
@@ -129,25 +132,38 @@ def train(
             raise CheckpointError(
                 f"{resume}: the checkpoint is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
             )
+        candidates = Candidates(spec.stage_candidates[stage])
+        if CANDIDATES in manifest.files:
+            candidates.load_state(read_file(resume, manifest, CANDIDATES))
+        trained = len(candidates.rewards)
         if manifest.steps >= spec.stage_ends[stage] and stage + 1 < len(spec.stage_specs):
             # the stage is complete: the next one starts from its policy
             stage, resume, initial_policy = stage + 1, None, resume
+            candidates = Candidates(spec.stage_candidates[stage])
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
-    result = None
-    while stage < len(spec.stage_specs):
-        result = _train_stage(
-            spec, stage, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s, processes
-        )
+        elif 0 < trained < candidates.count and manifest.steps == _first_step(spec, stage, trained):
+            # a candidate is complete: the next one starts
+            resume = None
+            progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
+    while True:
+        result = _train_candidate(
+            spec, stage, candidates, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s,
+            processes,
+        )  # fmt: skip
+        resume = initial_policy = None
         if result.status == "stopped":
             return result
-        stage, resume, initial_policy = stage + 1, None, result.checkpoint
-    assert result is not None
-    return result
+        if candidates.complete:
+            stage, initial_policy = stage + 1, result.checkpoint
+            if stage == len(spec.stage_specs):
+                return result
+            candidates = Candidates(spec.stage_candidates[stage])
 
 
-def _train_stage(
+def _train_candidate(
     spec: TrainingSpec,
     stage: int,
+    candidates: Candidates,
     progress: _Progress,
     workdir: Path,
     reporter: Reporter,
@@ -157,14 +173,19 @@ def _train_stage(
     min_checkpoint_s: float,
     processes: Processes,
 ) -> TrainResult:
-    inner, n_starts = open_training_environment(processes.share(spec.stage_specs[stage]))
+    number = min(len(candidates.rewards), candidates.count - 1)
+    inner, n_starts = open_training_environment(processes.share(spec.candidate_spec(stage, number)))
     try:
-        session = _Session(spec, stage, progress, inner, n_starts, workdir, reporter, min_checkpoint_s, processes)
+        session = _Session(
+            spec, stage, candidates, progress, inner, n_starts, workdir, reporter, min_checkpoint_s, processes
+        )
         if resume is not None:
             session.resume(resume)
         else:
             if initial_policy is not None:
                 session.warm_start(initial_policy)
+            elif candidates.start is not None:
+                session.load_policy(candidates.start)
             session.learner.begin()
         return session.run(stop)
     finally:
@@ -172,12 +193,13 @@ def _train_stage(
 
 
 class _Session:
-    """One stage of a training: rollouts, updates, reports and checkpoints."""
+    """One stage of a training, or one of its candidates: rollouts, updates, reports and checkpoints."""
 
     def __init__(
         self,
         whole: TrainingSpec,
         stage: int,
+        candidates: Candidates,
         progress: _Progress,
         environment: Any,
         n_starts: int,
@@ -188,10 +210,12 @@ class _Session:
     ) -> None:
         self.whole = whole
         self.processes = processes
-        self.spec = spec = whole.stage_specs[stage]
+        self.candidates = candidates
+        self.candidate = min(len(candidates.rewards), candidates.count - 1)
+        self.spec = spec = whole.candidate_spec(stage, self.candidate)
         self.stage = stage
         self.progress = progress
-        self.first_step = 0 if stage == 0 else whole.stage_ends[stage - 1]
+        self.first_step = _first_step(whole, stage, self.candidate)
         self.environment = TrainingEnvironment.from_spec(processes.share(spec), environment, n_starts, processes)
         self.learner = plugins.load(plugins.LEARNERS, spec.algorithm.name).open(spec, self.environment)
         self._listed = [
@@ -203,8 +227,8 @@ class _Session:
         self._saved_at = -inf
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
         self._episodes_elsewhere = 0  # in the other processes
-        # the last checkpoint of the stage before is also the state in which this one begins
-        border = stage > 0 and (workdir / _name(self.first_step)).exists()
+        # the last checkpoint of the stage or candidate before is also the state in which this one begins
+        border = self.first_step > 0 and (workdir / _name(self.first_step)).exists()
         self._saved_step: int | None = self.first_step if border else None
         self.environment.on_loss = self._report_loss
 
@@ -221,7 +245,7 @@ class _Session:
     def run(self, stop: Callable[[], bool]) -> TrainResult:
         """Train until the stage's steps are taken or ``stop`` returns true."""
         spec, learner, progress = self.spec, self.learner, self.progress
-        end = self.whole.stage_ends[self.stage]
+        end = self.first_step + spec.planned_steps
         checkpoint = self._workdir / _name(self.steps)
         self._log(self._title())
         began_steps, began_s = self.steps, perf_counter()
@@ -258,7 +282,9 @@ class _Session:
                     * (now - began_s)
                     / (self.steps - began_steps),
                 }
-                self._report(metrics, pace)
+                means = self._report(metrics, pace)
+                if self.steps >= end and self.candidates.count > 1:
+                    self._compare(means)
                 interval = spec.runtime.checkpoint_interval_steps
                 saved = began_steps if self._saved_step is None else self._saved_step
                 due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
@@ -322,7 +348,7 @@ class _Session:
                     f"{directory}: its policy has {name} {theirs.get(name)}, this training has {value}; "
                     f"set algorithm.{name} to {theirs.get(name)}"
                 )
-        policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
+        policy = read_file(directory, manifest, POLICY)
         if (manifest.observations, manifest.actions) != (environment.observer.names, environment.actuation.names):
             policy = adapt(
                 policy,
@@ -331,18 +357,37 @@ class _Session:
                 rest=environment.actuation.rest,
             )
         require_like(directory / POLICY, policy, self._policy_arrays())
+        self.load_policy(policy)
+        if self.candidates.count > 1:
+            self.candidates.start = policy
+        self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
+
+    def load_policy(self, policy: Mapping[str, AnyArray]) -> None:
+        """Continue with these weights and observation statistics."""
         self.learner.load_policy_state(_weights(policy))
         normalizer = self.environment.normalizer
         normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
-        self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
+
+    def _compare(self, means: Mapping[str, float]) -> None:
+        """Add this candidate to those that are trained; after the last one, continue with the best."""
+        candidates = self.candidates
+        candidates.add(means, self._policy_arrays())
+        rewards = candidates.rewards
+        self._log(f"candidate {self.candidate + 1} of {candidates.count}: mean reward per step {rewards[-1]:.4g}")
+        if candidates.complete:
+            assert candidates.best is not None
+            self.load_policy(candidates.best)
+            self._log(f"candidate {int(np.argmax(rewards)) + 1} is the best of {candidates.count}")
 
     def _title(self) -> str:
         spec = self.spec
         stages = f", stage {self.stage + 1} of {len(self.whole.stages)}" if self.whole.stages else ""
+        if self.candidates.count > 1:
+            stages += f", candidate {self.candidate + 1} of {self.candidates.count}"
         return (
             f"training {spec.task.name}, robot {spec.robot.name}, simulator {spec.simulator.name}, "
             f"{spec.algorithm.name} with preset {spec.algorithm.preset}{stages}: {spec.algorithm.n_envs} environments "
-            f"x {spec.algorithm.n_steps} steps an update, to {self.whole.stage_ends[self.stage]:,} steps"
+            f"x {spec.algorithm.n_steps} steps an update, to {self.first_step + spec.planned_steps:,} steps"
         )
 
     def _log(self, message: str) -> None:
@@ -383,6 +428,7 @@ class _Session:
             policy=self._policy_arrays(),
             learner=self.learner.state(),
             environment=environment if "environment.simulator" in environment else None,
+            candidates=self.candidates.state() if self.candidates.count > 1 else None,
         )
 
     def _save(self, state: TrainingState) -> Path:
@@ -408,13 +454,16 @@ class _Session:
         self._episodes_elsewhere = int(episodes) - window.episodes
         return {name: total / filled for name, total in zip(window.names, sums, strict=True)} if filled else {}
 
-    def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> None:
+    def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> dict[str, float]:
+        """Report one update; return the means over the latest episodes."""
+        means = self._window_means()
         row: dict[str, float] = {
             "step": float(self.steps),
             "time_s": self.progress.training_s,
             "episodes": float(self.episodes),
             **({"stage": float(self.stage + 1)} if self.whole.stages else {}),
-            **self._window_means(),
+            **({"candidate": float(self.candidate + 1)} if self.candidates.count > 1 else {}),
+            **means,
             **metrics,
             **pace,
         }
@@ -422,6 +471,13 @@ class _Session:
         if simulator.failures or simulator.can_fail:
             row["server_failures"] = float(simulator.failures)
         self._reporter.metrics(row)
+        return means
+
+
+def _first_step(spec: TrainingSpec, stage: int, candidate: int) -> int:
+    """Return the steps of the training before one candidate of a stage, both counted from 0."""
+    begins = 0 if stage == 0 else spec.stage_ends[stage - 1]
+    return begins + candidate * spec.stage_specs[stage].planned_steps
 
 
 def _name(steps: int) -> str:

@@ -454,6 +454,34 @@ def _velocity(world: World) -> ObservationBlock:
     )
 
 
+def _ground_velocity(world: World) -> ObservationBlock:
+    """Forward and lateral velocity in m/s on the field, from the difference of the last two true positions."""
+    before: FloatArray = np.zeros((world.n, 2))
+    velocity: FloatArray = np.zeros((world.n, 2))
+
+    def begin(rows: IntArray) -> None:
+        before[rows] = world.position(rows)[:, :2]
+        velocity[rows] = 0.0
+
+    def update(rows: slice) -> None:
+        position = world.position(rows)[:, :2]
+        velocity[rows] = (position - before[rows]) / STEP_S
+        before[rows] = position
+
+    return ObservationBlock(
+        ("forward_velocity", "lateral_velocity"),
+        lambda rows: velocity[rows],
+        signs=(1.0, -1.0),
+        begin=begin,
+        update=update,
+        arrays={"ground_velocity": velocity, "ground_position": before},
+        operation=Operation(
+            "ground_velocity",
+            {"position": world.simulator.truth.torso_position, "before": before, "velocity": velocity},
+        ),
+    )
+
+
 def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
     """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
     if "torso_quat" not in world.perceptors:
@@ -489,5 +517,6 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "foot_counters": _foot_counters,
     "gravity": _gravity,
     "velocity": _velocity,
+    "ground_velocity": _ground_velocity,
 }
 """Blocks by name."""

@@ -24,7 +24,7 @@ def main():
     worst = dict.fromkeys(("observations", "actions", "targets_rad"), 0.0)
     count = len(vectors["observations"])
     for step in range(count):
-        seen = runner.observe(*(vectors[name][step] for name in inputs))
+        seen = runner.observe(**{name: vectors[name][step] for name in inputs})
         targets = runner.act(seen)
         for name, found in zip(worst, (seen, runner.action, targets)):
             worst[name] = max(worst[name], float(np.abs(found - vectors[name][step]).max()))

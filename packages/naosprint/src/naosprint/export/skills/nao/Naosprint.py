@@ -27,22 +27,23 @@ class Naosprint:
         `orientation` is the direction on the field in degrees, 0 towards the opponents' goal; by default the robot
         runs ahead.
         """
-        robot, (yaw, height) = self.world.robot, self.pose()
+        robot, (yaw, height, position) = self.world.robot, self.pose()
         if robot.type != self.runner.robot_type:
             raise ValueError(f"the policy is for robot type {self.runner.robot_type}, this robot has {robot.type}")
         if reset:
             self.runner.begin(yaw if orientation is None else np.radians(orientation))
         feet = [np.zeros(6) if foot is None else served(foot) for foot in map(robot.frp.get, ("lf", "rf"))]
         felt = served(robot.gyro), served(robot.acc), *feet
-        self.move(self.runner.act(self.runner.observe(yaw, height, self.angles(), *felt, self.vision())))
+        self.move(self.runner.act(self.runner.observe(yaw, height, self.angles(), *felt, self.vision(), position)))
         if self.runner.estimate is not None:
             height = self.runner.estimate.height
         return bool(height < FALLEN_M)
 
     def pose(self):
-        """Return the torso's yaw in radians and its height in metres, by the team's localization."""
+        """Return the torso's yaw in radians, its height and its position (2,) in metres, by the team's localization."""
         robot = self.world.robot
-        return np.radians(robot.imu_torso_orientation), robot.imu_weak_torso_position[2]
+        x, y, height = robot.imu_weak_torso_position
+        return np.radians(robot.imu_torso_orientation), height, (x, y)
 
     def vision(self):
         """Return the landmarks in sight (8, 3) for a policy with onboard sensing; none for another."""

@@ -45,8 +45,8 @@ class Monitor:
         self.receive()
 
     def truth(self):
-        """Return the torso's yaw in radians and its height in metres."""
-        return np.arctan2(self.pose[1, 1], self.pose[0, 1]), self.pose[2, 3]
+        """Return the torso's yaw in radians, its height and its position (2,) in metres."""
+        return np.arctan2(self.pose[1, 1], self.pose[0, 1]), self.pose[2, 3], self.pose[:2, 3]
 
 
 def main():

@@ -21,9 +21,9 @@ class Runner:
 
     def begin(self, heading=0.0):
         """Begin a run."""
-        self.heading, self.before = heading, None
+        self.heading, self.before, self.position = heading, None, None
 
-    def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None):
+    def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None, position=None):
         """Return the observation, once per cycle.
 
         yaw of the torso's front on the team's field, counter-clockwise from +x, in radians, and the torso's height in
@@ -33,6 +33,7 @@ class Runner:
 
         A policy with onboard sensing estimates yaw and height from the others and from vision: (8, 3) distance in
         metres, theta and phi in degrees of each of `onboard_landmarks`, NaN where it is not seen.
+        A policy that observes its velocity on the field needs the torso's position (2,) there, in metres.
         """
         self.angles = np.array(angles_deg, float)
         feet = np.nan_to_num([left_foot, right_foot])
@@ -53,7 +54,15 @@ class Runner:
         rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
         self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
         self.before, self.loaded = now, loaded
-        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters])
+        velocity = self.velocity(position) if self.sees_velocity else []
+        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
+
+    def velocity(self, position):
+        """Return the velocity (2,) in m/s, ahead and to the left, since the last cycle."""
+        before, self.position = self.position, np.array(position, float)
+        x, y = (0, 0) if before is None else (self.position - before) / self.cycle_s
+        ahead, aside = np.cos(self.heading), np.sin(self.heading)
+        return [x * ahead + y * aside, y * ahead - x * aside]
 
     def bodies(self):
         """Return positions (B, 3) in metres and rotations (B, 3, 3) of all bodies in the torso's frame."""
