@@ -23,14 +23,18 @@ from naosim.robots.actuation import Actuation
 from naosim.simspark import centre_of_mass
 from naosim.simspark.control import motor_speeds
 from naospec import TrainingSpec
+from naosprint import train
 from naosprint.export import build_check, build_header, describe, export_policy, policy_arrays
 from naosprint.export.header import exact_actions
 from naosprint.export.nao import kinematics
 from naosprint.rl.checkpoint import CheckpointError, Manifest
 from naosprint.rl.policy import Policy, load_policy
+from naosprint.rl.reporter import NullReporter
 from naosprint.tasks.environment import open_environment
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from naosprint.tasks.environment import Environment
 
 AGENT = Path(__file__).parents[4] / "packages/naosprint/examples/run_policy.py"
@@ -229,10 +233,20 @@ def _message(environment: Environment) -> str:
     return "".join(parts)
 
 
+@pytest.mark.parametrize("sees_velocity", [False, True])
 def test_example_agent_sees_and_does_what_the_environment_does(
-    checkpoint: Path, exported: Path, agent: ModuleType
+    checkpoint: Path,
+    exported: Path,
+    agent: ModuleType,
+    make_spec: Callable[..., TrainingSpec],
+    tmp_path: Path,
+    sees_velocity: bool,
 ) -> None:
     """From a server's messages it computes the same observations and joint speeds, step by step through a whole run."""
+    if sees_velocity:
+        spec = make_spec(ground_velocity=True, total_steps=256)
+        checkpoint = train(spec, workdir=tmp_path, reporter=NullReporter()).checkpoint
+        exported = export_policy(checkpoint, tmp_path / "export", ["numpy"])[0].parent
     policy, manifest = load_policy(checkpoint)
     environment = open_environment(manifest.spec, 1, threads=1)
     environment.load_starts(environment.task.starts(1, 0, 2.0))

@@ -25,7 +25,7 @@ from naosprint.rl.policy import Policy, load_policy
 from naosprint.tasks.environment import open_environment
 
 
-def random_policy(robot: str, task: str) -> tuple[Policy, Manifest]:
+def random_policy(robot: dict[str, Any], task: str) -> tuple[Policy, Manifest]:
     """Return a policy of random weights for a task."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": task})
     environment = open_environment(spec, 1, threads=1)
@@ -71,12 +71,20 @@ def folder_of(robot: str, directory: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("robot", "task"), [("t1", "velocity"), ("k1", "sprint1"), ("t1", "getup"), ("nao-4", "sprint2")]
+    ("robot", "task"),
+    [
+        ({"name": "t1"}, "velocity"),
+        ({"name": "k1"}, "sprint1"),
+        ({"name": "t1"}, "getup"),
+        ({"name": "nao-4"}, "sprint2"),
+        ({"name": "nao-0", "ground_velocity": True}, "sprint1"),
+    ],
+    ids=["t1", "k1", "t1-getup", "nao-4", "nao-0-velocity"],
 )
-def test_the_skill_is_the_policy(robot: str, task: str, tmp_path: Path, numpy_alone: Path) -> None:
+def test_the_skill_is_the_policy(robot: dict[str, Any], task: str, tmp_path: Path, numpy_alone: Path) -> None:
     policy, manifest = random_policy(robot, task)
     write_skill(policy, manifest, tmp_path)
-    folder = folder_of(robot, tmp_path)
+    folder = folder_of(robot["name"], tmp_path)
     vectors = np.load(folder / "parity.npz")
     assert len(vectors["observations"]) > 20
     assert np.ptp(vectors["observations"], axis=0).max() > 0.1

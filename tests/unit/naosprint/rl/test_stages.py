@@ -165,9 +165,7 @@ def alone(make_spec: Make, tmp_path: Path) -> dict[str, Path]:
     return {"first": first, **{str(seed): trained(str(seed), seed, first) for seed in (9, 1009, 2009)}}
 
 
-def test_the_best_candidate_continues(
-    make_spec: Make, tmp_path: Path, recorder: Any, alone: dict[str, Path]
-) -> None:
+def test_the_best_candidate_continues(make_spec: Make, tmp_path: Path, recorder: Any, alone: dict[str, Path]) -> None:
     """Each candidate is a training of its own from the same policy; the next stage starts from the best one's."""
     spec = candidates(make_spec)
     assert (spec.total_steps, spec.planned_steps, spec.stage_ends) == (3840, 3840, (512, 3584, 3840))
@@ -189,9 +187,7 @@ def test_the_best_candidate_continues(
 
 
 @pytest.mark.parametrize("stopped_at", [512, 1024, 1536, 2048, 2560, 3584])
-def test_candidates_resume_from_one_checkpoint(
-    make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int
-) -> None:
+def test_candidates_resume_from_one_checkpoint(make_spec: Make, tmp_path: Path, recorder: Any, stopped_at: int) -> None:
     """It is enough, wherever the training stopped: it contains their start and the best of them."""
     spec = candidates(make_spec)
     whole = train(spec, workdir=tmp_path / "whole", reporter=recorder)

@@ -43,7 +43,11 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "gains of a robot without gains": (
         {"robot": {"name": "nao-0", "kp": {"legs": 100}}},
-        "robot.kp: nao-0 has no such setting: choose one of onboard_sensing",
+        "robot.kp: nao-0 has no such setting: choose one of onboard_sensing, ground_velocity",
+    ),
+    "a player that observes its true velocity": (
+        {"robot": {"name": "nao-0", "onboard_sensing": True, "ground_velocity": True}},
+        "ground_velocity: a robot with onboard_sensing does not perceive it; set one of the two",
     ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},

@@ -64,8 +64,7 @@ def test_a_compiled_step_has_the_bits_of_the_python_code(
 ) -> None:
     description = robots.get(robot).with_parameters(settings)
     compiled, plain = (
-        opened(EmbeddedSimulator(description, 19, threads=2), task, compiled=wanted, **FULL)
-        for wanted in (True, False)
+        opened(EmbeddedSimulator(description, 19, threads=2), task, compiled=wanted, **FULL) for wanted in (True, False)
     )
     assert compiled.compiled
     assert not plain.compiled

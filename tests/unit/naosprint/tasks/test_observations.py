@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from naosim import robots
-from naosim.robots import nao_model
+from naosim.robots import Robot, nao_model
 from naosim.robots.actuation import Actuation
 from naosim.simspark import EmbeddedSimulator, centre_of_mass
 from naosim.simulator import Simulator, Starts, Truth
@@ -68,10 +68,10 @@ class Puppet(Simulator):
 class Watch:
     """Observer of readings, with the results by name."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: Robot = NAO) -> None:
         self.simulator = Puppet()
         self.world = World(self.simulator)
-        self.observer = Observer(1, blocks(self.world, NAO.observations))
+        self.observer = Observer(1, blocks(self.world, robot.observations))
         self.names = self.observer.names
 
     def begin(self, readings: Readings) -> dict[str, float]:
@@ -99,6 +99,22 @@ def environment_of(n: int) -> Environment:
     environment.load_starts(environment.task.starts(n, 0, 2.0))
     environment.restart(np.arange(n), np.arange(n))
     return environment
+
+
+def test_velocity_on_the_field_is_that_of_the_last_step() -> None:
+    """Forward and lateral, in metres per second, zero at the start; a robot with the setting observes it last."""
+    watch = Watch(NAO.with_parameters({"ground_velocity": True}))
+    assert watch.names[-2:] == ("forward_velocity", "lateral_velocity")
+    assert watch.names[:-2] == Watch().names
+    seen = watch.begin(Readings())
+    assert (seen["forward_velocity"], seen["lateral_velocity"]) == (0.0, 0.0)
+    seen = watch.step(Readings(torso_position=np.array([[-13.92, 0.01, 0.36]])))
+    assert seen["forward_velocity"] == pytest.approx(4.0)
+    assert seen["lateral_velocity"] == pytest.approx(0.5)
+    seen = watch.step(Readings(torso_position=np.array([[-13.92, 0.0, 0.36]])))
+    assert (seen["forward_velocity"], seen["lateral_velocity"]) == pytest.approx((0.0, -0.5))
+    mirrored = watch.observer.mirror.sign[-2:]
+    assert mirrored.tolist() == [1.0, -1.0]
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ const PACE = [
   { name: "memory_mb", title: "Memory", unit: "MiB", digits: 0, better: null },
 ];
 /** Columns of metrics that are no curves. */
-const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "eta_s", "server_failures"]);
+const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "candidate", "eta_s", "server_failures"]);
 
 /** Name of the plug-in of a specification's section; a specification of an older version may have none. */
 export const nameOf = (spec, section) =>
