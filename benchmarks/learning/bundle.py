@@ -160,14 +160,18 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
 def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Describe each stage of a job of the lineage, or the whole job if it has none."""
     found, steps, time_s = [], 0.0, 0.0
-    for number, stage in enumerate(spec.stage_specs, start=1):
-        mine = [row for row in rows if row.get("stage", 1.0) == number]
-        if not mine:
+    for number, candidates in enumerate(spec.stage_candidates, start=1):
+        trained = [row for row in rows if row.get("stage", 1.0) == number]
+        if not trained:
             break
+        runs = [[row for row in trained if row.get("candidate", 1.0) == k] for k in range(1, candidates + 1)]
+        best = max(range(candidates), key=lambda k: reward_per_step(runs[k][-1]) if candidates > 1 else 0.0)
+        mine, stage = runs[best], spec.candidate_spec(number - 1, best)
+        begin = steps + best * stage.planned_steps
         shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
         names = ("step", *stage.task_class.presentation.listed)
         complete = [row for row in shown if all(name in row for name in names)]
-        curve = {name: [round(row[name] - (steps if name == "step" else 0.0), 4) for row in complete] for name in names}
+        curve = {name: [round(row[name] - (begin if name == "step" else 0.0), 4) for row in complete] for name in names}
         found.append(
             {
                 "job": job + (f", stage {number}" if spec.stages else ""),
@@ -175,14 +179,20 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
                 "robot": stage.robot.name,
                 "preset": spec.algorithm.preset,
                 "seed": stage.seed,
-                "steps": int(mine[-1]["step"] - steps),
-                "training_s": round(mine[-1]["time_s"] - time_s),
+                **({"candidates": candidates} if candidates > 1 else {}),
+                "steps": int(mine[-1]["step"] - begin),
+                "training_s": round(trained[-1]["time_s"] - time_s),
                 "overrides": stage.overrides(),
                 "curve": curve,
             }
         )
-        steps, time_s = mine[-1]["step"], mine[-1]["time_s"]
+        steps, time_s = trained[-1]["step"], trained[-1]["time_s"]
     return found
+
+
+def reward_per_step(row: dict[str, float]) -> float:
+    """Return what the candidates of a stage are compared by."""
+    return row["reward"] / row["episode_length"]
 
 
 def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
@@ -200,7 +210,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "summary": summary_text(summary),
             "robot": trained.robot.name,
             "task": trained.task.name,
-            "steps": sum(int(one["steps"]) for one in parts),
+            "steps": sum(int(one["steps"]) * one.get("candidates", 1) for one in parts),
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
@@ -261,6 +271,8 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
     for one in card["lineage"]:
         changes = ", ".join(f"`{key}` {json.dumps(value)}" for key, value in one["overrides"].items()) or "none"
         training = f"{one['task']}, {one['robot']}, preset {one['preset']}, seed {one['seed']}"
+        if "candidates" in one:
+            training += f", the best of {one['candidates']}"
         lines.append(
             f"| {one['job']} | {training} | {one['steps'] / 1e6:.0f} M | {one['training_s'] / 60:.0f} | {changes} |"
         )

@@ -60,7 +60,10 @@ def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
     spec = TrainingSpec.model_validate(job["spec"])
     lineage = naopolicies.card(name)["lineage"][-len(spec.stage_specs) :]
     assert len(lineage) == len(spec.stage_specs)
-    for stage, past in zip(spec.stage_specs, lineage, strict=True):
+    for number, past in enumerate(lineage):
+        seeds = [spec.candidate_spec(number, k).seed for k in range(spec.stage_candidates[number])]
+        stage = spec.candidate_spec(number, seeds.index(past["seed"]))
+        assert past.get("candidates", 1) == len(seeds)
         height = stage.robot_description.erect_height_m
         assert (getattr(stage.task, "min_height_m", None) == height) == past["task"].endswith("-erect")
         assert (stage.robot.name, stage.algorithm.preset, stage.seed) == (past["robot"], past["preset"], past["seed"])
