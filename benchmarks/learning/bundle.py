@@ -98,7 +98,8 @@ def main() -> int:
         ]
         # the last job may have continued beyond the checkpoint that was chosen
         manifest = read_manifest(checkpoint)
-        before = sum(part["steps"] for part in parts if part["job"].startswith(jobs[-1]["name"])) - parts[-1]["steps"]
+        own = [part for part in parts if part["job"].startswith(jobs[-1]["name"])]
+        before = sum(part["steps"] * part.get("candidates", 1) for part in own[:-1])
         parts[-1] |= {"steps": manifest.steps - before}
         put_in_place(name, checkpoint)
     write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
@@ -168,6 +169,8 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
         best = max(range(candidates), key=lambda k: reward_per_step(runs[k][-1]) if candidates > 1 else 0.0)
         mine, stage = runs[best], spec.candidate_spec(number - 1, best)
         begin = steps + best * stage.planned_steps
+        # a long training's rows are thinned, so the last of a stage may be missing
+        ended = rows[-1].get("stage", 1.0) > number
         shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
         names = ("step", *stage.task_class.presentation.listed)
         complete = [row for row in shown if all(name in row for name in names)]
@@ -180,13 +183,14 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
                 "preset": spec.algorithm.preset,
                 "seed": stage.seed,
                 **({"candidates": candidates} if candidates > 1 else {}),
-                "steps": int(mine[-1]["step"] - begin),
+                "steps": stage.planned_steps if ended else int(mine[-1]["step"] - begin),
                 "training_s": round(trained[-1]["time_s"] - time_s),
                 "overrides": stage.overrides(),
                 "curve": curve,
             }
         )
-        steps, time_s = trained[-1]["step"], trained[-1]["time_s"]
+        steps += stage.planned_steps * candidates
+        time_s = trained[-1]["time_s"]
     return found
 
 

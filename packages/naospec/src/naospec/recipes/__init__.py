@@ -50,10 +50,13 @@ def job(name: str) -> dict[str, Any]:
 
 def _after(first: dict[str, Any], task: dict[str, Any], then: dict[str, Any]) -> dict[str, Any]:
     """Return a specification with the stages of ``first``, with these task settings, and then its own."""
+    robot = first["robot"]
+    if not isinstance(robot, str) and robot != then["robot"]:
+        raise ValueError(f"after: its robot {robot} has settings, so both must have the same, not {then['robot']}")
     shared = {key: value for key, value in first["algorithm"].items() if key not in ("name", "preset")}
     stages = [
         {
-            "robot": first["robot"],
+            **({"robot": robot} if isinstance(robot, str) else {}),
             **stage,
             "algorithm": {**shared, **stage.get("algorithm", {})},
             "task": {**task, **stage.get("task", {})},
