@@ -42,9 +42,10 @@ def test_card_has_results_and_lineage(name: str) -> None:
         assert value_text(result) in card["summary"]
     last = card["lineage"][-1]
     assert (last["task"], last["robot"]) == (card["task"], card["robot"])
-    assert last["steps"] == manifest.steps
-    assert last["overrides"] == _plain(manifest.spec.overrides())
-    assert card["steps"] == sum(part["steps"] for part in card["lineage"])
+    steps = [part["steps"] * part.get("candidates", 1) for part in card["lineage"]]
+    assert sum(steps[-len(manifest.spec.stage_specs) :]) == manifest.steps
+    assert last["overrides"] == _plain(manifest.stage_spec.overrides())
+    assert card["steps"] == sum(steps)
     for part in card["lineage"]:
         listed = plugins.load(plugins.TASKS, part["task"]).presentation.listed
         assert set(part["curve"]) == {"step", *listed}
