@@ -34,6 +34,7 @@ from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.report import read_metrics, write_report
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
+from naosprint.rl.candidates import reward_per_step
 from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest
 from naosprint.rl.columns import columns
 
@@ -192,11 +193,6 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
         steps += stage.planned_steps * candidates
         time_s = trained[-1]["time_s"]
     return found
-
-
-def reward_per_step(row: dict[str, float]) -> float:
-    """Return what the candidates of a stage are compared by."""
-    return row["reward"] / row["episode_length"]
 
 
 def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +38,8 @@ class _Target:
     folder: str
     #: What the robot perceives, by the name of the argument of `Runner.observe`, in their order.
     inputs: Mapping[str, Callable[[Environment], AnyArray]]
+    #: Inputs that only some policies need, and whether this one does.
+    optional: Mapping[str, Callable[[Environment], bool]] = field(default_factory=dict)
 
 
 def _perceived(name: str) -> Callable[[Environment], AnyArray]:
@@ -77,6 +79,7 @@ TARGETS = {
             "vision": _perceived("vision"),
             "position": lambda environment: environment.world.position(slice(0, 1))[:, :2],
         },
+        {"vision": _sees, "position": lambda environment: "forward_velocity" in environment.observer.names},
     ),
 }
 """Team code by the family of robots that it plays with."""
@@ -109,12 +112,9 @@ def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, Any
     Every array has a row per cycle; the episode ends early if the robot falls.
     """
     spec = EvaluationSpec(episodes=1, simulator="embedded").applied_to(manifest.spec)
-    family = spec.robot_description.family
     environment = open_environment(spec, 1, threads=1)
-    left_out = {"vision": not _sees(environment), "position": "forward_velocity" not in environment.observer.names}
-    measured = {
-        name: measure for name, measure in target.inputs.items() if family != nao.FAMILY or not left_out.get(name)
-    }
+    left_out = {name for name, needed in target.optional.items() if not needed(environment)}
+    measured = {name: measure for name, measure in target.inputs.items() if name not in left_out}
     rows: dict[str, list[AnyArray]] = {name: [] for name in (*measured, *_EXPECTED)}
     try:
         environment.load_starts(environment.task.starts(1, 0, _NOISE_DEG))

@@ -13,6 +13,14 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray
 
 
+def reward_per_step(means: Mapping[str, float]) -> float:
+    """Return what candidates are compared by: the mean reward per step of the latest episodes.
+
+    The reward of whole episodes would favour slow robots in tasks that end at a finish line.
+    """
+    return means["reward"] / means["episode_length"]
+
+
 class Candidates:
     """What the remaining candidates of a stage need from those before them.
 
@@ -41,8 +49,7 @@ class Candidates:
             means: its live metrics.
             policy: its policy.
         """
-        # a sum over the same steps for all: an episode that ends early, by a fall, is no advantage
-        reward = means["reward"] / means["episode_length"] if means else -inf
+        reward = reward_per_step(means) if means else -inf
         if self.best is None or reward > max(self.rewards):
             self.best = policy
         self.rewards.append(reward)
