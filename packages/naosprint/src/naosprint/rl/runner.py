@@ -147,9 +147,18 @@ def train(
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
     while True:
         result = _train_candidate(
-            spec, stage, candidates, progress, workdir, reporter, resume, initial_policy, stop, min_checkpoint_s,
+            spec,
+            stage,
+            candidates,
+            progress,
+            workdir,
+            reporter,
+            resume,
+            initial_policy,
+            stop,
+            min_checkpoint_s,
             processes,
-        )  # fmt: skip
+        )
         resume = initial_policy = None
         if result.status == "stopped":
             return result
