@@ -6,7 +6,6 @@ python play_t1.py run.npz [--getup getup.npz] [--tumble] [--targets 10] [--seed 
 NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py beside it.
 """
 
-# ruff: noqa: ANN001, ANN201, ANN202, B905, D102, D103, I002, T201
 import argparse
 import select
 import socket
@@ -135,7 +134,7 @@ def main(arguments=None):
 
     for cycle in range(6 + player.settling_cycles):
         step(player, player.start_pose_rad, "(beam -5 0 0)" if cycle == 5 else "")
-    monitor.close()
+    monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
     player.begin()
     rng, thrown = np.random.default_rng(options.seed), np.random.default_rng(options.seed)
     results = []
@@ -149,6 +148,7 @@ def main(arguments=None):
                 falls += 1
                 if getup is None:
                     agent.close()
+                    monitor.close()
                     raise SystemExit(f"the robot fell on the way to target {number}; --getup can stand it up")
                 getup.begin()
                 while getup.cycles < GETUP_CYCLES and getup.held < HOLD_CYCLES:
@@ -169,6 +169,7 @@ def main(arguments=None):
         state = "reached" if standing >= 50 else "missed"
         print(f"{number:2}  {place}  {way:5.1f} m  {seconds:5.1f} s  {state}, {error:.2f} m away")
     agent.close()
+    monitor.close()
     if options.record:
         np.savez(options.record, **dict(zip(("positions", "rotations", "angles"), map(np.array, zip(*cycles)))))
     reached = sum(good for good, _ in results)

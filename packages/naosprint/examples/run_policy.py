@@ -3,7 +3,6 @@
 python run_policy.py policy.npz [host [agent port [monitor port]]]
 """
 
-# ruff: noqa: ANN001, ANN201, ANN204, B905, D102, D103, I002, T201
 import re
 import select
 import socket

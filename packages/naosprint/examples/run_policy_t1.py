@@ -3,7 +3,6 @@
 python run_policy_t1.py policy.npz [host [agent port [monitor port [team [number [y of the lane]]]]]]
 """
 
-# ruff: noqa: ANN001, ANN201, ANN202, ANN204, B905, D102, D103, I002, T201
 import re
 import select
 import socket
@@ -87,11 +86,12 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
     runner.start_pose_rad += np.radians(NOISE_DEG) * np.random.default_rng(0).uniform(-1, 1, len(runner.joint_names))
     for cycle in range(6 + runner.settling_cycles):
         step(runner.start_pose_rad, f"(beam {START_X} {runner.field[1, 1] * runner.lane} 0)" if cycle == 5 else "")
-    monitor.close()
+    monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
     runner.begin()
     while runner.place[2] > 0.6 * runner.standing_height_m and runner.place[0] < -START_X and runner.cycles < 3000:
         step(runner.act(runner.observe()))
     agent.close()
+    monitor.close()
     print(f"{runner.place[0] - START_X:.2f} m in {runner.cycles * runner.cycle_s:.2f} s")
 
 

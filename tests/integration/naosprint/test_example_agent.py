@@ -45,6 +45,9 @@ def serving(program: ServerProgram) -> Iterator[Address]:
             assert server.alive() and time.monotonic() < deadline, server.describe()
             time.sleep(0.05)
         yield server.address
+    except BaseException as error:
+        error.add_note(server.describe())
+        raise
     finally:
         server.stop()
 

@@ -17,7 +17,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -43,6 +43,10 @@ _FIRST_CYCLES = 5
 """Cycles in which a new robot takes its first commands and the ball is put aside."""
 
 _MODE = "BeforeKickOff"
+
+_LEAVE_S = 1.0
+"""Time after which a connection that the server does not end is closed all the same."""
+
 _BALL_RADIUS_M = 0.11
 
 
@@ -161,7 +165,7 @@ class MujocoFleet(Fleet):
             self._exchange.attach(row, agent.detach(), -1)
             self._shake_hands(row, monitor, deadline)
         finally:
-            monitor.close()
+            _leave(monitor)
 
     def _watching(self, row: int, address: Address, deadline: float) -> socket.socket:
         """Return a connection to the monitor port that has received a frame.
@@ -219,6 +223,18 @@ class MujocoFleet(Fleet):
             )
         if mode != _MODE:
             exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")
+
+
+def _leave(monitor: socket.socket) -> None:
+    """Close a connection to the monitor port once the server has stopped sending.
+
+    With unread frames it would be reset, which kills a server that is sending to it.
+    """
+    with monitor, suppress(OSError):
+        monitor.settimeout(_LEAVE_S)
+        monitor.shutdown(socket.SHUT_WR)
+        while monitor.recv(65536):
+            pass
 
 
 def _beat(fleet: weakref.ref[MujocoFleet], closing: threading.Event) -> None:

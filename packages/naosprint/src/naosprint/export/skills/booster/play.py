@@ -60,7 +60,9 @@ def main():
             monitor.recv(1)  # the server's first cycle
             text = b"(ball (pos 25 16 0.11)(vel 0 0 0))"
             monitor.sendall(len(text).to_bytes(4, "big") + text)
-            monitor.recv(1 << 16)
+            monitor.shutdown(socket.SHUT_WR)
+            while monitor.recv(1 << 16):  # closed with unread frames, it would be reset, which kills the server
+                pass
     agent = Agent(options.team, options.number, options.host, options.port)
     skill = Naosprint(agent)
     if str(skill.runner.model) != agent.robot.name:
