@@ -392,6 +392,47 @@ class MeanSquare : public Operation {
   Table<double> values_, less_;
 };
 
+// How alike left and right joints move, 0 if no more than opposite.
+class Alike : public Operation {
+ public:
+  explicit Alike(const Arguments& a) : speeds_(a.real("speeds", 0)), floor_(a.number("floor")) {
+    const auto &left = a.list("left"), &right = a.list("right"), &product = a.list("product"), &square = a.list("square");
+    if (right.size() != left.size() || product.size() != left.size() || square.size() != left.size())
+      throw std::invalid_argument("operation alike: left, right, product and square differ in length");
+    for (std::size_t c = 0; c < left.size(); ++c) {
+      for (const double index : {left[c], right[c]})
+        if (!(index >= 0 && index < speeds_.width)) throw std::invalid_argument("operation alike: index out of range");
+      pairs_.push_back({static_cast<int>(left[c]), static_cast<int>(right[c]), product[c], square[c]});
+    }
+  }
+  int width() const override { return 1; }
+  void measure(const Rows& rows, const Table<double>& out) const override {
+    thread_local std::vector<double> products, squares;
+    const auto count = static_cast<std::int64_t>(pairs_.size());
+    products.resize(pairs_.size());
+    squares.resize(pairs_.size());
+    for (int k = 0; k < rows.count; ++k) {
+      const double* speeds = speeds_[rows[k]];
+      for (std::size_t c = 0; c < pairs_.size(); ++c) {
+        const double left = speeds[pairs_[c].left], right = speeds[pairs_[c].right];
+        products[c] = left * right * pairs_[c].product;
+        squares[c] = (left * left + right * right) * pairs_[c].square;
+      }
+      const double alike = pairwise_sum(products.data(), count) / (pairwise_sum(squares.data(), count) + floor_);
+      *out[rows[k]] = alike > 0.0 ? alike : 0.0;
+    }
+  }
+
+ private:
+  struct Pair {
+    int left, right;
+    double product, square;
+  };
+  Table<double> speeds_;
+  double floor_;
+  std::vector<Pair> pairs_;
+};
+
 template <class Made>
 std::unique_ptr<Operation> make(const Arguments& arguments) {
   return std::make_unique<Made>(arguments);
@@ -413,6 +454,7 @@ const std::map<std::string, std::unique_ptr<Operation> (*)(const Arguments&)> kO
     {"below", make<Below>},
     {"beyond", make<Beyond>},
     {"mean_square", make<MeanSquare>},
+    {"alike", make<Alike>},
 };
 
 }  // namespace

@@ -1,4 +1,4 @@
-"""Penalties that several tasks share: on motor torque, on changes of the action, on the action itself."""
+"""Penalties that several tasks share: on torque, on changes of the action, on the action itself, and on hopping."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from naosprint.tasks.compiled import Operation
 from naosprint.tasks.disturbances import DisturbanceSettings
 
 if TYPE_CHECKING:
+    from naosim.robots import Robot
+
     from naosprint.arrays import FloatArray
     from naosprint.tasks.base import World
+
+HOP_FLOOR_DEG_S = 30.0
+"""Joint speed far below which no motion counts as hopping, deg/s."""
 
 
 class PenaltySettings(DisturbanceSettings):
@@ -40,16 +45,35 @@ class PenaltySettings(DisturbanceSettings):
         title="Action penalty",
         description="Penalty per step for the mean square of the action.",
     )
+    hop_penalty: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1000.0,
+        title="Hop penalty",
+        description="Penalty per step for left and right joints that move alike, as when hopping on both feet.",
+    )
+
+
+def require_joint_speeds(robot: Robot) -> None:
+    """Check that hopping can be penalized.
+
+    Raises:
+        ValueError: if the robot does not perceive joint speeds.
+    """
+    if all(perceptor.name != "joint_speeds" for perceptor in robot.perceptors):
+        raise ValueError(f"task.hop_penalty: robot {robot.name} does not perceive joint speeds; set it to 0")
 
 
 def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]:
     """Return the shared penalties as reward terms.
 
     Raises:
-        ValueError: if torque is penalized and the simulator does not report motor torques.
+        ValueError: if torque is penalized and the simulator does not report motor torques, or hopping is and the robot
+            does not perceive joint speeds.
     """
     if settings.torque_penalty:
         world.torque_share(slice(0, 1))
+    hop = (hopping(world, settings.hop_penalty),) if settings.hop_penalty else ()
 
     def smoothness(rows: slice) -> FloatArray:
         return np.asarray(np.square(world.actions[rows] - world.previous_actions[rows]).mean(axis=1))
@@ -66,4 +90,47 @@ def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]
             Operation("mean_square", {"values": world.actions, "less": world.previous_actions}),
         ),
         RewardTerm("action", -settings.action_penalty, action, Operation("mean_square", {"values": world.actions})),
+        *hop,
     )
+
+
+def hopping(world: World, weight: float) -> RewardTerm:
+    """Return the penalty for left and right joints that move alike.
+
+    With l and r the speeds of a left joint and its mirror image, in mirrored directions, and sums over the pairs with
+    the motors' maximum torques as weights, it is sum(l r) / (sum(l^2 + r^2) / 2 + floor), or 0 where that is negative.
+    A policy that treats left and right alike, from a start that is nearly symmetric, can learn to hop on both feet; it
+    is then slower than one that steps.
+
+    Raises:
+        ValueError: if the robot does not perceive joint speeds.
+    """
+    require_joint_speeds(world.robot)
+    joints = {joint.name: (number, joint) for number, joint in enumerate(world.robot.joints)}
+    pairs = [
+        (number, *joints[joint.mirror]) for number, joint in joints.values() if joint.actuated and joint.side == "left"
+    ]
+    left, right = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    signs = np.array([world.robot.joints[a].sign * other.sign for a, _, other in pairs])
+    torques = np.array([other.max_torque for _, _, other in pairs])
+    shares = torques / torques.sum()
+    speeds = world.perceptors["joint_speeds"]
+
+    def alike(rows: slice) -> FloatArray:
+        a, b = (speeds[rows].take(side, axis=1) for side in (left, right))
+        products = (a * b * (signs * shares)).sum(axis=1)
+        squares = ((a * a + b * b) * (0.5 * shares)).sum(axis=1)
+        return np.asarray(np.maximum(products / (squares + HOP_FLOOR_DEG_S**2), 0.0))
+
+    operation = Operation(
+        "alike",
+        {"speeds": speeds},
+        {
+            "left": left,
+            "right": right,
+            "product": (signs * shares).tolist(),
+            "square": (0.5 * shares).tolist(),
+            "floor": [HOP_FLOOR_DEG_S**2],
+        },
+    )
+    return RewardTerm("hop", -weight, alike, operation)
