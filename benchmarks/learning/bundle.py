@@ -146,6 +146,8 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
         folder = work / "candidates"
         naoctl("download", job["id"], "--what", "checkpoint", "-c", point["id"], "--output", str(folder))
         path = folder / f"checkpoint-{point['step']:012d}"
+        if len(points) == 1:
+            return path
         summary = evaluate(path, EvaluationSpec(episodes=CHOOSING_EPISODES, seed=CHOOSING_SEED), threads=2).summary
         first, *others = headline(summary)
         rate = next((result["value"] for result in others if result["kind"] == "rate"), 0.0)
