@@ -24,6 +24,7 @@ from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naospec import EvaluationSpec, RuntimeSettings, Stage, TrainingSpec, flat, plugins, presets, recipes
 from naosprint.rl.columns import PACE, PROGRESS
 from naosprint.tasks.base import EPISODE_METRICS
+from naosprint_api.app import openapi_document
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_worker.settings import WorkerSettings
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from mkdocs.structure.files import Files
 
 ROOT = Path(__file__).parents[1]
-OPENAPI = ROOT / "tests" / "unit" / "naosprint_api" / "openapi.json"
 METHODS = ("get", "post", "put", "patch", "delete")
 
 
@@ -288,7 +288,7 @@ def _type(part: dict[str, Any]) -> str:
 
 
 def _api() -> Iterator[str]:
-    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    document = openapi_document()
     yield "# HTTP API"
     yield f"\n{_text(document['info']['description'])}"
     yield "\nA running service has this description at `/openapi.json`. Requests need `Authorization: Bearer TOKEN`."
@@ -402,7 +402,7 @@ def _events() -> Iterator[str]:
         ],
     )
     yield "\n## Messages of the live streams\n"
-    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    document = openapi_document()
     for path in ("/jobs/{job_id}/stream", "/jobs/stream"):
         yield f"### GET {path}\n\n{_text(document['paths'][path]['get']['description'])}\n"
 

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import docker
+from naospec.json_text import json_text
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "e2e" / "compose"))
@@ -272,7 +273,7 @@ def main() -> None:
             )
             if not arguments.no_sidecars:
                 record["sidecar_job"] = measure_sidecars(project, token)
-    text = json.dumps(rounded(record), indent=2) + "\n"
+    text = json_text(rounded(record))
     print(text)
     if arguments.record:
         arguments.record.write_text(text, encoding="utf-8")

@@ -6,7 +6,6 @@ Needs libode's headers (Debian: libode-dev) and a C++ compiler; writes results.j
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import subprocess
@@ -20,6 +19,7 @@ from naosim.robots import nao_model
 from naosim.simspark import BatchSimulator
 from naosim.simspark.batch import engine_table
 from naosim.simspark.motion import stepping_speeds
+from naospec.json_text import json_text
 
 HERE = Path(__file__).parent
 WARM_UP = 100
@@ -108,7 +108,7 @@ def main() -> None:
         "load_average": os.getloadavg()[0],
         "results": [measure(arguments.cycles, arguments.batch, robot_type) for robot_type in nao_model.ROBOT_TYPES],
     }
-    text = json.dumps(result, indent=2)
+    text = json_text(result)
     print(text)
     if arguments.write:
         (HERE / "results.json").write_text(text + "\n")

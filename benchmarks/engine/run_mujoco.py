@@ -10,7 +10,6 @@ does nothing else; the other one sets commands, prints perceptors and reads cont
 from __future__ import annotations
 
 import argparse
-import json
 import platform
 import time
 from pathlib import Path
@@ -24,6 +23,7 @@ from naosim.mujoco.world import MUJOCO_VERSION
 from naosim.robots.booster import ROBOTS
 from naosim.robots.description import Robot
 from naosim.simulator import Starts
+from naospec.json_text import json_text
 
 ROBOTS_AT_ONCE = 64
 STEPS = 300
@@ -97,7 +97,7 @@ def main() -> None:
         "robots_at_once": ROBOTS_AT_ONCE,
         "results": results,
     }
-    arguments.json.write_text(json.dumps(document, indent=2) + "\n")
+    arguments.json.write_text(json_text(document))
 
 
 if __name__ == "__main__":

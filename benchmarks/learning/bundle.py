@@ -23,6 +23,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from naospec.json_text import json_text
+
 # the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
 os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
@@ -115,7 +117,7 @@ def put_in_place(name: str, checkpoint: Path) -> None:
     # unchanged: the specification's digest includes every field of that version
     slim = json.loads((checkpoint / MANIFEST).read_text())
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
-    (target / MANIFEST).write_text(json.dumps(slim, indent=1) + "\n")
+    (target / MANIFEST).write_text(json_text(slim))
     shutil.copy(checkpoint / POLICY, target / POLICY)
 
 
@@ -218,7 +220,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "lineage": parts,
             **examine.examine(target, EXAMINED_EPISODES),
         }
-        (target / "card.json").write_text(json.dumps(card, indent=1, allow_nan=False) + "\n")
+        (target / "card.json").write_text(json_text(card))
         report = write_report(work / "report", evaluation=work, title=name).parent
         pictures = PAGES / name
         shutil.rmtree(pictures, ignore_errors=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from naospec.json_text import json_text
 from run import machine
 
 HERE = Path(__file__).parent
@@ -57,7 +58,7 @@ def main() -> None:
         print(f"round {number + 1}: {ratios}")
     means = {name: round(float(np.mean([found["ratio"][name] for found in rounds])), 3) for name in NAMES}
     content = {"other": commit(options.other), "this": commit(THIS), "ratio": means, "rounds": rounds}
-    (HERE / "comparison.json").write_text(json.dumps({**machine(), **content}, indent=2) + "\n")
+    (HERE / "comparison.json").write_text(json_text({**machine(), **content}))
     print(f"mean: {means}")
 
 

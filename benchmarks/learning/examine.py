@@ -12,7 +12,6 @@ Robustness: the headline results with one disturbance at a time, in the server's
 from __future__ import annotations
 
 import argparse
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.robots.booster import FAMILY
 from naospec import EvaluationSpec
+from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import headline, value_text
 from naosprint.rl.checkpoint import read_manifest
@@ -152,7 +152,7 @@ def main() -> None:
         parser.error(f"{options.policy}: only policies of robots t1 and k1 can be examined")
     print("\n".join(page(examined)))
     if options.json:
-        options.json.write_text(json.dumps(examined, indent=1) + "\n")
+        options.json.write_text(json_text(examined))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ server reports no contacts, so there it is determined by the height of the soles
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ import naopolicies
 import numpy as np
 from naosim.simulator import STEP_S
 from naospec import EvaluationSpec
+from naospec.json_text import json_text
 from naosprint import evaluate
 from naosprint.analysis.results import by_name
 from naosprint.rl.policy import load_policy
@@ -192,7 +192,7 @@ def main() -> int:
             print(f"  {mark}  {point.command:<42}{point.name:<32}{value:>8}  {point.bound}", flush=True)
     if options.json:
         document = {name: [asdict(point) for point in points] for name, points in found.items()}
-        options.json.write_text(json.dumps(document, indent=2) + "\n")
+        options.json.write_text(json_text(document))
     failed = sum(not point.passed for points in found.values() for point in points)
     few = options.episodes < EPISODES
     print(f"{failed} points failed" if failed else "all points passed")

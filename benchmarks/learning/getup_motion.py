@@ -12,7 +12,6 @@ distribution that did best from all starts. ``--minutes`` is the time for each s
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.simulator import Starts
+from naospec.json_text import json_text
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
 from naosprint.tasks.motions import Motion, motions
 
@@ -216,7 +216,7 @@ def main() -> None:
         motion = search.run(60.0 * options.minutes)
         found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
         file = FOLDER / f"getup-{options.robot}.json"
-        file.write_text(json.dumps(found, indent=2) + "\n")
+        file.write_text(json_text(found))
         print(f"wrote {file.name}", flush=True)
 
 

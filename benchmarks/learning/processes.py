@@ -21,6 +21,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from naospec.json_text import json_text
 from run import machine
 
 HERE = Path(__file__).parent
@@ -102,7 +103,7 @@ def main() -> None:
             average_s = 2 * (size - 1) * (message_s + 4 * count / size * byte_s)
             model[name][str(size)] = round(8192 / (8192 / one / size + averages * average_s))
     content = {"robot": options.robot, "rounds": rounds, "average_s": {"1": small, str(count): whole}, "model": model}
-    (HERE / "processes.json").write_text(json.dumps({**machine(), **content}, indent=2) + "\n")
+    (HERE / "processes.json").write_text(json_text({**machine(), **content}))
     print(json.dumps(content["model"], indent=2))
 
 

@@ -23,6 +23,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from naospec.json_text import json_text
 from naosprint.threads import quiet_openmp, set_learner_threads
 
 quiet_openmp()
@@ -484,7 +485,7 @@ def main() -> int:
         # another section may have been measured meanwhile
         latest = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
         results = {**latest, name: results[name]}
-        RESULTS.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
+        RESULTS.write_text(json_text(results))
     return 0
 
 

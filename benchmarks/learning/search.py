@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+from naospec.json_text import json_text
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "service"))
 
@@ -114,7 +115,7 @@ def main() -> int:
         "repeats": repeats,
     }
     if options.record:
-        options.record.write_text(json.dumps(figures, indent=1) + "\n")
+        options.record.write_text(json_text(figures))
     return 0 if all(repeat["study"]["best"] > repeat["grid"]["best"] for repeat in repeats) else 1
 
 

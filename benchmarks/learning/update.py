@@ -15,13 +15,13 @@ Compare the ratios only. The machine must be idle.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from naospec.json_text import json_text
 from naosprint.threads import quiet_openmp, set_learner_threads
 
 quiet_openmp()
@@ -144,7 +144,7 @@ def main() -> None:
         name: round(float(np.mean([found["kernel"] / found[name] for found in rounds])), 2)
         for name in ("products", "torch")
     }
-    RECORD.write_text(json.dumps({**machine(), "kernel_over": ratios, "rounds": rounds}, indent=2) + "\n")
+    RECORD.write_text(json_text({**machine(), "kernel_over": ratios, "rounds": rounds}))
     print(f"kernel over: {ratios}")
 
 

@@ -11,7 +11,6 @@ one server, all its threads, and of the client per server.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import socket
 import statistics
@@ -24,6 +23,7 @@ from naosim import robots
 from naosim.mujoco.client import MujocoFleet
 from naosim.mujoco.program import server_launcher
 from naosim.robots import Robot
+from naospec.json_text import json_text
 
 CYCLES = 250
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -133,7 +133,7 @@ def main() -> None:
         keys = ("cycles_per_s", "server_us", "client_us")
         document = {name: dict(zip(keys, map(round, values), strict=True)) for name, values in rows.items()}
         settings = {"servers": n, "robot": robot.name}
-        arguments.json.write_text(json.dumps(settings | document | {"driven_by": ratios}, indent=2) + "\n")
+        arguments.json.write_text(json_text(settings | document | {"driven_by": ratios}))
 
 
 if __name__ == "__main__":

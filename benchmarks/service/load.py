@@ -29,6 +29,7 @@ from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
+from naospec.json_text import json_text
 from sqlalchemy.orm import Session, sessionmaker
 from stack import quantiles_ms, service_without_workers
 
@@ -159,7 +160,7 @@ def main() -> int:
     }
     print(json.dumps(figures, indent=1))
     if options.record:
-        options.record.write_text(json.dumps(figures, indent=1) + "\n")
+        options.record.write_text(json_text(figures))
     slow = [kind for kind in ("list", "status") if figures["requests"][kind]["p99_ms"] >= LIMIT_MS]
     lost = figures["metrics_rows_received"]["least"] != rows or len(received) != options.followers
     failed = any(status >= 400 for status in load.statuses)

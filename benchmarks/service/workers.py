@@ -42,6 +42,7 @@ from naojobs.lifecycle import Lease
 from naojobs.models import Job, Metric
 from naojobs.records import Batch, LogLine, MetricsRow
 from naojobs.states import WorkState
+from naospec.json_text import json_text
 from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.reaper import LostWork
 from naosprint_worker.settings import WorkerSettings
@@ -368,7 +369,7 @@ def main() -> int:
     }
     print(json.dumps(figures, indent=1))
     if options.record:
-        options.record.write_text(json.dumps(figures, indent=1) + "\n")
+        options.record.write_text(json_text(figures))
     misses = [
         words
         for wrong, words in (

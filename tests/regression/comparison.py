@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from naospec.json_text import json_text
+
 RECORDS = Path(__file__).parent / "records"
 
 ADVICE = (
@@ -24,8 +26,7 @@ def read_record(name: str) -> Any:
 def write_record(name: str, content: Any) -> None:
     """Write one record."""
     RECORDS.mkdir(exist_ok=True)
-    text = json.dumps(content, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    (RECORDS / f"{name}.json").write_text(text + "\n")
+    (RECORDS / f"{name}.json").write_text(json_text(content, sort_keys=True), encoding="utf-8")
 
 
 def differences(recorded: Any, found: Any, name: str = "") -> list[str]:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from fastapi.exceptions import RequestValidationError
+from naosprint_api.app import openapi_document
 from naosprint_api.patterns import WORDS
 from naosprint_api.problems import field_errors
 from naosprint_api.schemas import JobCreate
 from pydantic import ValidationError
-
-OPENAPI = Path(__file__).parent / "openapi.json"
 
 
 def patterns(document: Any) -> Iterator[str]:
@@ -29,7 +26,7 @@ def patterns(document: Any) -> Iterator[str]:
 
 
 def test_every_pattern_of_the_api_has_words() -> None:
-    found = set(patterns(json.loads(OPENAPI.read_text())))
+    found = set(patterns(openapi_document()))
     assert len(found) > 3
     assert found <= WORDS.keys()
 

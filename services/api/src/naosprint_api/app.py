@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from fastapi import Depends, FastAPI
@@ -99,6 +100,18 @@ def describe(app: FastAPI) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     return document
+
+
+def openapi_document() -> dict[str, Any]:
+    """Return the OpenAPI document without a running service, which it does not depend on."""
+    with TemporaryDirectory() as folder:
+        settings = ApiSettings(
+            mode="local",
+            database_url="postgresql:///none",
+            broker_url="redis://none",
+            artifact_url=Path(folder).as_uri(),
+        )
+        return describe(create_app(Service.build(settings)))
 
 
 def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:

@@ -6,7 +6,6 @@ meaning, so that it can be shown without the task.
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from naosim.simulator import STEP_S
 from naospec import plugins
+from naospec.json_text import json_text
 
 from naosprint.analysis.replay import Replay
 from naosprint.rl.policy import load_policy
@@ -92,7 +92,7 @@ class Evaluation:
 
     def to_json(self) -> str:
         """Return the summary as JSON."""
-        return json.dumps(self.summary, indent=2, allow_nan=False) + "\n"
+        return json_text(self.summary)
 
     def result(self, name: str) -> float | None:
         """Return the value of a result.

@@ -18,6 +18,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, validation_words
+from naospec.json_text import json_text
 from pydantic import ValidationError
 
 from naosprint.analysis import figures
@@ -118,7 +119,7 @@ def write_report(
         write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
-    (directory / "report.json").write_text(json.dumps(document, indent=2) + "\n")
+    (directory / "report.json").write_text(json_text(document))
     environment = Environment(
         loader=PackageLoader("naosprint.analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )

@@ -9,10 +9,10 @@ mujococodebase/ or FCPCodebase/  a skill for that team code, with recorded value
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naospec.json_text import json_text
 
 from naosprint.export.arrays import policy_arrays
 from naosprint.export.description import describe
@@ -61,7 +61,7 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | No
     if "onnx" in formats:
         written.append(directory / "policy.onnx")
         onnx.save(build_onnx(policy), written[-1])
-    texts = {"policy.json": json.dumps(describe(policy, manifest), indent=2, allow_nan=False) + "\n"}
+    texts = {"policy.json": json_text(describe(policy, manifest))}
     if "c" in formats:
         texts |= {"policy.h": build_header(policy, manifest), "policy_check.c": build_check(policy)}
     for name, text in texts.items():

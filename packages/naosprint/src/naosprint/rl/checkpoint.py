@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naospec import TrainingSpec, validation_words
+from naospec.json_text import json_text
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
             versions=_versions(),
             files=files,
         )
-        text = json.dumps(manifest.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+        text = json_text(manifest.model_dump(mode="json"))
         _write_bytes(partial / MANIFEST, text.encode())
         _sync_directory(partial)
         if directory.exists():
