@@ -228,8 +228,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
         names = [*(table["name"].replace("_", "-") for table in summary["tables"]), "trajectories", "frames", "gait"]
         for picture in names:
             shutil.copy(report / f"{picture}.png", pictures)
-        for film in ("run.mp4", "run.gif"):
-            shutil.copy(report / film, pictures)
+        shutil.copy(report / "run.mp4", pictures)
         with mpl.rc_context(figures.style()):
             learning_curves(trained, card).savefig(pictures / "learning-curve.png", dpi=150)
     (PAGES / f"{name}.md").write_text(page(card, names))
@@ -261,7 +260,8 @@ def learning_curves(spec: TrainingSpec, card: dict[str, Any]) -> Any:
 def page(card: dict[str, Any], pictures: list[str]) -> str:
     """Return a policy's page for the docs."""
     name, confidence = card["name"], card["evaluation"]["confidence"]
-    lines = [f"# {name}", "", f"![{name} runs]({name}/run.gif)", ""]
+    lines = [f"# {name}", "", f"[![{name} in pictures]({name}/frames.png)]({name}/run.mp4)", ""]
+    lines += [f"[Film]({name}/run.mp4)", ""]
     lines += [f"Robot {card['robot']}, task {card['task']}: {card['summary']}.", ""]
     lines += [f"| {card['episodes']:,} episodes, deterministic | | |", "|---|---|---|"]
     lines += [f"| {one['title']} | {value_text(one)} | {interval_text(one, confidence)} |" for one in card["results"]]
@@ -284,7 +284,7 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
     lines += examine.page({key: card[key] for key in ("motion", "robustness") if key in card})
     repeats = plugins.load(plugins.TASKS, card["task"]).presentation.repeats
     lines += ["## Gait" if repeats else "## Motion in pictures", ""]
-    lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures]
+    lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures if picture != "frames"]
     lines += [
         "## Try it",
         "",
