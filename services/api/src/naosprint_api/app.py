@@ -105,11 +105,13 @@ def describe(app: FastAPI) -> dict[str, Any]:
 def openapi_document() -> dict[str, Any]:
     """Return the OpenAPI document without a running service, which it does not depend on."""
     with TemporaryDirectory() as folder:
-        settings = ApiSettings(
-            mode="local",
-            database_url="postgresql:///none",
-            broker_url="redis://none",
-            artifact_url=Path(folder).as_uri(),
+        settings = ApiSettings.model_validate(
+            {
+                "mode": "local",
+                "database_url": "postgresql:///none",
+                "broker_url": "redis://none",
+                "artifact_url": Path(folder).as_uri(),
+            }
         )
         return describe(create_app(Service.build(settings)))
 
