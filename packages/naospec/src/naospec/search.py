@@ -24,7 +24,7 @@ class _Range(_Model):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.low >= self.high:
-            raise ValueError(f"high: expected more than low ({self.low:g}), got {self.high:g}")
+            raise ValueError(f"high: expected a number above low ({self.low:g}), got {self.high:g}")
         if self.log and self.low <= 0:
             raise ValueError(f"low: a logarithmic range needs a positive lower end, got {self.low:g}; use log=false")
         if self.log and self.step is not None:
@@ -85,7 +85,7 @@ class Objective(_Model):
 
 
 class Pruning(_Model):
-    """Rule by which trials that fall behind end early."""
+    """Rule that ends unpromising trials early."""
 
     name: Literal["none", "median", "asha"] = Field(
         default="none",

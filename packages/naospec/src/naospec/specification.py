@@ -464,7 +464,7 @@ class EvaluationSpec(_Specification):
         description="Task to run, with its settings; left out: the training's.",
     )
     deterministic: bool = Field(
-        default=True, title="Deterministic", description="Take the mean action, rather than draw one from the policy."
+        default=True, title="Deterministic", description="Take the mean action instead of sampling one."
     )
     start_noise_deg: float | None = Field(
         default=None,

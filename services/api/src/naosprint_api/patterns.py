@@ -30,7 +30,7 @@ PLACE = rf"{POLICY}|{PATTERN}"
 TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 
 WORDS = {
-    ID: "expected an id such as job_01jd8z6vq9k3m5t7x2c4b6n8pr, as lists show it",
+    ID: "expected a full id, such as job_01jd8z6vq9k3m5t7x2c4b6n8pr",
     TAG: "expected a letter or digit, then letters, digits and ._:/=- (at most 50 characters)",
     NAME: "expected text without control characters",
     PLAIN: "expected text without control characters",

@@ -448,7 +448,7 @@ def show_evaluation(context: Context, evaluation: dict[str, Any]) -> None:
         (
             "Episodes",
             f"{evaluation['spec']['episodes']:,}, seed {evaluation['spec']['seed']};"
-            f" intervals hold {evaluation['spec']['confidence']:.0%}",
+            f" {evaluation['spec']['confidence']:.0%} confidence intervals",
         ),
     ]
     rows += headline(evaluation.get("summary") or {}).items()

@@ -66,7 +66,7 @@ def tune(
     ] = 8,
     sampler_seed: Annotated[int, typer.Option(min=0, help="Seed of the sampler.")] = 0,
     prune: Annotated[
-        str, typer.Option(metavar="none|median|asha", help="When trials that fall behind end early.")
+        str, typer.Option(metavar="none|median|asha", help="Rule that ends unpromising trials early.")
     ] = "none",
     prune_metric: Annotated[
         str | None, typer.Option(metavar="METRIC", help="Training metric that trials are compared by.")

@@ -402,7 +402,7 @@ def parse_seeds(text: str) -> list[int]:
             raise InvalidInput(f"--seeds {text!r} is neither 0-4 nor 1,2,3", fix="For example --seeds 0-4.") from None
         example = "For example --seeds 0-4."
         if end < start or end - start >= MAX_SEEDS:
-            raise InvalidInput(f"--seeds: {part.strip()} has no seed or more than {MAX_SEEDS}", fix=example)
+            raise InvalidInput(f"--seeds: {part.strip()} selects no seed or more than {MAX_SEEDS}", fix=example)
         found += range(start, end + 1)
     if len(set(found)) != len(found):
         raise InvalidInput("--seeds names a seed twice", fix="Name each once.")

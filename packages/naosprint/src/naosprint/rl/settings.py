@@ -52,14 +52,14 @@ class PPOSettings(LearnerSettings):
         gt=0.0,
         le=10.0,
         title="Target KL",
-        description="End an update early when the approximate KL divergence exceeds 1.5 times this; null: never.",
+        description="End an update early when the approximate KL divergence exceeds 1.5 times this; null disables it.",
     )
     target_kl_final: float | None = Field(
         default=_fast("target_kl_final"),
         gt=0.0,
         le=10.0,
         title="Final target KL",
-        description="Target KL at the end of the training, approached linearly over total_steps; null: no change.",
+        description="Target KL at the end of the training, approached linearly over total_steps; null keeps target_kl.",
     )
     gamma: float = Field(
         default=_fast("gamma"), gt=0.0, le=1.0, title="Discount", description="Discount factor per step."
@@ -100,7 +100,7 @@ class PPOSettings(LearnerSettings):
         gt=0.0,
         le=1e6,
         title="Gradient norm limit",
-        description="Gradients with a larger norm are scaled down to it; null: no limit.",
+        description="Gradients with a larger norm are scaled down to it; null disables the limit.",
     )
     adam_epsilon: float = Field(
         default=_fast("adam_epsilon"), gt=0.0, le=1.0, title="Adam epsilon", description="Epsilon of Adam."
@@ -145,7 +145,7 @@ class PPOSettings(LearnerSettings):
         ge=1,
         le=10_000_000_000,
         title="Log-std steps",
-        description="Steps after which log-std is final_log_std; null: at the end of the training.",
+        description="Steps after which log-std is final_log_std; null stands for total_steps.",
     )
     ema_decay: float = Field(
         default=_fast("ema_decay"),

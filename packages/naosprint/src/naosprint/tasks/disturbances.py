@@ -75,8 +75,8 @@ class DisturbanceSettings(TaskSettings):
         ge=0.0,
         le=1.0,
         title="Lowest gravity",
-        description="Factor of gravity of the first robot; it rises evenly to 1 for the last. Light robots find a "
-        "motion first, from which the others learn.",
+        description="Gravity of the first robot as a fraction of normal gravity, rising evenly to 1 for the last. "
+        "Light robots find a motion first, from which the others learn.",
     )
     extra_delay: int = Field(
         default=0,

@@ -72,7 +72,7 @@ TIME_LIMIT_RATE = Metric(
     "time_limit_rate",
     "Time limits",
     "%",
-    "Fraction of episodes that lasted as long as they can.",
+    "Fraction of episodes that reached the time limit.",
     1,
     None,
     "rate",

@@ -319,9 +319,9 @@ export class EvaluationTab {
                     "span",
                     null,
                     h("i", { style: { background: "var(--s1)" } }),
-                    `not failed (${paths.count - failed})`,
+                    `finished (${paths.count - failed})`,
                   ),
-                  h("span", null, h("i", { style: { background: "var(--s6)" } }), `failed × (${failed})`),
+                  h("span", null, h("i", { style: { background: "var(--s6)" } }), `fell × (${failed})`),
                 ]
               : null,
           ),
