@@ -12,7 +12,7 @@ import pytest
 from naosim import conformance, kinds, robots
 from naosim.conformance import CHECKS, Check, Subject
 from naosim.simspark import EmbeddedSimulator
-from naosim.simulator import Simulator
+from naosim.simulator import PLAIN, Scene, Simulator, Starts
 
 from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 
@@ -128,6 +128,40 @@ def test_simulators_refuse_robots_of_families_that_they_lack(monkeypatch: pytest
     assert embedded.open(CRAWLER, 2, embedded.parameters(CRAWLER)()).n == 2
     assert not server.supports(CRAWLER)
     assert not server.supports(robots.get("nao-0"))
+
+
+@pytest.mark.parametrize("scene", [Scene(ball=True), Scene(goals=True), Scene(bodies=True)])
+@pytest.mark.parametrize(("name", "robot"), [("embedded", "nao-0"), ("server", "nao-3"), ("crawling", "crawler")])
+def test_scenes_that_a_simulator_lacks_are_refused(name: str, robot: str, scene: Scene) -> None:
+    kind = CRAWLING if name == "crawling" else kinds.get(name)
+    description = CRAWLER if robot == "crawler" else robots.get(robot)
+    assert kind.refusal(description, PLAIN) == ""
+    refusal = kind.refusal(description, scene)
+    assert robot in refusal and "no ball" in refusal
+    with pytest.raises(ValueError, match="no ball"):
+        kind.open(description, 1, kind.parameters(description)(), scene=scene)
+
+
+def test_places_of_starts_are_one_or_one_each() -> None:
+    poses = np.zeros((2, 2))
+    assert Starts(poses, (-3.0, 2.0), 0.5).places().tolist() == [[-3.0, 2.0, 0.5]] * 2
+    assert Starts(poses, (-3.0, 2.0), 0.5).place() == (-3.0, 2.0, 0.5)
+    own = Starts(poses, np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.1, 0.2]))
+    assert own.places().tolist() == [[0.0, 1.0, 0.1], [2.0, 3.0, 0.2]]
+    with pytest.raises(ValueError, match="one position and heading for all starts"):
+        own.place()
+    with pytest.raises(ValueError, match="one for each of 2 starts"):
+        Starts(poses, np.zeros((3, 2))).places()
+    with pytest.raises(ValueError, match="finite"):
+        Starts(poses, heading_rad=np.array([0.0, np.nan])).places()
+
+
+def test_a_plain_simulator_has_no_ball_and_starts_at_rest() -> None:
+    simulator = CrawlerSimulator(CRAWLER, 1)
+    with pytest.raises(ValueError, match="open it with Scene"):
+        simulator.place_ball(np.array([0]), np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="begin at rest only"):
+        simulator.set_velocities(np.array([0]), np.zeros((1, 2)), np.zeros((1, 3)))
 
 
 def test_descriptions_and_interface_need_no_simulator() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from naosim.robots import JointDescription, PerceptorDescription, Robot, Shape
-from naosim.simulator import DEFAULT_OPTIONS, STEP_S, Simulator, SimulatorKind, Truth
+from naosim.simulator import DEFAULT_OPTIONS, PLAIN, STEP_S, Simulator, SimulatorKind, Truth
 
 JOINTS = (
     JointDescription("hip", "hip", "centre", "hip", -1.0, 1.0, max_speed=5.0),
@@ -95,7 +95,8 @@ class Crawlers(SimulatorKind):
     def supports(self, robot):
         return robot.family == "toy"
 
-    def open(self, robot, n, parameters, options=DEFAULT_OPTIONS):
+    def open(self, robot, n, parameters, options=DEFAULT_OPTIONS, scene=PLAIN):
+        self.require_scene(robot, scene)
         return CrawlerSimulator(robot, n)
 
 

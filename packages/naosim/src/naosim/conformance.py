@@ -96,7 +96,7 @@ def arrays_match_the_robot(subject: Subject) -> None:
     """Check that perceptors, truth, bodies and forces have the names, shapes and types of the robot's description."""
     with _started(subject) as simulator:
         robot = simulator.robot
-        expected = {each.name: each.width for each in robot.perceptors}
+        expected = {each.name: each.width for each in (*robot.perceptors, *simulator.scene.perceptors)}
         _require(simulator.n == N, f"n: expected {N}, got {simulator.n}")
         _require(set(simulator.perceptors) == set(expected), f"perceptors: expected {sorted(expected)}")
         for name, width in expected.items():
@@ -111,7 +111,7 @@ def arrays_match_the_robot(subject: Subject) -> None:
         _require_array("foot_forces()", simulator.foot_forces(), (N, 2))
         _require(bool(np.isfinite(simulator.foot_forces()).all()), "foot_forces(): must be finite")
         if robot.shapes:
-            _require_array("bodies()", simulator.bodies(), (N, len(robot.shapes), 7))
+            _require_array("bodies()", simulator.bodies(), (N, len(simulator.shapes), 7))
         lost = simulator.lost
         _require(lost.shape == (N,) and lost.dtype == np.bool_, f"lost: expected ({N},) bool, got {lost!r}")
         _require(not lost.any() and simulator.failures == 0, "no robot of a new simulator is lost")

@@ -12,7 +12,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, ClassVar
 
 from naosim.launchers import most_servers
-from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+from naosim.simulator import (
+    DEFAULT_OPTIONS,
+    PLAIN,
+    RuntimeOptions,
+    Scene,
+    Simulator,
+    SimulatorKind,
+    SimulatorParameters,
+)
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -56,15 +64,24 @@ class _FamilyKind(SimulatorKind):
         kind = self._find(robot)
         return kind is not None and kind.supports(robot)
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return why the family's simulator cannot open this scene; empty if it can."""
+        return self._of(robot).refusal(robot, scene)
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings that the family's simulator takes."""
         return self._of(robot).parameters(robot)
 
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
         """Open the family's simulator for n robots."""
-        return self._of(robot).open(robot, n, parameters, options)
+        return self._of(robot).open(robot, n, parameters, options, scene)
 
     def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
         """Return why this machine lacks the family's simulator; empty if it has it."""

@@ -10,18 +10,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from naospec.sections import Section
 from numpy.typing import NDArray
 
+from naosim.robots.description import PerceptorDescription
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from contextlib import AbstractContextManager
 
     from naosim.robots import Robot
+    from naosim.robots.description import Shape
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,26 +75,115 @@ DEFAULT_OPTIONS = RuntimeOptions()
 """Options of a simulator that is opened without any."""
 
 
+BALL = "ball"
+"""Name of the ball's body and of the perceptor that reports where it is seen."""
+
+BODIES = ("torso", "left_foot", "right_foot")
+"""Bodies of a robot whose motion a simulator reports if the scene asks for it."""
+
+TOUCHING = ("left_foot", "right_foot", "left_shank", "right_shank", "left_hand", "right_hand", "robot")
+"""Parts whose contact with the ball is reported; hands with their forearms, and last the whole robot."""
+
+BALL_PERCEPTOR = PerceptorDescription(
+    BALL, 3, "m, deg, deg", "distance, azimuth and elevation of the ball from the camera; NaN where it is not reported"
+)
+"""What a robot perceives of the ball, in addition to ``robot.perceptors``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Contents of a world besides the robot and the ground."""
+
+    ball: bool = False
+    """Whether there is a ball that robots perceive and touch; its motion and that of the bodies is reported."""
+    goals: bool = False
+    """Whether the field's goals can be touched."""
+    bodies: bool = False
+    """Whether the motion of :data:`BODIES` is reported without a ball, too."""
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the bodies whose motion is reported."""
+        return (*(BODIES if self.ball or self.bodies else ()), *((BALL,) if self.ball else ()))
+
+    @property
+    def perceptors(self) -> tuple[PerceptorDescription, ...]:
+        """What robots perceive of the scene, in addition to ``robot.perceptors``."""
+        return (BALL_PERCEPTOR,) if self.ball else ()
+
+
+PLAIN = Scene()
+"""A robot alone on the ground."""
+
+
 @dataclass(frozen=True)
 class Starts:
     """States from which episodes begin: k poses that robots have settled in.
 
+    Robots begin at rest. :meth:`Simulator.set_velocities` and :meth:`Simulator.place_ball` give an episode other
+    velocities and the ball's place.
+
     Args:
         poses_rad: (k, J) joint angles that the motors hold while the robot settles, simulator order and signs.
-        position_m: (2,) x and y of the torso in the world.
-        heading_rad: direction the torso faces, counter-clockwise from the world's +x.
+        position_m: (2,) x and y of the torso in the world, or (k, 2) of each start.
+        heading_rad: direction the torso faces, counter-clockwise from the world's +x, or (k,) of each start. A
+            simulator that has one place for all starts raises ValueError.
         orientations: (k, 4) torso quaternions w, x, y, z from which robots are dropped, for starts that are not
             upright; None for upright ones. A simulator that cannot do this raises ValueError.
     """
 
     poses_rad: Floats
-    position_m: tuple[float, float] = (0.0, 0.0)
-    heading_rad: float = 0.0
+    position_m: tuple[float, float] | Floats = (0.0, 0.0)
+    heading_rad: float | Floats = 0.0
     orientations: Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of starts."""
         return len(self.poses_rad)
+
+    def places(self) -> Floats:
+        """Return (k, 3) x, y and heading of each start.
+
+        Raises:
+            ValueError: if there are places of another number of starts, or one is not finite.
+        """
+        out = np.empty((len(self), 3))
+        try:
+            out[:, :2], out[:, 2] = self.position_m, self.heading_rad
+        except ValueError as error:
+            raise ValueError(f"starts: expected one place, or one for each of {len(self)} starts: {error}") from None
+        if not np.isfinite(out).all():
+            raise ValueError("starts: expected finite positions and headings")
+        return out
+
+    def place(self) -> tuple[float, float, float]:
+        """Return x, y and heading of all starts.
+
+        Raises:
+            ValueError: if they differ.
+        """
+        places = self.places()
+        if len(places) and (places != places[0]).any():
+            raise ValueError("starts: this simulator has one position and heading for all starts")
+        x, y, heading = places[0].tolist() if len(places) else (0.0, 0.0, 0.0)
+        return x, y, heading
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """Motion of one body of each robot's world, world frame; views that the next step overwrites.
+
+    Attributes:
+        position: (n, 3) metres, of the body's frame.
+        rotation: (n, 3, 3) rotations from the body's frame into the world's.
+        velocity: (n, 3) m/s.
+        spin: (n, 3) angular velocity, rad/s.
+    """
+
+    position: Floats
+    rotation: Floats
+    velocity: Floats
+    spin: Floats
 
 
 @dataclass(frozen=True)
@@ -101,10 +193,15 @@ class Truth:
     Attributes:
         torso_position: (n, 3) metres, world frame.
         torso_rotation: (n, 3, 3) rotations from the torso's frame into the world's.
+        bodies: motion of each body that :attr:`Scene.moving` names.
+        contacts: by name of :data:`TOUCHING`, (n,) share of the latest step in which the ball touched it; empty without
+            a ball.
     """
 
     torso_position: Floats
     torso_rotation: Floats
+    bodies: Mapping[str, BodyState] = field(default_factory=dict)
+    contacts: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def halves(n: int, multiple: int = 1) -> tuple[slice, ...]:
@@ -122,8 +219,9 @@ class Simulator(ABC):
     Attributes:
         n: number of robots.
         robot: their description.
+        scene: contents of their worlds.
         groups: robots that are best stepped together. While one group computes, the caller can process another.
-        perceptors: by name, (n, width) arrays in the units of ``robot.perceptors``. NaN where
+        perceptors: by name, (n, width) arrays in the units of ``robot.perceptors`` and ``scene.perceptors``. NaN where
             a perceptor reports nothing. Valid until the next call.
         truth: the robots' poses; valid until the next call.
         stable_arrays: whether the arrays of :attr:`perceptors` and :attr:`truth` are the same ones for the simulator's
@@ -142,9 +240,10 @@ class Simulator(ABC):
     prepares_starts: bool = False
     threads_address: int = 0
 
-    def __init__(self, robot: Robot, n: int) -> None:
+    def __init__(self, robot: Robot, n: int, scene: Scene = PLAIN) -> None:
         self.robot = robot
         self.n = n
+        self.scene = scene
         self.groups: tuple[slice, ...] = (slice(0, n),)
         self.closed = False
         self._nothing_lost: Flags = np.zeros(n, dtype=np.bool_)
@@ -196,10 +295,51 @@ class Simulator(ABC):
             ServerLostError: if lost robots cannot be moved to a new server.
         """
 
+    # the beginning of an episode, after its start
+
+    def place_ball(
+        self, rows: Ints, position_m: Floats, velocity_mps: Floats | None = None, spin_rad_s: Floats | None = None
+    ) -> None:
+        """Place the ball in the worlds of the (k,) robots ``rows``.
+
+        What robots perceive of it may show in a later step, as on the server.
+
+        Args:
+            rows: (k,) robots.
+            position_m: (k, 3) of its centre.
+            velocity_mps: (k, 3); at rest if left out.
+            spin_rad_s: (k, 3) angular velocity; none if left out.
+
+        Raises:
+            ValueError: if there is no ball, or the simulator cannot move it so.
+        """
+        raise ValueError(f"ball: there is none in this {type(self).__name__}; open it with Scene(ball=True)")
+
+    def set_velocities(
+        self, rows: Ints, joints_rad_s: Floats, torso_mps: Floats, torso_rad_s: Floats | None = None
+    ) -> None:
+        """Set the speeds of the (k,) robots ``rows``; poses do not change.
+
+        Args:
+            rows: (k,) robots.
+            joints_rad_s: (k, J) joint speeds, simulator order and signs.
+            torso_mps: (k, 3) velocity of the torso, world frame.
+            torso_rad_s: (k, 3) angular velocity of the torso, world frame; none if left out.
+
+        Raises:
+            ValueError: if robots can begin at rest only.
+        """
+        raise ValueError(f"starts: robots of {type(self).__name__} begin at rest only; leave velocities out")
+
     # for viewers
 
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Everything that is drawn: the robot, and what the scene contains."""
+        return self.robot.shapes
+
     def bodies(self) -> Floats:
-        """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
+        """Return (n, B, 7) poses of :attr:`shapes`: position in metres and quaternion w, x, y, z, world frame."""
         raise NotImplementedError(f"{type(self).__name__} does not report body poses")
 
     def foot_forces(self) -> Floats:
@@ -334,6 +474,21 @@ class SimulatorKind(ABC):
     def supports(self, robot: Robot) -> bool:
         """Return whether it can run this robot."""
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return why it cannot open this scene with a robot that it supports; empty if it can.
+
+        By default only :data:`PLAIN` is possible.
+        """
+        if scene == PLAIN:
+            return ""
+        return f"simulator: {self.name} has no ball, no goals and reports no motion of bodies for {robot.name}"
+
+    def require_scene(self, robot: Robot, scene: Scene) -> None:
+        """Raise ValueError if :meth:`refusal` has a reason."""
+        refusal = self.refusal(robot, scene)
+        if refusal:
+            raise ValueError(refusal)
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings that it takes for this robot."""
         del robot
@@ -341,7 +496,12 @@ class SimulatorKind(ABC):
 
     @abstractmethod
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
         """Open it for n robots.
 
@@ -350,9 +510,11 @@ class SimulatorKind(ABC):
             n: number of robots.
             parameters: an instance of ``self.parameters(robot)``.
             options: how fast and how robustly it runs.
+            scene: one that :meth:`refusal` accepts.
 
         Raises:
-            ValueError: if this machine cannot run this number of robots; the message states what to change.
+            ValueError: if it cannot open this scene, or this machine cannot run this number of robots; the message
+                states what to change.
             FileNotFoundError: if a program is missing; the message states how to install it.
         """
 

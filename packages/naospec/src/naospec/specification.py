@@ -311,6 +311,9 @@ class TrainingSpec(_Specification):
             )
         # frozen for all other code: a task fills in what depends on the robot
         object.__setattr__(self, "task", task.resolve(self.task, robot))
+        refusal = plugins.load(plugins.SIMULATORS, self.simulator.name).refusal(robot, task.scene)
+        if refusal:
+            raise PydanticCustomError("scene", "{refusal} (task {task})", {"refusal": refusal, "task": task.name})
         if self.stages:
             total = sum(stage.steps * stage.candidates for stage in self.stages)
             if self.total_steps != total:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from naosim import kinds, robots
 from naosim.mujoco import world
-from naospec import TrainingSpec, validation_words
+from naosim.simulator import Scene
+from naospec import TrainingSpec, plugins, validation_words
 from naospec.plugins import UnknownPluginError
 from naosprint.tasks.environment import open_environment
 from pydantic import ValidationError
@@ -153,3 +154,10 @@ def test_lying_starts_are_for_the_embedded_simulator() -> None:
         assert np.isfinite(environment.simulator.truth.torso_position).all()
     finally:
         environment.close()
+
+
+def test_a_task_with_a_ball_needs_a_simulator_that_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plugins.load(plugins.TASKS, "sprint1"), "scene", Scene(ball=True))
+    for simulator in ("embedded", "server"):
+        with pytest.raises(ValidationError, match=r"the worlds of nao-0 have no ball.*use a robot of rcssservermj"):
+            TrainingSpec(task="sprint1", robot="nao-0", simulator=simulator)

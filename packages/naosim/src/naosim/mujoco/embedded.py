@@ -116,6 +116,7 @@ class MujocoSimulator(Simulator):
         poses = np.asarray(starts.poses_rad, dtype=np.float64)
         if poses.ndim != 2 or poses.shape[1] != self.world.joints or not np.isfinite(poses).all():
             raise ValueError(f"starts: expected finite poses of shape (k, {self.world.joints}), got {poses.shape}")
+        places = starts.places()
         chunks = [slice(k, min(k + _SETTLED_TOGETHER, len(poses))) for k in range(0, len(poses), _SETTLED_TOGETHER)]
         orientations = starts.orientations
         self._starts = np.concatenate(
@@ -124,6 +125,8 @@ class MujocoSimulator(Simulator):
                     replace(
                         starts,
                         poses_rad=poses[chunk],
+                        position_m=places[chunk, :2],
+                        heading_rad=places[chunk, 2],
                         orientations=None if orientations is None else orientations[chunk],
                     )
                 )
@@ -143,13 +146,13 @@ class MujocoSimulator(Simulator):
 
     def _settled(self, starts: Starts) -> Floats:
         """Return the states of robots that have settled in (at most 64) starts."""
-        x, y = starts.position_m
         batch = self._new_batch(len(starts))
-        half = starts.heading_rad / 2.0
-        upright = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        places = starts.places()
         straight = np.zeros(self.world.joints)
         for row, pose in enumerate(starts.poses_rad):
-            quaternion, height = upright, float(self.robot.data["beam_height_m"])
+            x, y, half = float(places[row, 0]), float(places[row, 1]), float(places[row, 2]) / 2.0
+            quaternion = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+            height = float(self.robot.data["beam_height_m"])
             if starts.orientations is not None:
                 quaternion = starts.orientations[row] / np.linalg.norm(starts.orientations[row])
                 height = self._height_above_ground(quaternion) + _DROP_M

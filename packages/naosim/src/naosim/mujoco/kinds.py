@@ -8,7 +8,15 @@ from pydantic import Field
 
 from naosim.launchers import most_servers, require_servers
 from naosim.robots.booster import FAMILY
-from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+from naosim.simulator import (
+    DEFAULT_OPTIONS,
+    PLAIN,
+    RuntimeOptions,
+    Scene,
+    Simulator,
+    SimulatorKind,
+    SimulatorParameters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -70,7 +78,12 @@ class EmbeddedKind(SimulatorKind):
         return EmbeddedParameters
 
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
         """Open the worlds of n robots.
 
@@ -79,6 +92,7 @@ class EmbeddedKind(SimulatorKind):
         """
         from naosim.mujoco.embedded import MujocoSimulator
 
+        self.require_scene(robot, scene)
         assert isinstance(parameters, EmbeddedParameters)
         return MujocoSimulator(robot, n, parameters, threads=options.threads)
 
@@ -112,7 +126,12 @@ class ServerKind(SimulatorKind):
         return ServerParameters
 
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
         """Start n servers, or twice as many with standby servers.
 
@@ -125,6 +144,7 @@ class ServerKind(SimulatorKind):
         from naosim.mujoco.program import server_launcher
         from naosim.mujoco.remote import RemoteMujocoSimulator
 
+        self.require_scene(robot, scene)
         assert isinstance(parameters, ServerParameters)
         require_servers(n)
         return RemoteMujocoSimulator(

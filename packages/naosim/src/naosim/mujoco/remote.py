@@ -104,9 +104,10 @@ class RemoteMujocoSimulator(FleetSimulator):
             raise ValueError(
                 "starts: rcssservermj beams robots upright only; use the embedded simulator for other orientations"
             )
-        if starts.position_m[0] > 0.0:
+        farthest = float(starts.places()[:, 0].max(initial=0.0))
+        if farthest > 0.0:
             raise ValueError(
-                f"starts: rcssservermj beams the left team to its own half, not to x = {starts.position_m[0]:g} m; "
+                f"starts: rcssservermj beams the left team to its own half, not to x = {farthest:g} m; "
                 "use a position with x <= 0"
             )
         poses = np.asarray(starts.poses_rad)
@@ -116,10 +117,8 @@ class RemoteMujocoSimulator(FleetSimulator):
     def _starting(self, server: int, start: int) -> Motion:
         """Move a server's robot to a start: yield the target angles of each cycle."""
         assert self._starts is not None
-        starts = self._starts
-        return self._remote.starting(
-            server, starts.poses_rad[start], starts.position_m, starts.heading_rad, self._settle_steps
-        )
+        x, y, heading = self._starts.places()[start].tolist()
+        return self._remote.starting(server, self._starts.poses_rad[start], (x, y), heading, self._settle_steps)
 
     # for viewers and tasks
 

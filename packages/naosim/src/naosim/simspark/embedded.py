@@ -87,13 +87,14 @@ class EmbeddedSimulator(Simulator):
         """Simulate the starts and keep snapshots of the settled robots.
 
         Raises:
-            ValueError: if starts are not upright.
+            ValueError: if starts are not upright, or have places of their own.
         """
         self.require_open()
         if starts.orientations is not None:
             raise ValueError("starts: the NAO's simulators support upright starts only; omit orientations")
         engine = BatchSimulator(len(starts), self._type, threads=self._threads, digits=self._digits)
-        settle(engine, starts.poses_rad, starts.position_m, starts.heading_rad)
+        x, y, heading = starts.place()
+        settle(engine, starts.poses_rad, (x, y), heading)
         self._starts = np.array(engine.snapshot())
 
     def start(self, rows: Ints, starts: Ints, following: Ints | None = None) -> None:

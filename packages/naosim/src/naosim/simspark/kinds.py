@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from naosim.launchers import missing_program, most_servers, require_servers
-from naosim.simulator import DEFAULT_OPTIONS, RuntimeOptions, Simulator, SimulatorKind, SimulatorParameters
+from naosim.simulator import (
+    DEFAULT_OPTIONS,
+    PLAIN,
+    RuntimeOptions,
+    Scene,
+    Simulator,
+    SimulatorKind,
+    SimulatorParameters,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,6 +23,15 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
 
 _DIGITS_TITLE = "Sensor digits"
+
+
+def _refusal(robot: Robot, scene: Scene) -> str:
+    if scene == PLAIN:
+        return ""
+    return (
+        f"simulator: the worlds of {robot.name} have no ball, no goals and report no motion of bodies: the engine of "
+        "rcssserver3d's physics has the robot and the ground only; use a robot of rcssservermj, for example t1"
+    )
 
 
 class EmbeddedParameters(SimulatorParameters):
@@ -47,15 +64,29 @@ class EmbeddedKind(SimulatorKind):
         """Return whether the robot is a NAO."""
         return robot.family == "nao"
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return that these worlds have no ball, if the scene needs more than a plain one."""
+        return _refusal(robot, scene)
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
         return EmbeddedParameters
 
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
-        """Open the engine for n robots."""
+        """Open the engine for n robots.
+
+        Raises:
+            ValueError: if the scene is not a plain one.
+        """
+        self.require_scene(robot, scene)
         from naosim.simspark.embedded import EmbeddedSimulator
 
         assert isinstance(parameters, EmbeddedParameters)
@@ -72,13 +103,22 @@ class ServerKind(SimulatorKind):
         """Return whether the robot is a NAO."""
         return robot.family == "nao"
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return that these worlds have no ball, if the scene needs more than a plain one."""
+        return _refusal(robot, scene)
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
         return ServerParameters
 
     def open(
-        self, robot: Robot, n: int, parameters: SimulatorParameters, options: RuntimeOptions = DEFAULT_OPTIONS
+        self,
+        robot: Robot,
+        n: int,
+        parameters: SimulatorParameters,
+        options: RuntimeOptions = DEFAULT_OPTIONS,
+        scene: Scene = PLAIN,
     ) -> Simulator:
         """Start n servers, or twice as many with standby servers.
 
@@ -91,6 +131,7 @@ class ServerKind(SimulatorKind):
         from naosim.simspark.program import server_launcher
         from naosim.simspark.remote import RemoteSimulator
 
+        self.require_scene(robot, scene)
         assert isinstance(parameters, ServerParameters)
         require_servers(n)
         return RemoteSimulator(

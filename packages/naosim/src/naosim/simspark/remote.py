@@ -98,17 +98,18 @@ class RemoteSimulator(FleetSimulator):
         """Replace the starts that :meth:`start` chooses from; what standby servers have prepared is dropped.
 
         Raises:
-            ValueError: if starts are not upright.
+            ValueError: if starts are not upright, or have places of their own.
         """
         super().load_starts(starts)
         engine = BatchSimulator(1, self._model.robot_type, digits=None)
-        settle(engine, self.robot.nominal[None], starts.position_m, starts.heading_rad)
+        x, y, heading = starts.place()
+        settle(engine, self.robot.nominal[None], (x, y), heading)
         self._landing = engine.truth.torso_position[0] + np.array((0.0, 0.0, _LANDING_M))
 
     def _starting(self, server: int, start: int) -> Motion:
         """Move a server's robot to a start: yield the joint speeds of each cycle."""
         assert self._starts is not None
-        remote, pose, yaw = self._remote, self._starts.poses_rad[start], yaw_deg(self._starts.heading_rad)
+        remote, pose, yaw = self._remote, self._starts.poses_rad[start], yaw_deg(self._starts.place()[2])
         yield from remote.untangling(server, self.robot.nominal)
         yield from remote.beaming(server, self._landing, yaw)
         for _ in range(_LANDING_CYCLES):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from naosim import robots
 from naosim.robots.actuation import Actuation
-from naosim.simulator import STEP_S, Starts
+from naosim.simulator import PLAIN, STEP_S, Scene, Starts
 from naospec import TaskSettings
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
@@ -131,6 +131,8 @@ class Task:
             it has.
         summary: one line for users.
         Parameters: its settings.
+        scene: contents of its world besides the robot, for example a ball; a specification with a simulator that lacks
+            them is refused.
         metrics: what is measured of an episode, besides its reward and length.
         results: what only evaluations report, so that a study can optimize it.
         ends: reasons for which an episode ends.
@@ -146,6 +148,7 @@ class Task:
     version: ClassVar[int] = 1
     summary: ClassVar[str]
     Parameters: ClassVar[type[TaskSettings]] = TaskSettings
+    scene: ClassVar[Scene] = PLAIN
     metrics: ClassVar[tuple[Metric, ...]] = ()
     results: ClassVar[tuple[Metric, ...]] = ()
     ends: ClassVar[tuple[End, ...]] = ()
@@ -208,6 +211,13 @@ class Task:
     def start_position(self) -> tuple[float, float]:
         """Return x and y of the torso at the start, metres."""
         return (0.0, 0.0)
+
+    def place(self, rows: IntArray) -> None:
+        """Place what an episode of the robots ``rows`` begins with besides their start, for example the ball.
+
+        It is called right after the start, before :meth:`begin`.
+        """
+        del rows
 
     def begin(self, rows: IntArray) -> None:
         """Reset what is stored for the robots ``rows``, whose episode begins now."""

@@ -165,6 +165,7 @@ class Environment:
             return
         world = self.world
         self.simulator.start(rows, starts, following)
+        self.task.place(rows)
         self.disturbances.begin(rows)
         if self._program is not None:
             self._program.begin(rows)
@@ -322,7 +323,7 @@ def open_environment(
     options = RuntimeOptions(
         threads=threads, standby_servers=standby_servers, max_server_failures=spec.runtime.max_server_failures
     )
-    simulator = kind.open(spec.robot_description, n, spec.simulator, options)
+    simulator = kind.open(spec.robot_description, n, spec.simulator, options, spec.task_class.scene)
     try:
         return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed)
     except BaseException:
