@@ -107,9 +107,26 @@ def results(path: str) -> Any:
     return json.loads((ROOT / "benchmarks" / path).read_text("utf-8"))
 
 
-def test_the_readmes_results_are_those_that_were_measured() -> None:
+@pytest.mark.parametrize("name", ["README.md", "docs/policies/index.md"])
+def test_tables_of_policies_state_the_results_on_their_cards(name: str) -> None:
+    """Every number with a decimal after a link to a policy's page is one of its results, rounded."""
+    checked = set()
+    for shown, page, after in re.findall(
+        r"\[([^\]]*)\]\((?:docs/policies/)?([\w-]+)\.md\)([^|;·\[]*)", (ROOT / name).read_text("utf-8")
+    ):
+        if page in naopolicies.names():
+            values = [one["value"] for one in naopolicies.card(page)["results"] if one["value"] is not None]
+            for number in re.findall(r"\d+\.\d+", shown + after):
+                digits = len(number.partition(".")[2])
+                known = {f"{scale * value:.{digits}f}" for value in values for scale in (1, 100)}
+                assert number in known, f"{page}: {number}"
+                checked.add(page)
+    assert len(checked) >= 5
+
+
+def test_the_results_of_the_accuracy_page_are_those_that_were_measured() -> None:
     """Every number of its table that has a record is rounded from it."""
-    text = (ROOT / "README.md").read_text("utf-8")
+    text = (ROOT / "docs" / "explanation" / "accuracy.md").read_text("utf-8")
     engine = results("engine/results.json")["results"]
     policy = {result["name"]: result["value"] for result in naopolicies.card("sprint")["results"]}
     (cycles, ratio, apart) = re.search(
