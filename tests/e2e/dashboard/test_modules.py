@@ -236,7 +236,7 @@ def test_the_curves_stay_smooth_at_100_000_points(page: Browser) -> None:
         const { Columns } = await import("/ui/js/columns.js");
         const { Descriptions } = await import("/ui/js/descriptions.js");
         const get = async (path) => (await fetch(path)).json();
-        const known = new Descriptions(await get("/tasks"), await get("/algorithms"));
+        const known = new Descriptions(await get("/tasks"), await get("/algorithms"), await get("/robots"));
         const spec = { task: { name: "sprint1" }, algorithm: { name: "ppo" } }, curves = known.charts(spec);
         const native = window.requestAnimationFrame.bind(window), spent = [];
         // What the page does in a frame; canvases are drawn in it, too.
@@ -326,6 +326,47 @@ def test_metrics_are_written_as_their_descriptions_say(page: Browser) -> None:
         [4.034, 0.0042, -3.25, 12345.4, 0.00125, 5e-4],
     )
     assert found == ["4.03 m/s", "0.4 %", "\N{MINUS SIGN}3.3°", "12,345", "0.00125", "0.000500"]
+
+
+@pytest.mark.parametrize(
+    ("robot", "length", "goal"), [("nao-0", 30.0, [2.1, 0.8]), ("k1", 55.0, [3.66, 1.83]), ("gone", None, None)]
+)
+def test_replays_and_paths_are_on_the_field_of_the_league(
+    page: Browser, robot: str, length: float | None, goal: list[float] | None
+) -> None:
+    """A robot that the service does not have, of a package that is gone, is on bare ground."""
+    found = page.module(
+        """
+        const [{ Recording, Stage }, { Descriptions }, { field }] = await Promise.all(
+          ["replay3d", "descriptions", "figures"].map((name) => import(`/ui/js/${name}.js`)));
+        const ground = new Descriptions([], [], await (await fetch("/robots")).json()).field(args[0]);
+        const frames = 3;
+        const recording = new Recording({
+          format: 2, frames, dt_s: 0.02, end: "", failed: false, foot_force_n: Array(frames).fill([0, 0]),
+          bodies: [{ name: "torso", shape: "box", size_m: [0.1, 0.2, 0.3], side: "centre" }],
+          position_m: Array(frames).fill([0, 0, 0.5]), rotation_wxyz: Array(frames).fill([1, 0, 0, 0]) }, 0);
+        const host = document.getElementById("main");
+        host.replaceChildren();
+        const stage = new Stage(host, recording, ground);
+        const ends = stage.scene.children.filter((m) => m.material === stage.chalk)
+          .map((m) => m.position.x + m.geometry.parameters.width / 2 || 0);
+        const goals = stage.goals.map((g) => g.position.x);
+        stage.destroy();
+        const episode = { x: [0, 1], y: [0, 0], samples: 2, failed: false, distance: 1, seconds: 1, speed: 1 };
+        const paths = { ground, lines: [], count: 1, episode: () => episode, all: () => [episode] };
+        const picture = field(900, paths, { selected: 0, half: 3, onSelect: () => {} });
+        const last = [...picture.querySelectorAll("text")].at(-1).textContent;
+        return { ends: Math.max(0, ...ends), goals, last, goal: ground.goal };
+        """,
+        robot,
+    )
+    if length is None or goal is None:
+        assert (found["ends"], found["goals"], found["goal"]) == (0, [], None)
+        return
+    assert found["ends"] == pytest.approx(length / 2, abs=0.06)
+    assert found["goals"] == [-length / 2, length / 2]
+    assert [found["goal"]["width_m"], found["goal"]["height_m"]] == goal
+    assert found["last"] == {30.0: "15 m", 55.0: "20 m"}[length]
 
 
 def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:

@@ -14,6 +14,7 @@ import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from naosim.fields import RCSSSERVER3D, RCSSSERVERMJ, Field
 from naospec import EvaluationSpec
 from naosprint import evaluate
 from naosprint.analysis import figures
@@ -145,6 +146,22 @@ def test_film_follows_the_robot(evaluation: Path) -> None:
     assert not np.array_equal(first, later)
     middle = first[60:, WIDTH_PX // 3 : 2 * WIDTH_PX // 3]
     assert (middle.std(axis=2) > 30).sum() > 500, "no coloured limb in the middle"
+
+
+@pytest.mark.parametrize("x", [0.0, RCSSSERVER3D.length_m / 2, RCSSSERVERMJ.length_m / 2])
+def test_film_draws_the_field_of_the_league(evaluation: Path, x: float) -> None:
+    """Near a goal line one of the two fields has lines, in the middle both have."""
+    replay = load_replay(evaluation / "replay.json")
+    moved = replay.positions + np.array([x - replay.positions[0, 0, 0], -replay.positions[0, 0, 1], 0.0], np.float32)
+
+    def chalk(field: Field) -> int:
+        there = replace(replay, robot=replace(replay.robot, field=field), positions=moved)
+        return int((Film(there).picture(0)[HEIGHT_PX // 2 :] == 255).all(axis=2).sum())
+
+    nothing = replace(RCSSSERVER3D, length_m=500.0, width_m=500.0, areas_m=(), circle_radius_m=200.0)
+    assert chalk(RCSSSERVER3D) != chalk(RCSSSERVERMJ)
+    for field in (RCSSSERVER3D, RCSSSERVERMJ):
+        assert (chalk(field) > chalk(nothing)) == (x in (0.0, field.length_m / 2))
 
 
 def test_robot_stands_on_the_ground_seen_from_the_side(evaluation: Path) -> None:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from naosim.fields import RCSSSERVERMJ
 from naosim.fleet import Fleet, Motion
 from naosim.launchers import Address, Launcher
 from naosim.mujoco._mujoco import Exchange
@@ -46,8 +47,6 @@ _MODE = "BeforeKickOff"
 
 _LEAVE_S = 1.0
 """Time after which a connection that the server does not end is closed all the same."""
-
-_BALL_RADIUS_M = 0.11
 
 
 class MujocoFleet(Fleet):
@@ -207,7 +206,7 @@ class MujocoFleet(Fleet):
         exchange.post(row, False, f"(init {model} {self._team} {UNIFORM_NUMBER})".encode())
         exchange.collect(only, 1, 0, left_s())
         x, y = PARKED_BALL_M
-        with_length = f"(ball (pos {x} {y} {_BALL_RADIUS_M})(vel 0 0 0))".encode()
+        with_length = f"(ball (pos {x} {y} {RCSSSERVERMJ.ball_radius_m})(vel 0 0 0))".encode()
         monitor.sendall(len(with_length).to_bytes(4, "big") + with_length)
         for _ in range(_FIRST_CYCLES):
             if exchange.failure(row):

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from naosim.fields import RCSSSERVERMJ
+
 if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.robots.booster import BoosterParameters
@@ -37,8 +39,6 @@ UNIFORM_NUMBER = 2
 
 PARKED_BALL_M = (25.0, 16.0)
 """Position of the ball, metres: a corner of the field that no robot reaches."""
-
-_FIELD_HALF_WIDTH_M, _FIELD_BORDER_M = 18.0, 3.0
 
 FEET = ("left_foot_link", "right_foot_link")
 """Bodies that touch the ground while the robot runs."""
@@ -212,7 +212,7 @@ def compiled(robot: str, exact: bool) -> World:
         world.delete(world.body("ball"))
     torso = spec.body("torso")
     torso.pos[0] = -(2 * UNIFORM_NUMBER + 1)
-    torso.pos[1] = _FIELD_HALF_WIDTH_M + _FIELD_BORDER_M
+    torso.pos[1] = RCSSSERVERMJ.width_m / 2 + RCSSSERVERMJ.border_m
     torso.quat[:] = (math.cos(-math.pi / 4), 0.0, 0.0, math.sin(-math.pi / 4))
     world.worldbody.add_frame().attach_body(torso, PREFIX, "")
     for foot in FEET:

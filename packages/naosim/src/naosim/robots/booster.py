@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from pydantic import Field, field_validator
 
+from naosim.fields import RCSSSERVERMJ
 from naosim.robots.description import JointDescription, PerceptorDescription, Robot, RobotParameters, Shape, Side
 
 FAMILY = "booster"
@@ -265,6 +266,7 @@ def _robot(
         parameters=parameters,
         data=MappingProxyType({"model": name.upper(), "beam_height_m": beam_height_m}),
         load_shapes=lambda: _shapes(name.upper()),
+        field=RCSSSERVERMJ,
     )
     return replace(robot, **parameters.description(robot))
 

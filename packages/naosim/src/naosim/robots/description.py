@@ -6,8 +6,9 @@ the same number on the left and on the right is a symmetric posture: policy angl
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
@@ -15,6 +16,8 @@ from typing import Any, Literal
 import numpy as np
 from naospec.sections import Section
 from numpy.typing import NDArray
+
+from naosim.fields import RCSSSERVER3D, Field
 
 Floats = NDArray[np.float64]
 Side = Literal["left", "right", "centre"]
@@ -117,6 +120,7 @@ class Robot:
         parameters: its settings.
         data: further data for simulators of its family, for example the number of a type.
         load_shapes: returns :attr:`shapes`; called on first use.
+        field: its league's field.
     """
 
     name: str
@@ -131,9 +135,10 @@ class Robot:
     perceptors: tuple[PerceptorDescription, ...]
     observations: tuple[str, ...]
     action_range_rad: Mapping[str, float] | None = None
-    parameters: RobotParameters = field(default_factory=RobotParameters)
-    data: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    load_shapes: Callable[[], tuple[Shape, ...]] = field(default=tuple, repr=False, compare=False)
+    parameters: RobotParameters = dataclasses.field(default_factory=RobotParameters)
+    data: Mapping[str, Any] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    load_shapes: Callable[[], tuple[Shape, ...]] = dataclasses.field(default=tuple, repr=False, compare=False)
+    field: Field = RCSSSERVER3D
 
     def with_parameters(self, values: Mapping[str, Any]) -> Robot:
         """Return this robot with other parameters.

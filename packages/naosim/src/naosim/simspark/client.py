@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from naosim.fields import RCSSSERVER3D
 from naosim.fleet import Fleet, Motion, Rows
 from naosim.launchers import Address, Launcher
 from naosim.robots import nao_model
@@ -47,7 +48,7 @@ _FREEZE_CYCLES = 150
 _CLOCK_S = 200.0
 """The game's clock is set back once it is later than this: a half ends after 300 s."""
 
-_PARKED_BALL = (0.0, 9.5, 0.042)
+_PARKED_BALL = (0.0, 9.5, RCSSSERVER3D.ball_radius_m)
 
 
 class RemoteTruth:

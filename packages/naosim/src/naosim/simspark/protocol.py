@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from naosim.fields import RCSSSERVER3D
 from naosim.robots.nao_model import RobotModel
 
 AGENT_PORT = 3100
@@ -34,12 +35,9 @@ PLAY_MODES = (
 
 SIDES = ("none", "left", "right")
 
-FIELD_LENGTH = 30.0
-FIELD_WIDTH = 20.0
-GOAL_WIDTH = 2.1
-GOAL_DEPTH = 0.6
-GOAL_HEIGHT = 0.8
-BALL_RADIUS = 0.042
+FIELD_LENGTH, FIELD_WIDTH = RCSSSERVER3D.length_m, RCSSSERVER3D.width_m
+GOAL_WIDTH, GOAL_HEIGHT, GOAL_DEPTH = RCSSSERVER3D.goal.width_m, RCSSSERVER3D.goal.height_m, RCSSSERVER3D.goal.depth_m
+BALL_RADIUS = RCSSSERVER3D.ball_radius_m
 VISION_INTERVAL = 3
 """Cycles from one See to the next."""
 
@@ -61,7 +59,8 @@ def _landmarks() -> tuple[Landmark, ...]:
 
 def _lines() -> NDArray[np.float64]:
     x, y = FIELD_LENGTH / 2, FIELD_WIDTH / 2
-    box, side, radius = x - 1.8, 3.0, 2.0
+    ((depth, width),), radius = RCSSSERVER3D.areas_m, RCSSSERVER3D.circle_radius_m
+    box, side = x - depth, width / 2
     lines = [(0.0, -y, 0.0, y), (x, -y, x, y), (-x, -y, -x, y), (x, y, -x, y), (x, -y, -x, -y)]
     for sign in (1.0, -1.0):
         lines.append((sign * box, side, sign * box, -side))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from naosprint.analysis.scene import Camera, robot_polygons, scale
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from naosprint.analysis.replay import Replay
@@ -30,6 +31,7 @@ _SPAN_M = 2.6  # width of the picture for a robot of unit size
 _GROUND = "#eef1ea"
 _LINE = "#c3cab9"
 _LABEL = "#7c8573"
+_CHALK = "#ffffff"
 
 
 class Film:
@@ -78,8 +80,8 @@ class Film:
         torso = self._replay.positions[frame, 0]
         begin_x, begin_y = (float(value) for value in self._replay.positions[0, 0, :2])
 
-        def seen(*points: tuple[float, float]) -> list[tuple[float, float]]:
-            ground = np.array([[x - float(torso[0]), y - float(torso[1]), 0.0] for x, y in points])
+        def seen(*points: tuple[float, ...]) -> list[tuple[float, float]]:
+            ground = np.array([[x - float(torso[0]), y - float(torso[1]), sum(z)] for x, y, *z in points])
             return self._places((ground @ view.T)[:, :2])
 
         size = self._span / _SPAN_M
@@ -89,6 +91,7 @@ class Film:
         near, far = middle - lane, middle + lane
         left, right = float(torso[0]) - reach, float(torso[0]) + reach
         draw.polygon(seen((left, near), (right, near), (right, far), (left, far)), fill=_GROUND)
+        self._field(draw, seen, (left, near, right, far))
         first = math.floor((float(torso[0]) - begin_x - 3.0 * size) * 2.0)
         for half in range(first, first + math.ceil(13 * size)):
             x = begin_x + half / 2.0
@@ -97,6 +100,32 @@ class Film:
             if whole:
                 (place,) = seen((x + 0.06, middle - 0.75 * size))
                 draw.text(place, f"{half // 2} m", fill=_LABEL, font=self._label_font, anchor="ls")
+
+    def _field(
+        self,
+        draw: ImageDraw.ImageDraw,
+        seen: Callable[..., list[tuple[float, float]]],
+        patch: tuple[float, float, float, float],
+    ) -> None:
+        """Draw what is in a patch of the ground of the field's lines and goals."""
+        field = self._replay.robot.field
+        left, near, right, far = patch
+        width = max(1, round(field.line_width_m * self._pixels_per_m / 3.0))  # the ground is seen from a low angle
+        for x0, y0, x1, y1 in field.lines():
+            if x0 <= right and x1 >= left and y0 <= far and y1 >= near:
+                ends = (max(x0, left), max(y0, near)), (min(x1, right), min(y1, far))
+                draw.line(seen(*ends), fill=_CHALK, width=width)
+        turn = np.linspace(0.0, 2.0 * math.pi, 73)
+        ring = np.column_stack([np.cos(turn), np.sin(turn)]) * field.circle_radius_m
+        for start, end in itertools.pairwise(ring.tolist()):
+            if all(left <= x <= right and near <= y <= far for x, y in (start, end)):
+                draw.line(seen(start, end), fill=_CHALK, width=width)
+        post, bar = field.goal.width_m / 2, field.goal.height_m
+        width = max(1, round(2.0 * field.goal.post_radius_m * self._pixels_per_m))
+        for x in (-field.length_m / 2, field.length_m / 2):
+            if left <= x <= right and near <= -post and post <= far:
+                frame = seen((x, -post, 0.0), (x, -post, bar), (x, post, bar), (x, post, 0.0))
+                draw.line(frame, fill=_CHALK, width=width, joint="curve")
 
 
 def _rgb(colour: tuple[float, float, float, float]) -> tuple[int, int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter
@@ -88,6 +89,29 @@ class AlgorithmPublic(BaseModel):
     parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
 
 
+class GoalPublic(BaseModel):
+    """Goal of a field, metres."""
+
+    width_m: float
+    height_m: float
+    depth_m: float
+    post_radius_m: float
+
+
+class FieldPublic(BaseModel):
+    """Field of a league, metres; the origin is its middle."""
+
+    name: str = Field(description="Server that has it.")
+    length_m: float
+    width_m: float
+    line_width_m: float
+    circle_radius_m: float
+    lines: list[tuple[float, float, float, float]] = Field(description="x and y of both ends of each straight line.")
+    penalty_spot_m: float = Field(description="Distance of the penalty spot from the goal line; 0 without one.")
+    goal: GoalPublic
+    ball_radius_m: float
+
+
 class RobotPublic(BaseModel):
     """Installed robot."""
 
@@ -97,6 +121,7 @@ class RobotPublic(BaseModel):
     joints: list[str] = Field(description="Names of its joints, in the order of commands.")
     standing_height_m: float
     front_axis: int = Field(description="Axis of the torso's frame that points to its front: 0 for x, 1 for y.")
+    field: FieldPublic = Field(description="Field of its league.")
     parameters: dict[str, Any] = Field(description="JSON schema of its settings.")
 
 
@@ -172,6 +197,7 @@ def list_robots() -> list[RobotPublic]:
             joints=list(robot.joint_names),
             standing_height_m=robot.standing_height_m,
             front_axis=robot.front_axis,
+            field=FieldPublic.model_validate({**asdict(robot.field), "lines": robot.field.lines()}),
             parameters=type(robot.parameters).model_json_schema(),
         )
         for robot in _installed(plugins.ROBOTS)

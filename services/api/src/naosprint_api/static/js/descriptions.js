@@ -15,6 +15,16 @@ const PACE = [
   { name: "cpus", title: "Processors", unit: "", digits: 1, better: null },
   { name: "memory_mb", title: "Memory", unit: "MiB", digits: 0, better: null },
 ];
+/** Ground without lines and goals. */
+const BARE = {
+  length_m: 30,
+  width_m: 20,
+  line_width_m: 0,
+  circle_radius_m: 0,
+  lines: [],
+  penalty_spot_m: 0,
+  goal: null,
+};
 /** Columns of metrics that are no curves. */
 const PROGRESS = new Set(["step", "attempt", "time_s", "episodes", "stage", "candidate", "eta_s", "server_failures"]);
 
@@ -23,10 +33,24 @@ export const nameOf = (spec, section) =>
   spec?.[section]?.name ?? (typeof spec?.[section] === "string" ? spec[section] : null) ?? "?";
 
 export class Descriptions {
-  /** @param {object[]} tasks answer of `GET /tasks` @param {object[]} algorithms answer of `GET /algorithms` */
-  constructor(tasks = [], algorithms = []) {
+  /**
+   * @param {object[]} tasks answer of `GET /tasks` @param {object[]} algorithms answer of `GET /algorithms`
+   * @param {object[]} robots answer of `GET /robots`
+   */
+  constructor(tasks = [], algorithms = [], robots = []) {
     this.tasks = new Map(tasks.map((t) => [t.name, t]));
     this.algorithms = new Map(algorithms.map((a) => [a.name, a]));
+    this.robots = new Map(robots.map((r) => [r.name, r]));
+  }
+
+  /** A robot's description; null if the service does not have the robot. */
+  robot(name) {
+    return this.robots.get(name) ?? null;
+  }
+
+  /** The field of a robot's league; bare ground if the service does not have the robot. */
+  field(name) {
+    return this.robot(name)?.field ?? BARE;
   }
 
   /** A task's description; null if the service does not have the task. */
@@ -110,8 +134,8 @@ let loading = null;
 
 /** The service's descriptions, asked for once; without an answer there are none, and names stand in for titles. */
 export function descriptions() {
-  loading ??= Promise.all([call("tasks"), call("algorithms")])
-    .then(([tasks, algorithms]) => new Descriptions(tasks, algorithms))
+  loading ??= Promise.all([call("tasks"), call("algorithms"), call("robots")])
+    .then((answers) => new Descriptions(...answers))
     .catch(() => {
       loading = null;
       return new Descriptions();

@@ -60,8 +60,11 @@ export const CONTACT_N = 0.01;
 
 /** The recorded paths of an evaluation's first episodes. */
 export class Paths {
-  /** @param {Map} arrays of trajectories.npz @param {{x_m: number, title: string}[]} lines across the field */
-  constructor(arrays, lines = []) {
+  /**
+   * @param {Map} arrays of trajectories.npz @param {object} ground field of the robot's league @param
+   *   {{x_m: number, title: string}[]} lines across it
+   */
+  constructor(arrays, ground, lines = []) {
     const need = (name) => {
       const array = arrays.get(name);
       if (!array) throw new Error(`trajectories.npz has no array “${name}”`);
@@ -78,14 +81,15 @@ export class Paths {
       right: need("right_foot_force"),
     };
     this.failed = arrays.get("failed")?.data ?? null;
+    this.ground = ground;
     this.lines = lines;
     this.cache = new Map();
   }
 
   /** Fetch and read them. */
-  static async load(file, lines, signal) {
+  static async load(file, ground, lines, signal) {
     const response = await request(file.url, { signal, headers: { Accept: "*/*" } });
-    return new Paths(await readNpz(await response.arrayBuffer()), lines);
+    return new Paths(await readNpz(await response.arrayBuffer()), ground, lines);
   }
 
   /** One episode: samples without padding, and how it ended. */

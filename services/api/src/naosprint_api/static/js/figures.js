@@ -159,9 +159,6 @@ export function resultLines(width, series, { xLabel, yLabel, xFormat, format, me
   );
 }
 
-/** Measures of the league's 3D field in metres. */
-const FIELD = { length: 30, width: 20, circle: 2, goalWidth: 2.1, goalDepth: 0.6, boxLength: 1.8, boxWidth: 6 };
-
 /**
  * Paths of the torso on the field, to scale.
  *
@@ -170,46 +167,28 @@ const FIELD = { length: 30, width: 20, circle: 2, goalWidth: 2.1, goalDepth: 0.6
  *   the middle
  */
 export function field(width, paths, { selected, half, onSelect }) {
-  const margin = 0.9;
-  const x0 = -FIELD.length / 2 - margin;
-  const span = FIELD.length + 2 * margin;
+  const { length_m: length, goal, lines, circle_radius_m: radius } = paths.ground;
+  const margin = 0.3 + (goal?.depth_m ?? 0);
+  const x0 = -length / 2 - margin;
+  const span = length + 2 * margin;
   const scale = width / span;
   const height = Math.ceil(2 * half * scale) + 22;
   const sx = (x) => (x - x0) * scale;
   const sy = (y) => (half - y) * scale;
   const clip = `field-${width}-${half}`;
-  const box = (side) => {
-    const near = (side * FIELD.length) / 2;
-    const far = near - side * FIELD.boxLength;
-    const goal = near + side * FIELD.goalDepth;
-    return [
-      s("rect", {
-        x: Math.min(sx(near), sx(far)),
-        y: sy(FIELD.boxWidth / 2),
-        width: FIELD.boxLength * scale,
-        height: FIELD.boxWidth * scale,
-      }),
-      s("rect", {
-        x: Math.min(sx(near), sx(goal)),
-        y: sy(FIELD.goalWidth / 2),
-        width: FIELD.goalDepth * scale,
-        height: FIELD.goalWidth * scale,
-      }),
-    ];
-  };
   const markings = s(
     "g",
     { fill: "none", stroke: "var(--turf-line)", "stroke-width": 1.25 },
-    s("rect", {
-      x: sx(-FIELD.length / 2),
-      y: sy(FIELD.width / 2),
-      width: FIELD.length * scale,
-      height: FIELD.width * scale,
-    }),
-    s("line", { x1: sx(0), x2: sx(0), y1: sy(FIELD.width / 2), y2: sy(-FIELD.width / 2) }),
-    s("circle", { cx: sx(0), cy: sy(0), r: FIELD.circle * scale }),
-    box(-1),
-    box(1),
+    lines.map(([ax, ay, bx, by]) => s("line", { x1: sx(ax), y1: sy(ay), x2: sx(bx), y2: sy(by) })),
+    s("circle", { cx: sx(0), cy: sy(0), r: radius * scale }),
+    (goal ? [-1, 1] : []).map((side) =>
+      s("rect", {
+        x: sx((side * length) / 2 - (side < 0 ? goal.depth_m : 0)),
+        y: sy(goal.width_m / 2),
+        width: goal.depth_m * scale,
+        height: goal.width_m * scale,
+      }),
+    ),
   );
   const start = paths.episode(0).x[0];
   const gate = (x, label, anchor) => [
@@ -277,7 +256,9 @@ export function field(width, paths, { selected, half, onSelect }) {
       ),
     ),
   );
-  const marks = [-15, -10, -5, 0, 5, 10, 15];
+  const step = length > 40 ? 10 : 5;
+  const most = Math.floor(length / 2 / step);
+  const marks = Array.from({ length: 2 * most + 1 }, (_, i) => (i - most) * step);
   return svg(
     width,
     height,

@@ -3,17 +3,6 @@
 import * as T from "../vendor/three-0.187.0/three.min.js";
 import { color, onTheme } from "./theme.js";
 
-const FIELD = {
-  length: 30,
-  width: 20,
-  circle: 2,
-  boxLength: 1.8,
-  boxWidth: 6,
-  goalWidth: 2.1,
-  goalHeight: 0.8,
-  goalDepth: 0.6,
-};
-const LINE = 0.05; // width of the chalk, metres
 const METRES_PER_NEWTON = 0.0018;
 const CONTACT_N = 0.01;
 
@@ -183,12 +172,13 @@ const lettering = (text) =>
 
 export class Stage {
   /**
-   * @param {HTMLElement} host @param {Recording} recording @param {{x_m: number, title: string}[]} lines across the
-   * field
+   * @param {HTMLElement} host @param {Recording} recording @param {object} field of the robot's league
+   * @param {{x_m: number, title: string}[]} lines across the field
    */
-  constructor(host, recording, lines = []) {
+  constructor(host, recording, field, lines = []) {
     this.host = host;
     this.recording = recording;
+    this.field = field;
     this.lines = lines;
     this.course = recording.course();
     this.renderer = new T.WebGLRenderer({ antialias: true, powerPreference: "low-power" });
@@ -262,7 +252,6 @@ export class Stage {
   }
 
   #ground() {
-    const { length, width } = FIELD;
     const size = [140, 120];
     const texture = grass();
     texture.wrapS = texture.wrapT = T.RepeatWrapping;
@@ -276,29 +265,23 @@ export class Stage {
     this.turf.receiveShadow = true;
     this.scene.add(this.turf);
     this.chalk = this.#painted();
-    const strip = (...place) => this.#strip(...place, this.chalk);
-    strip(0, width / 2, length + LINE, LINE);
-    strip(0, -width / 2, length + LINE, LINE);
-    strip(-length / 2, 0, LINE, width - LINE);
-    strip(length / 2, 0, LINE, width - LINE);
-    strip(0, 0, LINE, width - LINE);
-    const circle = new T.Mesh(new T.RingGeometry(FIELD.circle - LINE / 2, FIELD.circle + LINE / 2, 96), this.chalk);
-    circle.position.z = 0.0006;
-    this.scene.add(circle);
-    for (const side of [-1, 1]) {
-      const edge = (side * length) / 2;
-      const inner = edge - side * FIELD.boxLength;
-      strip(inner, 0, LINE, FIELD.boxWidth + LINE);
-      for (const y of [-1, 1]) strip((edge + inner) / 2, (y * FIELD.boxWidth) / 2, FIELD.boxLength - LINE, LINE);
-    }
     this.frame = new T.MeshStandardMaterial({ roughness: 0.4 });
     this.net = new T.LineBasicMaterial({ transparent: true, opacity: 0.4 });
-    this.goals = [-1, 1].map((side) => this.#goal(side));
+    const { line_width_m: line, circle_radius_m: radius, penalty_spot_m: spot, length_m: length } = this.field;
+    for (const [x0, y0, x1, y1] of this.field.lines)
+      this.#strip((x0 + x1) / 2, (y0 + y1) / 2, Math.abs(x1 - x0) + line, Math.abs(y1 - y0) + line, this.chalk);
+    const round = (geometry, x = 0) => {
+      const mesh = new T.Mesh(geometry, this.chalk);
+      mesh.position.set(x, 0, 0.0006);
+      this.scene.add(mesh);
+    };
+    round(new T.RingGeometry(radius - line / 2, radius + line / 2, 96));
+    if (spot) for (const side of [-1, 1]) round(new T.RingGeometry(0, line, 24), side * (length / 2 - spot));
+    this.goals = this.field.goal ? [-1, 1].map((side) => this.#goal(side)) : [];
   }
 
   #goal(side) {
-    const { goalWidth: w, goalHeight: h, goalDepth: d } = FIELD;
-    const r = 0.03;
+    const { width_m: w, height_m: h, depth_m: d, post_radius_m: r } = this.field.goal;
     const goal = new T.Group();
     const bar = (length, x, y, z, turn) => {
       const mesh = new T.Mesh(new T.CylinderGeometry(r, r, length, 16), this.frame);
@@ -327,7 +310,7 @@ export class Stage {
         this.net,
       ),
     );
-    goal.position.x = (side * FIELD.length) / 2;
+    goal.position.x = (side * this.field.length_m) / 2;
     if (side < 0) goal.rotation.z = Math.PI;
     this.scene.add(goal);
     return goal;
@@ -543,9 +526,10 @@ export class Stage {
     if (this.all) {
       const half = Math.tan((this.camera.fov * Math.PI) / 360);
       this.controls.target.set(0, 0, 0);
+      const { length_m: length, width_m: width } = this.field;
       this.camera.position
         .set(...FIELD_VIEW)
-        .multiplyScalar(Math.max((0.6 * FIELD.length) / (half * this.camera.aspect), (0.36 * FIELD.width) / half));
+        .multiplyScalar(Math.max((0.6 * length) / (half * this.camera.aspect), (0.36 * width) / half));
     } else {
       const up = new T.Vector3(0, 0, 1);
       const [from, to] = CAMERAS[name].map((offset) =>
@@ -565,7 +549,7 @@ export class Stage {
       goal.visible =
         !this.following ||
         Math.abs(goal.position.x - this.camera.position.x) > 1.6 ||
-        Math.abs(this.camera.position.y) > FIELD.goalWidth;
+        Math.abs(this.camera.position.y) > this.field.goal.width_m;
   }
 
   /** Show a moment; `frame` may lie between two recorded ones. */

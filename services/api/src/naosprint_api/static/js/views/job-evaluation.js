@@ -218,8 +218,9 @@ export class EvaluationTab {
     );
     if (!recorded) return;
     try {
-      const lines = (await descriptions()).task(summary.task?.name)?.lines ?? [];
-      const paths = await Paths.load(recorded, lines, this.store.signal);
+      const known = await descriptions();
+      const lines = known.task(summary.task?.name)?.lines ?? [];
+      const paths = await Paths.load(recorded, known.field(summary.robot), lines, this.store.signal);
       if (!this.gone && this.pathBox === box) this.showPaths(paths);
     } catch (error) {
       if (error.name !== "AbortError") fill(box, notice("error", "The paths could not be read.", error.message));
@@ -238,11 +239,13 @@ export class EvaluationTab {
         Math.max(...[0, 0.25, 0.5, 0.75, 1].map((q) => Math.abs(e.y[Math.floor((e.samples - 1) * q)]))),
       ),
     );
-    this.half = Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5)));
+    const most = paths.ground.width_m / 2 + 0.5;
+    const near = Math.min(most, Math.max(3, Math.ceil(widest + 0.5)));
+    this.half = near;
     const whole = h("input", {
       type: "checkbox",
       onchange: () => {
-        this.half = whole.checked ? 10.5 : Math.min(10.5, Math.max(3, Math.ceil(widest + 0.5)));
+        this.half = whole.checked ? most : near;
         this.field.redraw();
       },
     });

@@ -1,6 +1,6 @@
 /** Play a recorded episode: the field in 3D, play, scrub, slow motion, cameras, foot forces. */
 
-import { call, request } from "../api.js";
+import { request } from "../api.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, icon, setText } from "../dom.js";
 import { fixed } from "../format.js";
@@ -37,19 +37,18 @@ export class Player {
   async #load(path, task, signal) {
     const { box } = this;
     try {
-      const [{ Recording, Stage }, response, known, robots] = await Promise.all([
+      const [{ Recording, Stage }, response, known] = await Promise.all([
         import("../replay3d.js"),
         request(path, { signal }),
         descriptions(),
-        call("robots", { signal }),
       ]);
       const text = await response.json();
-      const recording = new Recording(text, robots.find((r) => r.name === text.robot)?.front_axis);
+      const recording = new Recording(text, known.robot(text.robot)?.front_axis);
       if (this.gone) return;
       this.recording = recording;
       this.#controls();
       try {
-        this.stage = new Stage(this.view, recording, known.task(task)?.lines ?? []);
+        this.stage = new Stage(this.view, recording, known.field(text.robot), known.task(task)?.lines ?? []);
       } catch (error) {
         fill(
           box,
