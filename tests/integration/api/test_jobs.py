@@ -193,6 +193,8 @@ def test_filters_narrow_the_list(make_client: Callable[..., httpx.Client]) -> No
     assert ids(q="red_") == {red}
     assert ids(q="%") == {blue}, "wildcards are plain characters"
     assert ids(q=red[:20]) >= {red}
+    assert ids(q=red[-6:]) == {red}, "lists show the end of ids"
+    assert red in ids(q="sprint1") and red in ids(q="nao-0"), "task and robot"
     assert ids(owner="filters") == {red, blue}
 
 

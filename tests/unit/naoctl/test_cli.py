@@ -175,11 +175,24 @@ def test_list_filters_and_prints(server: Any, naoctl: Callable[..., Ran], job: J
     assert json.loads(naoctl("list", "--json").out) == [job()]
 
 
-@pytest.mark.parametrize("reference", ["first", "job_01m7y0", "last", "job_01m7y0yae5d2d9p46g58mkcxxh"])
+@pytest.mark.parametrize("reference", ["first", "job_01m7y0", "mkcxxh", "last", "job_01m7y0yae5d2d9p46g58mkcxxh"])
 def test_a_job_can_be_named_in_several_ways(server: Any, naoctl: Callable[..., Ran], job: Jobs, reference: str) -> None:
     server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
     server.on("GET", f"/jobs/{job()['id']}")(lambda request: request.json(job()))
     assert json.loads(naoctl("status", reference, "--json").out)["id"] == job()["id"]
+
+
+def test_a_list_is_sorted_by_any_column(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    jobs = [
+        job(name=name, latest_metrics=metrics) for name, metrics in (("a", {"x": 1.0}), ("b", {}), ("c", {"x": 3.0}))
+    ]
+    server.on("GET", "/jobs")(lambda request: request.json({"items": jobs, "next_cursor": None}))
+    ran = naoctl("list", "--sort", "-x", "--columns", "name,x")
+    assert [line.split() for line in ran.out.splitlines()] == [["Name", "x"], ["c", "3"], ["a", "1"], ["b", "-"]]
+    assert [one["name"] for one in json.loads(naoctl("list", "--sort", "x", "--json").out)] == ["a", "c", "b"]
+    for option in ("--sort", "--columns"):
+        ran = naoctl("list", option, "y")
+        assert ran.code == ExitCode.USAGE and "'y'" in ran.err
 
 
 def test_a_name_that_means_several_jobs_is_refused(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
@@ -101,7 +102,7 @@ def test_a_task_that_is_not_installed_here_is_described_by_the_service(job: Call
     descriptions = Descriptions(Service())  # type: ignore[arg-type]
     rows = [job(), of_service(job(), height_m=1.25, miss_rate=0.5)]
     text = shown(render.jobs_table(rows, descriptions))
-    assert "Height" in text and "1.25 m" in text
+    assert "height 1.25 m" in text
     assert "2.25 m" in text, "the metric of a task that is installed"
     assert [metric.name for metric in descriptions.shown(rows[1])] == ["reward", "height_m", "miss_rate", "steps_per_s"]
     unknown = {**job(), "spec": {"task": "of an older version"}}
@@ -134,17 +135,32 @@ def test_the_list_shows_what_matters(job: Callable[..., dict[str, Any]]) -> None
 
 
 @pytest.mark.parametrize("width", [64, 80, 90, 100, 120, 200])
-def test_the_list_fits_any_terminal_and_keeps_ids_and_states_whole(
+def test_the_list_fits_any_terminal_and_keeps_names_and_states_whole(
     job: Callable[..., dict[str, Any]], width: int
 ) -> None:
-    rows = [job(name="a long name of a job that goes on and on", state="evaluating", total_steps=200_000_000)]
+    rows = [job(name="t1-sprint-wide-s3", state="evaluating", total_steps=200_000_000)]
     text = shown(render.jobs_table(rows, Descriptions(), width), width=width)
-    assert "job_01m7y0yae5d2d9p46g58mkcxxh" in text
+    assert "cxxh" in text and ("job_01m7y0yae5d2d9p46g58mkcxxh" in text) == (width >= 130)
+    assert "t1-sprint-wide-s3" in text
     assert "evaluating" in text
     assert len(text.splitlines()) == 2
     assert max(len(line) for line in text.splitlines()) <= width
-    assert ("200,000,000" in text) == (width >= 100)
-    assert ("2.25 m" in text) == (width >= 78)
+    assert ("200,000,000" in text) == (width >= 110)
+    assert "2.25 m" in text
+
+
+def test_a_list_of_several_tasks_shows_the_results_of_each(job: Callable[..., dict[str, Any]]) -> None:
+    getup = job(spec={**job()["spec"], "task": {"name": "getup"}}, latest_metrics={"success_rate": 0.5})
+    text = shown(render.jobs_table([job(), getup], Descriptions(), 100), width=100)
+    assert "distance 2.25 m" in text
+    assert re.search(r"50\.0 ?%", text)
+
+
+def test_columns_are_fields_settings_and_metrics(job: Callable[..., dict[str, Any]]) -> None:
+    names = ["id", "robot", "algorithm.learning_rate", "distance_m", "unknown"]
+    lines = shown(render.chosen_table([job()], names)).splitlines()
+    assert lines[0].split() == ["ID", "Robot", *names[2:]]
+    assert lines[1].split() == [job()["id"], "nao-0", "0.0005", "2.25", "-"]
 
 
 def test_a_job_in_detail(job: Callable[..., dict[str, Any]]) -> None:

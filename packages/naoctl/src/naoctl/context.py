@@ -15,7 +15,7 @@ from rich.console import Console
 from naoctl.client import Client
 from naoctl.config import Target, resolve_target
 from naoctl.errors import CliError, ExitCode, InvalidInput
-from naoctl.render import make_console, print_json
+from naoctl.render import SHORT_ID, make_console, print_json
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 #: Reference to the newest job; no job can have this name.
@@ -66,7 +66,7 @@ def context_of(command: typer.Context) -> Context:
 
 
 def find_job(client: Client, reference: str) -> dict[str, Any]:
-    """Return a job by its id, the beginning of its id, its name, or ``last`` for the newest.
+    """Return a job by its id, the beginning or the last six characters of its id, its name, or ``last`` for the newest.
 
     Raises:
         CliError: if there is no such job, or more than one.
@@ -86,7 +86,7 @@ def find_job(client: Client, reference: str) -> dict[str, Any]:
     for job in client.pages("/jobs", limit=500, q=text):
         if job["name"] == text:
             named.append(job)
-        elif job["id"].startswith(text):
+        elif job["id"].startswith(text) or (len(text) >= SHORT_ID and job["id"].endswith(text)):
             begun.append(job)
     matches = named or begun
     if not matches:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from naoctl.descriptions import Descriptions, common, section_name, value_text
+from naoctl.descriptions import Descriptions, section_name, value_text
 from naoctl.evaluations import evaluated, headline, metric_text, shown_result
 
 if TYPE_CHECKING:
@@ -160,10 +160,27 @@ def percent(job: Json) -> float:
     return min(1.0, job.get("progress_step", 0) / total) if total else 0.0
 
 
-#: Columns of the list of jobs beside id, name, state and metrics: heading, least terminal width at which it is shown.
-LIST_COLUMNS = (("Done", 0), ("Steps", 100), ("Submitted", 90))
-#: Least terminal width at which the list of jobs shows its first, second and third metric.
-METRIC_WIDTHS = (78, 112, 126)
+#: Columns of the list of jobs by the name that ``--columns`` takes, beside settings and metrics.
+COLUMNS: dict[str, tuple[str, Callable[[Json], RenderableType]]] = {
+    "id": ("ID", lambda job: job["id"]),
+    "name": ("Name", lambda job: cell(job["name"])),
+    "state": ("State", lambda job: job_state(job)),
+    "done": ("Done", lambda job: f"{percent(job):.0%}"),
+    "steps": ("Steps", lambda job: f"{job['total_steps']:,}"),
+    "submitted": ("Submitted", lambda job: ago(job.get("created_at"))),
+    "task": ("Task", lambda job: cell(section_name(job["spec"], "task"))),
+    "robot": ("Robot", lambda job: cell(section_name(job["spec"], "robot"))),
+    "simulator": ("Simulator", lambda job: cell(section_name(job["spec"], "simulator"))),
+    "seed": ("Seed", lambda job: str(job["spec"].get("seed", MISSING))),
+    "owner": ("Owner", lambda job: cell(job["owner"])),
+    "priority": ("Priority", lambda job: str(job["priority"])),
+    "tags": ("Tags", lambda job: cell(" ".join(job["tags"]))),
+    "worker": ("Worker", lambda job: cell(job.get("worker") or MISSING)),
+}
+#: Characters at the end of an id by which the list of jobs names it; its beginning is the time, which neighbours share.
+SHORT_ID = 6
+#: Least widths of a terminal from which the list of jobs shows whole ids, times of submission and numbers of steps.
+WIDE, SUBMITTED_WIDTH, STEPS_WIDTH = 130, 95, 110
 
 
 def stall_text(work: Json) -> str:
@@ -172,31 +189,68 @@ def stall_text(work: Json) -> str:
 
 
 def jobs_table(jobs: Sequence[Json], descriptions: Descriptions, width: int = 200) -> Table:
-    """Return a table of jobs with as many columns as fit; the name is shortened first."""
+    """Return a table of jobs with as many columns as fit; only results are shortened."""
     table = listing()
-    table.add_column("ID", no_wrap=True, min_width=30)
-    table.add_column("Name", no_wrap=True, overflow="ellipsis", max_width=40)
+    table.add_column("ID", no_wrap=True, min_width=SHORT_ID)
+    table.add_column("Name", overflow="fold", min_width=8)
     table.add_column("State", no_wrap=True, min_width=10)
-    listed = common([descriptions.listed(job) for job in jobs])
-    metrics = [metric for metric, least in zip(listed, METRIC_WIDTHS, strict=False) if width >= least]
-    shown = [heading for heading, least in LIST_COLUMNS if width >= least]
-    headings = [*shown[:2], *(metric.title for metric in metrics), *shown[2:]]
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+    shown = ["done"]
+    shown += ["steps"] if width >= STEPS_WIDTH else []
+    shown += ["submitted"] if width >= SUBMITTED_WIDTH else []
+    for name in shown:
+        table.add_column(COLUMNS[name][0], justify="right", no_wrap=True)
+    table.add_column("Result", no_wrap=True, overflow="ellipsis")
     for job in jobs:
-        own = {metric.name for metric in descriptions.listed(job)}
-        cells = {
-            "Done": f"{percent(job):.0%}",
-            "Steps": f"{job['total_steps']:,}",
-            "Submitted": ago(job.get("created_at")),
-            **{metric.title: metric_text(job, metric) if metric.name in own else MISSING for metric in metrics},
-        }
-        # A table that is too wide would shrink all its columns; only the name may be shortened.
-        room = width - 30 - 10 - sum(max(len(heading), 11) + 2 for heading in headings) - 4
-        name = plain(job["name"])
-        short = name if len(name) <= max(room, 8) else name[: max(room, 8) - 1] + "…"
-        table.add_row(cell(job["id"]), cell(short), job_state(job), *(cells[heading] for heading in headings))
+        table.add_row(
+            job["id"] if width >= WIDE else job["id"][-SHORT_ID:],
+            cell(job["name"]),
+            job_state(job),
+            *(COLUMNS[name][1](job) for name in shown),
+            cell(", ".join(_results(job, descriptions)) or MISSING),
+        )
     return table
+
+
+def _results(job: Json, descriptions: Descriptions) -> Iterator[str]:
+    """Yield the metrics of a job that its own task lists, those that it has."""
+    for metric in descriptions.listed(job):
+        text = metric_text(job, metric)
+        if text != MISSING:
+            yield f"{metric.title if metric.title.isupper() else metric.title.lower()} {text}"
+
+
+def chosen_table(jobs: Sequence[Json], names: Sequence[str]) -> Table:
+    """Return a table of jobs with the columns of these names."""
+    table = listing()
+    for name in names:
+        table.add_column(COLUMNS[name][0] if name in COLUMNS else name, overflow="fold")
+    for job in jobs:
+        table.add_row(
+            *(COLUMNS[name][1](job) if name in COLUMNS else cell(_text(value_of(job, name))) for name in names)
+        )
+    return table
+
+
+def value_of(job: Json, name: str) -> Any:
+    """Return what a job has under a name: a field, a setting such as ``algorithm.gamma``, a result or a metric."""
+    if name == "done":
+        return percent(job)
+    if name in ("task", "robot", "simulator"):
+        return section_name(job["spec"], name)
+    value: Any = job["spec"]
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if value is not None:
+        return value
+    results = {item["name"]: item["value"] for item in (shown_result(job) or {}).get("results", ())}
+    fields = {"steps": job["total_steps"], "submitted": job.get("created_at")}
+    return fields.get(name, results.get(name, (job.get("latest_metrics") or {}).get(name, job.get(name))))
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return MISSING
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def listing(*headings: str) -> Table:

@@ -54,7 +54,10 @@ class JobFilter:
             statement = statement.where(
                 Job.name.icontains(self.text, autoescape=True)
                 | Job.id.startswith(self.text, autoescape=True)
-                | func.array_to_string(Job.tags, " ").icontains(self.text, autoescape=True),
+                | Job.id.endswith(self.text, autoescape=True)
+                | func.array_to_string(Job.tags, " ").icontains(self.text, autoescape=True)
+                | Job.spec["task"]["name"].astext.icontains(self.text, autoescape=True)
+                | Job.spec["robot"]["name"].astext.icontains(self.text, autoescape=True),
             )
         return statement
 

@@ -12,7 +12,18 @@ from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.render import MISSING, cell, job_details, jobs_table, listing, plain, state_text
+from naoctl.render import (
+    COLUMNS,
+    MISSING,
+    cell,
+    chosen_table,
+    job_details,
+    jobs_table,
+    listing,
+    plain,
+    state_text,
+    value_of,
+)
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
@@ -41,11 +52,23 @@ def list_jobs(
     owner: Annotated[str | None, typer.Option(help="Only this owner's.")] = None,
     group: Annotated[str | None, typer.Option(metavar="ID", help="Only those of this sweep.")] = None,
     query: Annotated[str | None, typer.Option("--query", "-q", help="Only those whose name contains this.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Columns to show: fields such as id, name, state, task, robot; settings such as algorithm.gamma; "
+            "results and metrics such as speed_mps.",
+        ),
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Sort by this column; -NAME sorts from high to low.")
+    ] = None,
     limit: Annotated[int, typer.Option("--limit", "-l", min=1, max=10_000, help="Most jobs to show.")] = 20,
     as_json: JsonFlag = False,
 ) -> None:
     """List jobs, the newest first."""
     context = context_of(ctx)
+    names = [name.strip() for name in (columns or "").split(",") if name.strip()]
     for word in state or []:
         if word not in STATES:
             raise InvalidInput(f"--state: unknown state {word!r}", fix=f"Choose from {', '.join(STATES)}.")
@@ -53,12 +76,23 @@ def list_jobs(
         jobs = list(
             client.pages("/jobs", limit=limit, state=state or None, tag=tag or None, owner=owner, group=group, q=query)
         )
-        table = None if as_json else jobs_table(jobs, Descriptions(client), context.out.width)
+        if sort:
+            jobs = sorted_jobs(jobs, sort)
+        unknown = [name for name in names if name not in COLUMNS and all(value_of(job, name) is None for job in jobs)]
+        if jobs and unknown:
+            raise InvalidInput(
+                f"--columns: none of these jobs has {unknown[0]!r}",
+                fix=f"Fields are {', '.join(COLUMNS)}; `naoctl spec` lists settings.",
+            )
+        if as_json:
+            table = None
+        else:
+            table = chosen_table(jobs, names) if names else jobs_table(jobs, Descriptions(client), context.out.width)
     if table is None:
         context.json(jobs)
     elif jobs:
         context.out.print(table)
-        if any(TRAINING_MARK in str(text) for column in table.columns[3:] for text in column.cells):
+        if any(TRAINING_MARK in str(text) for column in table.columns[-1:] for text in column.cells):
             context.note(TRAINING_NOTE)
         if len(jobs) == limit:
             context.note(f"The newest {limit}; --limit shows more.")
@@ -66,6 +100,25 @@ def list_jobs(
         context.note(
             "No jobs." if state or tag or owner or group or query else "No jobs yet. Submit one with `naoctl submit`."
         )
+
+
+def sorted_jobs(jobs: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Return jobs by a column, those without it last; a minus before the name reverses the order.
+
+    Raises:
+        InvalidInput: if no job has it.
+    """
+    key = name.removeprefix("-")
+    having = [job for job in jobs if value_of(job, key) is not None]
+    if jobs and not having:
+        raise InvalidInput(f"--sort: none of these jobs has {key!r}", fix="`naoctl spec` lists settings.")
+    numeric = all(isinstance(value_of(job, key), int | float) for job in having)
+    ordered = sorted(
+        having,
+        key=lambda job: value_of(job, key) if numeric else str(value_of(job, key)),
+        reverse=name.startswith("-"),
+    )
+    return ordered + [job for job in jobs if job not in having]
 
 
 def status(

@@ -50,6 +50,8 @@ SUBMIT = responses(401, 403, 409, 413, 422, 429, 503)
 
 Text200 = Annotated[str | None, Query(max_length=200, pattern=PLAIN)]
 
+_SEARCH = "Part of the name, of a tag, of the task's or the robot's name, or the beginning or end of the id."
+
 
 def job_filter(
     principal: Reader,
@@ -62,7 +64,11 @@ def job_filter(
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
         str | None,
-        Query(max_length=200, pattern=PLAIN, description="Part of the name or of a tag, or the beginning of the id."),
+        Query(
+            max_length=200,
+            pattern=PLAIN,
+            description=_SEARCH,
+        ),
     ] = None,
 ) -> queries.JobFilter:
     """Return the filter of a query, restricted to the jobs that the token may see."""
@@ -156,7 +162,11 @@ def list_jobs(
     parent: Annotated[str | None, Query(pattern=PATTERN, description="Jobs that start from this job's policy.")] = None,
     q: Annotated[
         str | None,
-        Query(max_length=200, pattern=PLAIN, description="Part of the name or of a tag, or the beginning of the id."),
+        Query(
+            max_length=200,
+            pattern=PLAIN,
+            description=_SEARCH,
+        ),
     ] = None,
     limit: PageLimit = 50,
     cursor: Cursor = None,
