@@ -42,7 +42,7 @@ def test_flags_become_a_search() -> None:
         (["gamma=a..b"], [], "is not LOW..HIGH"),
         (["gamma=0.9..0.99:cubic"], [], "unknown scale 'cubic'"),
         (["gamma=0.9..0.99", "gamma=1|2"], [], "given twice"),
-        (["gamma=0.99..0.9"], [], "space.gamma: high: expected more than low"),
+        (["gamma=0.99..0.9"], [], "space.gamma: high: expected a number above low"),
         (["gamma=0..1:log"], [], "needs a positive lower end"),
         (["gamma=0.9..0.99"], ["speed_mps:up"], "neither :max nor :min"),
         (["gamma=0.9..0.99"], ["speed_mps", "speed_mps"], "given twice"),
