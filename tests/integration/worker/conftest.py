@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, TypeVar
@@ -138,13 +138,13 @@ def _die_with_parent() -> None:
 
 
 class WorkerProcess:
-    """A real worker: ``python -m naosprint_worker``."""
+    """A real worker: ``python -m naosprint_worker``, which may be run by other commands."""
 
-    def __init__(self, environment: Mapping[str, str], log: Path) -> None:
+    def __init__(self, environment: Mapping[str, str], log: Path, through: Sequence[str] = ()) -> None:
         self._log = log
         with log.open("ab") as file:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "naosprint_worker"],
+                [*through, sys.executable, "-m", "naosprint_worker"],
                 env=dict(environment),
                 stdin=subprocess.DEVNULL,
                 stdout=file,
@@ -204,10 +204,10 @@ class Service:
         self.notifier = Notifier(self.celery)
         self.workers: list[WorkerProcess] = []
 
-    def start_worker(self, **environment: str) -> WorkerProcess:
-        """Start a worker without waiting until it is ready."""
+    def start_worker(self, *through: str, **environment: str) -> WorkerProcess:
+        """Start a worker, as the program that the command ``through`` runs, without waiting until it is ready."""
         log = self.folder / f"worker-{len(self.workers)}.log"
-        worker = WorkerProcess({**self.environment, **environment}, log)
+        worker = WorkerProcess({**self.environment, **environment}, log, through)
         self.workers.append(worker)
         return worker
 

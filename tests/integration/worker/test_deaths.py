@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import psutil
+import pytest
 from naojobs import lifecycle, registry
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
+from naospec.processes import ProcessIdentity
+from naosprint_worker.orphans import FOLDER_VARIABLE, OWNER_VARIABLE
 from sqlalchemy import select
 
 from .conftest import ROLLOUT, Service, WorkerProcess
@@ -34,6 +42,27 @@ def assert_resumed_and_whole(service: Service, job_id: str, steps: int) -> None:
     assert [row.step for row in rows] == list(range(ROLLOUT, steps + 1, ROLLOUT))
     assert [row.attempt for row in rows] == sorted(row.attempt for row in rows)
     assert service.job(job_id).error is None
+
+
+@contextlib.contextmanager
+def sleeping(environment: Mapping[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a process that only waits."""
+    with subprocess.Popen(["sleep", "600"], env={**os.environ, **environment}) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def step_clock(worker: WorkerProcess, folder: Path, seconds: int) -> None:
+    """Set the clock for a worker in a mount namespace: the boot time that the kernel gives moves with it."""
+    text = Path("/proc/stat").read_text(encoding="ascii")
+    (line,) = (line for line in text.splitlines() if line.startswith("btime"))
+    fake = folder / "stat"
+    fake.write_text(text.replace(line, f"btime {int(line.split()[1]) + seconds}"), encoding="ascii")
+    account = ["--user", "--preserve-credentials"] if os.geteuid() else []
+    inside = ["nsenter", "--target", str(worker.pid), "--mount", *account]
+    subprocess.run([*inside, "mount", "--bind", str(fake), "/proc/stat"], check=True)
 
 
 def wait_gone(process: psutil.Process) -> None:
@@ -124,6 +153,33 @@ def test_worker_killed_between_the_evaluation_and_the_end(service: Service, work
     assert (only.id, only.key, only.finished_at) == (first.id, first.key, first.finished_at)
     assert service.kinds(job_id).count("evaluation") == 1
     assert_resumed_and_whole(service, job_id, steps)
+
+
+def test_a_step_of_the_clock_ends_no_training(service: Service) -> None:
+    """The worker neither takes its own training for one of a dead worker, nor that of another service."""
+    unshare = ["unshare", "--mount", *(["--map-root-user"] if os.geteuid() else [])]
+    if subprocess.run([*unshare, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("the clock can be set for one process only where it may have namespaces")
+    worker = service.start_worker(*unshare, NAOSPRINT_WORKER_ORPHAN_GRACE_S="0")
+    gone = replace(ProcessIdentity.current(), ticks=1)  # seen from the worker
+    marks = {OWNER_VARIABLE: str(gone), FOLDER_VARIABLE: str(service.settings.worker_dir.resolve())}
+    with sleeping(marks) as orphan, sleeping({**marks, FOLDER_VARIABLE: "/another"}) as stranger:
+        job_id = start_job(service)
+        service.until(lambda: orphan.poll() is not None, what="for the end of the orphan")
+        step_clock(worker, service.folder, 2)
+        with sleeping(marks) as later:
+            # The worker ends it once it has seen it for longer than its own training needed to be taken for an orphan.
+            service.until(lambda: later.poll() is not None, what="for the end of a later orphan")
+        assert stranger.poll() is None
+    steps = service.shorten(job_id)
+    assert service.job(job_id).attempt == 1, service.report()
+    lifecycle.request_pause(service.sessions, job_id)
+    service.until_state(job_id, WorkState.PAUSED)
+    lifecycle.resume(service.sessions, job_id)
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    assert_resumed_and_whole(service, job_id, steps)
+    assert worker.terminate() == 0
+    assert "whose worker is gone" in worker.output()
 
 
 def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:

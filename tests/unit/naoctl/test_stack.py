@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import shlex
+import shutil
 import signal
 import socket
 import stat
@@ -13,6 +15,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -106,9 +109,16 @@ def test_passwords_are_made_once_and_kept_private(layout: Layout) -> None:
         read_secrets(layout)
 
 
+def record_of(name: str, pid: int) -> ProcessRecord:
+    """Return the record of a running process."""
+    record = ProcessRecord.of(name, pid)
+    assert record is not None
+    return record
+
+
 def test_state_survives_a_round_trip(layout: Layout) -> None:
     assert StackState.load(layout) is None
-    own = ProcessRecord.of("api", os.getpid())
+    own = record_of("api", os.getpid())
     state = StackState("abc", 8000, 6000, ready=True, supervisor=own, processes={"api": own})
     state.save(layout)
     assert StackState.load(layout) == state
@@ -118,9 +128,43 @@ def test_state_survives_a_round_trip(layout: Layout) -> None:
 
 
 def test_a_pid_that_is_used_again_is_not_mistaken() -> None:
-    own = ProcessRecord.of("x", os.getpid())
+    own = record_of("x", os.getpid())
     assert own.process() is not None
-    assert ProcessRecord("x", own.pid, own.started_at - 5).process() is None
+    for other in (replace(own.identity, ticks=own.identity.ticks - 1), replace(own.identity, boot="another")):
+        assert ProcessRecord("x", other).process() is None
+
+
+def test_a_copied_folder_is_a_stack_of_its_own(
+    layout: Layout, tmp_path: Path, sleeper: Callable[..., subprocess.Popen[bytes]]
+) -> None:
+    marked, recorded = sleeper(**{MARK: "original"}), sleeper()
+    StackState("original", 8000, 6000, processes={"api": record_of("api", recorded.pid)}).save(layout)
+    copied = Layout.at(shutil.copytree(layout.root, tmp_path / "copy"))
+    state = StackState.load(copied)
+    assert state is not None
+    assert (state.api_port, state.broker_port) == (8000, 6000)
+    assert clear_leftovers(state, grace_s=5.0) == 0
+    assert marked.poll() is recorded.poll() is None
+    original = StackState.load(layout)
+    assert original is not None
+    assert clear_leftovers(original, grace_s=5.0) == 2
+
+
+def test_state_of_an_earlier_version_is_read(layout: Layout) -> None:
+    old = {"name": "api", "pid": 1, "started_at": 1.5}
+    layout.state.write_text(
+        json.dumps(
+            {
+                "stack_id": "abc",
+                "api_port": 1,
+                "broker_port": 2,
+                "ready": False,
+                "supervisor": None,
+                "processes": {"api": old},
+            }
+        )
+    )
+    assert StackState.load(layout) == StackState("abc", 1, 2)
 
 
 def test_the_folder_lock_ends_with_its_process(layout: Layout) -> None:
@@ -222,8 +266,8 @@ def test_leftovers_are_cleared_only_if_they_are_provably_ours(sleeper: Callable[
     state = StackState(
         "left",
         processes={
-            "worker": ProcessRecord.of("worker", recorded.pid),
-            "api": ProcessRecord("api", reused.pid, time.time() - 1000),
+            "worker": record_of("worker", recorded.pid),
+            "api": ProcessRecord("api", replace(record_of("api", reused.pid).identity, ticks=1)),
         },
     )
     assert clear_leftovers(state, grace_s=5.0) == 2

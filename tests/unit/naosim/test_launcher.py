@@ -11,6 +11,7 @@ from naosim.launchers import PortLease, ProcessLauncher, docker
 from naosim.launchers.docker import ContainerSettings, container_options, is_orphan, owner_labels
 from naosim.launchers.server import ServerProgram
 from naosim.simspark.program import RCSSSERVER3D, SERVER_SCRIPT
+from naospec.processes import start_ticks
 
 
 def test_leases_never_share_a_port() -> None:
@@ -79,7 +80,7 @@ def test_only_a_container_whose_owner_is_provably_dead_is_an_orphan() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
         theirs = labels | {
             docker.OWNER_PID: str(process.pid),
-            docker.OWNER_START: docker.process_start(process.pid) or "",
+            docker.OWNER_START: str(start_ticks(process.pid)),
         }
         assert not is_orphan(theirs)
         process.communicate(b"\n")

@@ -6,28 +6,42 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from naosprint_worker.orphans import OWNER_VARIABLE, OrphanSweeper, Owner
+from naospec.processes import ProcessIdentity
+from naosprint_worker.orphans import OWNER_VARIABLE, OrphanSweeper, child_marks
+
+FOLDER = Path("/work of this test")
 
 
-@pytest.fixture
-def dead_owner() -> Owner:
-    """The identity of a process that has ended."""
-    process = subprocess.Popen([sys.executable, "-c", "pass"])
-    process.wait()
-    return Owner(Owner.current().namespace, process.pid, Owner.current().started)
+def dead_owner() -> ProcessIdentity:
+    """Return the identity of a process that has ended."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        identity = ProcessIdentity.of(process.pid)
+        process.communicate(b"\n")
+    assert identity is not None
+    return identity
+
+
+def elsewhere() -> ProcessIdentity:
+    """Return an owner in another process-id namespace, which cannot be checked here."""
+    return replace(dead_owner(), place="host pid:[1]")
+
+
+def own_number() -> ProcessIdentity:
+    """Return another process that had this one's number."""
+    return replace(ProcessIdentity.current(), ticks=1)
 
 
 @pytest.fixture
 def sleeper(request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[bytes]]:
-    """A process whose environment contains the owner given as parameter by fixture name, or another text."""
-    mark = request.param if isinstance(request.param, str) else str(request.param())
-    if mark == "dead_owner":
-        mark = str(request.getfixturevalue("dead_owner"))
+    """A process whose environment contains the owner given as parameter, and the folder of the service."""
+    owner, folder = request.param
     process = subprocess.Popen(
         [sys.executable, "-c", "print(flush=True); import time; time.sleep(600)"],
-        env={**os.environ, OWNER_VARIABLE: mark},
+        env={**os.environ, **child_marks(folder), OWNER_VARIABLE: owner if isinstance(owner, str) else str(owner())},
         stdout=subprocess.PIPE,
     )
     assert process.stdout is not None
@@ -38,36 +52,31 @@ def sleeper(request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[bytes]]
     process.stdout.close()
 
 
-def elsewhere() -> Owner:
-    """Return an owner in another process-id namespace, which cannot be checked here."""
-    return Owner("pid:[1]", 2**22, 1.0)
-
-
-@pytest.mark.parametrize("sleeper", ["dead_owner"], indirect=True)
+@pytest.mark.parametrize("sleeper", [(dead_owner, FOLDER)], indirect=True)
 def test_child_of_a_dead_worker_is_ended(sleeper: subprocess.Popen[bytes]) -> None:
-    assert sleeper.pid in OrphanSweeper(grace_s=0).sweep()
+    assert sleeper.pid in OrphanSweeper(FOLDER, grace_s=0).sweep()
     assert sleeper.wait(20) < 0
 
 
-@pytest.mark.parametrize("sleeper", ["dead_owner"], indirect=True)
+@pytest.mark.parametrize("sleeper", [(dead_owner, FOLDER)], indirect=True)
 def test_an_orphan_has_time_to_end_by_itself(sleeper: subprocess.Popen[bytes]) -> None:
-    sweeper = OrphanSweeper(grace_s=3600)
+    sweeper = OrphanSweeper(FOLDER, grace_s=3600)
     assert sweeper.sweep() == sweeper.sweep() == []
     assert sleeper.poll() is None
 
 
-@pytest.mark.parametrize("sleeper", [Owner.current, elsewhere, "nonsense", ""], indirect=True)
+@pytest.mark.parametrize(
+    "sleeper",
+    [
+        (ProcessIdentity.current, FOLDER),
+        (own_number, FOLDER),
+        (elsewhere, FOLDER),
+        ("nonsense", FOLDER),
+        ("", FOLDER),
+        (dead_owner, Path("/work of another service")),
+    ],
+    indirect=True,
+)
 def test_what_is_not_provably_an_orphan_is_left_alone(sleeper: subprocess.Popen[bytes]) -> None:
-    assert sleeper.pid not in OrphanSweeper(grace_s=0).sweep()
+    assert sleeper.pid not in OrphanSweeper(FOLDER, grace_s=0).sweep()
     assert sleeper.poll() is None
-
-
-def test_identity_survives_the_environment() -> None:
-    owner = Owner.current()
-    assert Owner.parse(str(owner)) == owner
-    assert owner.alive()
-
-
-def test_a_reused_process_id_is_not_the_same_worker() -> None:
-    owner = Owner.current()
-    assert not Owner(owner.namespace, owner.pid, owner.started - 60).alive()

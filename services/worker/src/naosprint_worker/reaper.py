@@ -62,7 +62,7 @@ class Reaper:
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._orphans = OrphanSweeper(grace_s=context.settings.worker_orphan_grace_s + 5)
+        self._orphans = OrphanSweeper(context.settings.worker_dir, grace_s=context.settings.worker_orphan_grace_s + 5)
         self.lost = LostWork(context.sessions, context.settings.lease_s)
 
     def sweep(self) -> None:

@@ -25,7 +25,7 @@ from naosprint_worker.child import Child
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.memory import MIB, Share
-from naosprint_worker.orphans import OWNER_VARIABLE, Owner
+from naosprint_worker.orphans import child_marks
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.supervisor import Ending, Intent, Supervisor
@@ -113,7 +113,7 @@ class Run:
                 **os.environ,
                 "PYTHONFAULTHANDLER": "1",
                 "PYTHONUNBUFFERED": "1",
-                OWNER_VARIABLE: str(Owner.current()),
+                **child_marks(settings.worker_dir),
                 **settings.server_environment,
                 LABELS_VARIABLE: f"job={self._lease.id},attempt={self._lease.attempt}",
             },

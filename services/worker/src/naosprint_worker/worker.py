@@ -17,6 +17,7 @@ from naojobs import lifecycle, registry, retention
 from naojobs.database import make_sessions
 from naojobs.models import Evaluation, Job, WorkKind
 from naojobs.store import ArtifactStore, StoreError
+from naospec.processes import ProcessIdentity
 from sqlalchemy import Engine
 
 from naosprint_worker import __version__, spool
@@ -24,7 +25,6 @@ from naosprint_worker.capabilities import installed_capabilities
 from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.memory import MIB, MemoryBudget
-from naosprint_worker.orphans import Owner
 from naosprint_worker.reaper import Reaper
 from naosprint_worker.retry import describe
 from naosprint_worker.runs import Run
@@ -46,9 +46,9 @@ class Worker:
     def __init__(self, settings: WorkerSettings) -> None:
         """Prepare; nothing is started or written yet."""
         self._settings = settings
-        owner = Owner.current()
+        identity = ProcessIdentity.current()
         self._host = socket.gethostname()
-        self.id = f"{self._host}:{owner.pid}:{int(owner.started * 1000):x}"
+        self.id = f"{self._host}:{identity.pid}:{identity.boot[:8]}{identity.ticks:x}"
         self._engine: Engine = open_engine(
             settings, pool_size=settings.worker_concurrency + 4, application_name="naosprint-worker"
         )
@@ -77,7 +77,7 @@ class Worker:
         settings = self._settings
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
-        (self._context.folder / OWNER_FILE).write_text(str(Owner.current()), encoding="utf-8")
+        (self._context.folder / OWNER_FILE).write_text(str(ProcessIdentity.current()), encoding="utf-8")
         for name, period_s, duty, wake in (
             ("beat", settings.heartbeat_s, self._beat, self._stopping),
             ("reap", settings.worker_reap_s, self._reaper.sweep, self._stopping),
@@ -251,9 +251,8 @@ class Worker:
 
 def _remove_left_folders(parent: Path) -> None:
     """Remove the working folders of workers that no longer exist on this machine."""
-    here = Owner.current().namespace
     for mark in parent.glob(f"*/{OWNER_FILE}"):
         with contextlib.suppress(OSError):
-            owner = Owner.parse(mark.read_text(encoding="utf-8"))
-            if owner is not None and owner.namespace == here and not owner.alive():
+            owner = ProcessIdentity.parse(mark.read_text(encoding="utf-8"))
+            if owner is not None and owner.is_gone():
                 shutil.rmtree(mark.parent, ignore_errors=True)

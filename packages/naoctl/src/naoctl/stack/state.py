@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import psutil
+from naospec.processes import ProcessIdentity
 
 from naoctl.config import write_private
 from naoctl.errors import StackError
@@ -19,31 +20,39 @@ from naoctl.stack.layout import Layout
 
 #: Environment variable that marks every process of a stack, and its descendants, with the stack's id.
 MARK = "NAOSPRINT_STACK_ID"
-#: Start times closer than this many seconds are the same: they come from the same clock, printed and read back.
-SAME_TIME_S = 0.05
 
 
 @dataclass(frozen=True)
 class ProcessRecord:
-    """Identity of a process: its pid and its start time, since a pid alone is used again."""
+    """Process of the stack: its name, and its identity, since a pid alone is used again."""
 
     name: str
-    pid: int
-    started_at: float
+    identity: ProcessIdentity
 
     @classmethod
-    def of(cls, name: str, pid: int) -> Self:
-        """Return the record of a living process."""
-        return cls(name, pid, psutil.Process(pid).create_time())
+    def of(cls, name: str, pid: int) -> Self | None:
+        """Return the record of a process; None if it has ended."""
+        identity = ProcessIdentity.of(pid)
+        return None if identity is None else cls(name, identity)
+
+    @classmethod
+    def load(cls, data: dict[str, Any]) -> Self | None:
+        """Return the record made by ``asdict``; None for one with a start time, as versions up to 0.1 wrote."""
+        if "identity" not in data:
+            return None
+        return cls(data["name"], ProcessIdentity(**data["identity"]))
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.identity.pid
 
     def process(self) -> psutil.Process | None:
         """Return the process if it is still the one recorded and no zombie."""
-        try:
+        with contextlib.suppress(psutil.Error, OSError):
             process = psutil.Process(self.pid)
-            same = abs(process.create_time() - self.started_at) < SAME_TIME_S
-            return process if same and process.status() != psutil.STATUS_ZOMBIE else None
-        except psutil.Error:
-            return None
+            return process if self.identity.runs() else None
+        return None
 
 
 @dataclass
@@ -66,6 +75,8 @@ class StackState:
     def load(cls, layout: Layout) -> StackState | None:
         """Read the state of a folder, or return None if no stack was ever started there.
 
+        A copy of a data folder is a stack of its own: the processes in its file belong to the original.
+
         Raises:
             StackError: when the file is damaged.
         """
@@ -76,19 +87,21 @@ class StackState:
         except (OSError, ValueError) as error:
             raise StackError(f"{layout.state} is damaged ({error})", fix="Remove that file; data stays.") from None
         try:
-            supervisor = data.pop("supervisor")
-            processes = data.pop("processes")
+            supervisor, processes = data.pop("supervisor"), data.pop("processes")
+            if data.pop("folder", str(layout.root)) != str(layout.root) and not is_locked(layout):
+                return cls(api_port=data["api_port"], broker_port=data["broker_port"])
+            records = {name: ProcessRecord.load(record) for name, record in processes.items()}
             return cls(
                 **data,
-                supervisor=ProcessRecord(**supervisor) if supervisor else None,
-                processes={name: ProcessRecord(**record) for name, record in processes.items()},
+                supervisor=ProcessRecord.load(supervisor) if supervisor else None,
+                processes={name: record for name, record in records.items() if record is not None},
             )
         except (KeyError, TypeError, AttributeError):
             raise StackError(f"{layout.state} is damaged", fix="Remove that file; data stays.") from None
 
     def save(self, layout: Layout) -> None:
         """Write the state, whole or not at all."""
-        write_private(layout.state, json.dumps(asdict(self), indent=2) + "\n")
+        write_private(layout.state, json.dumps({**asdict(self), "folder": str(layout.root)}, indent=2) + "\n")
 
 
 class FolderLock:

@@ -269,8 +269,8 @@ class Supervisor:
 
     def _start_child(self, child: Child) -> None:
         child.start()
-        assert child.record is not None
-        self.state.processes[child.program.name] = child.record
+        if child.record is not None:  # else it has ended already
+            self.state.processes[child.program.name] = child.record
         self.state.save(self.layout)
 
     def _await_ready(self, *names: str) -> None:
@@ -454,8 +454,8 @@ def running_already(layout: Layout) -> StackError:
 def clear_leftovers(state: StackState, *, grace_s: float = LEFTOVER_GRACE_S) -> int:
     """Stop the remaining processes of a stack whose supervisor is gone; return their number.
 
-    Only processes that are provably the stack's are touched: those it recorded with their start times, and those that
-    carry its id in their environment. Trainings end by themselves once their worker is dead, after a last checkpoint.
+    Only processes that are provably the stack's are touched: those it recorded with their identities, and those that
+    have its id in their environment. Trainings end by themselves once their worker is dead, after a last checkpoint.
     """
     found = {process.pid: process for process in marked_processes(state.stack_id)}
     signals = {}

@@ -18,8 +18,9 @@ import socket
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
+
+from naospec.processes import boot_id, start_ticks
 
 from naosim.launchers.server import Address, LauncherUnavailableError, ServerHandle, ServerProgram
 
@@ -55,23 +56,12 @@ class ContainerSettings:
 
 def owner_labels() -> dict[str, str]:
     """Return labels that identify this process."""
-    return {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: process_start(os.getpid()) or ""}
+    return {OWNER_HOST: host_name(), OWNER_PID: str(os.getpid()), OWNER_START: str(start_ticks(os.getpid()) or "")}
 
 
 def host_name() -> str:
     """Return a name of this host or container that stays the same until its next start."""
-    with contextlib.suppress(OSError):
-        return f"{socket.gethostname()}/{Path('/proc/sys/kernel/random/boot_id').read_text().strip()}"
-    return socket.gethostname()
-
-
-def process_start(pid: int) -> str | None:
-    """Return when a process started, in clock ticks since boot, or None if there is none."""
-    try:
-        # the name in brackets may hold anything, so count from its end
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19]
-    except (OSError, IndexError):
-        return None
+    return f"{socket.gethostname()}/{boot_id()}"
 
 
 def is_orphan(labels: Mapping[str, str]) -> bool:
@@ -79,7 +69,7 @@ def is_orphan(labels: Mapping[str, str]) -> bool:
     if labels.get(OWNER_HOST) != host_name():
         return False
     pid, start = labels.get(OWNER_PID, ""), labels.get(OWNER_START, "")
-    return pid.isdecimal() and bool(start) and process_start(int(pid)) != start
+    return pid.isdecimal() and start.isdecimal() and start_ticks(int(pid)) != int(start)
 
 
 def container_options(program: ServerProgram, settings: ContainerSettings) -> dict[str, Any]:
@@ -156,7 +146,7 @@ def remove_orphans(api: Any = None, min_age_s: float = 30.0) -> int:
     try:
         with engine_errors():
             for one in api.containers(all=True, filters={"label": f"{LABEL}=1"}):
-                if is_orphan(one["Labels"]) and time.time() - one["Created"] >= min_age_s:
+                if is_orphan(one["Labels"]) and abs(time.time() - one["Created"]) >= min_age_s:
                     api.remove_container(one["Id"], force=True, v=True)
                     logger.info("removed orphaned container %s", one["Id"][:12])
                     removed += 1
