@@ -10,8 +10,8 @@
 namespace naosim::protocol {
 
 MujocoExchange::MujocoExchange(int n, const std::vector<std::string>& perceptors, const std::vector<std::string>& effectors,
-                               const std::vector<double>& kp, const std::vector<double>& kd)
-    : Exchange(n), joints_(perceptors.size()), names_(perceptors), robots_(static_cast<std::size_t>(n)) {
+                               const std::vector<double>& kp, const std::vector<double>& kd, bool ball)
+    : Exchange(n), joints_(perceptors.size()), sees_ball_(ball), names_(perceptors), robots_(static_cast<std::size_t>(n)) {
   for (std::size_t j = 0; j < joints_; ++j) {
     index_.emplace(names_[j], static_cast<int>(j));
     heads_.push_back("(" + effectors[j] + " ");
@@ -24,6 +24,7 @@ MujocoExchange::MujocoExchange(int n, const std::vector<std::string>& perceptors
   joint_speeds.assign(rows * joints_, 0.0);
   torso_quat.assign(rows * 4, 0.0);
   for (auto* triple : {&torso_pos, &gyro, &accel}) triple->assign(rows * 3, 0.0);
+  this->ball.assign(rows * 3, std::numeric_limits<double>::quiet_NaN());
   time.assign(rows, 0.0);
   rotation.assign(rows * 9, 0.0);
   for (int row = 0; row < n; ++row) clear(row);
@@ -72,6 +73,7 @@ std::string MujocoExchange::read(int row, bool, std::string_view text) {
     }
     return true;
   };
+  for (std::size_t k = 0; k < 3; ++k) ball[3 * r + k] = std::numeric_limits<double>::quiet_NaN();
   while (!cursor.done()) {
     if (!cursor.enter(tag)) return wrong("an expression");
     if (tag == "HJ") {
@@ -104,6 +106,11 @@ std::string MujocoExchange::read(int row, bool, std::string_view text) {
       if (!numbers("rt", &gyro[3 * r], 3)) return wrong("GYR");
     } else if (tag == "ACC") {
       if (!numbers("a", &accel[3 * r], 3)) return wrong("ACC");
+    } else if (tag == "See" && sees_ball_) {
+      while (cursor.enter(field)) {
+        if (field == "B" && !(cursor.enter(word) && cursor.numbers(&ball[3 * r], 3) && cursor.leave())) return wrong("See");
+        if (!cursor.leave()) return wrong("See");
+      }
     } else if (tag == "GS") {
       while (cursor.enter(field)) {
         if (field == "pm" && cursor.atom(word)) robot.play_mode.assign(word);

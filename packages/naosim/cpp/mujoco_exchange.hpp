@@ -10,15 +10,15 @@ namespace naosim::protocol {
 
 class MujocoExchange final : public Exchange {
  public:
-  // Names of joint perceptors and of effectors, and motor gains, one a joint.
+  // Names of joint perceptors and of effectors, and motor gains, one a joint; whether to read where the ball is seen.
   MujocoExchange(int n, const std::vector<std::string>& perceptors, const std::vector<std::string>& effectors, const std::vector<double>& kp,
-                 const std::vector<double>& kd);
+                 const std::vector<double>& kd, bool ball);
   std::size_t joint_count() const { return joints_; }
   // Text that precedes the row's next command, for example a beam.
   void prepend(int row, std::string_view text) { robots_[row].ahead = text; }
   const std::string& play_mode(int row) const { return robots_[row].play_mode; }
 
-  std::vector<double> joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, time, rotation;
+  std::vector<double> joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, ball, time, rotation;
 
  private:
   struct Robot {
@@ -31,6 +31,7 @@ class MujocoExchange final : public Exchange {
   std::string read(int row, bool monitor, std::string_view text) override;
   std::string lacking(int row) const override;
   std::size_t joints_;
+  bool sees_ball_;
   std::vector<std::string> names_, heads_, tails_;  // of the perceptors; of a command before and behind the angle
   std::unordered_map<std::string_view, int> index_;
   std::vector<Robot> robots_;

@@ -37,8 +37,13 @@ namespace {
 using Step = void (*)(const void* model, void* data);
 using SetState = void (*)(const void* model, void* data, const double* state, int signature);
 using GetState = void (*)(const void* model, const void* data, double* state, int signature);
+using Compute = void (*)(const void* model, void* data);  // mj_kinematics, mj_comPos, mj_comVel
+using Velocity = void (*)(const void* model, const void* data, int type, int body, double* result, int local);
+constexpr int kTime = 1, kBody = 2;  // mjSTATE_TIME, mjOBJ_XBODY
 
 constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
+constexpr double kStep = 0.02;                               // s
+constexpr double kView = 60.0;                               // deg; limit of azimuth and elevation to all sides
 constexpr double kSliding = 0.1;                             // rad/s; joint friction is proportional to slower speeds
 
 // By default the library writes warnings to a file in the working directory. Here each world keeps its last one.
@@ -61,12 +66,15 @@ T* pointer(std::uint64_t address) {
 }
 
 // Where things are in qpos, ctrl and sensordata. Sensors: torso quaternion, position, gyro, accelerometer, J angles, J speeds,
-// force on the left foot, on the right foot. Actuators of joint j: motor 3 j, position 3 j + 1, velocity 3 j + 2.
+// force on the left foot, on the right foot; with a ball: whether each part touches it, its place in the camera's frame. Actuators
+// of joint j: motor 3 j, position 3 j + 1, velocity 3 j + 2.
 struct Layout {
   int joints, positions, torso, state, signature;
-  int sensors() const { return 13 + 2 * joints + 6; }
+  int parts;  // whose contact with the ball is noted; 0 without a ball
+  int sensors() const { return touching() + (parts ? parts + 3 : 0); }
   int foot_forces() const { return 13 + 2 * joints; }
-  int row() const { return state + sensors() + joints; }
+  int touching() const { return 13 + 2 * joints + 6; }
+  int row() const { return state + sensors() + parts + joints; }
 };
 
 struct World {
@@ -74,24 +82,32 @@ struct World {
   void* data;
   double *ctrl, *sensordata, *qpos;
   double *joint_speeds, *joint_torques;  // the joints' part of qvel and qfrc_applied
+  double *xpos, *xmat;                   // of all bodies
 };
 
 class Worlds {
  public:
   Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
          const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds, const Addresses& torques,
-         const Doubles& friction, int substeps, int delay, bool truncate, int threads)
+         const Addresses& xpos, const Addresses& xmat, const Doubles& friction, const std::vector<int>& bodies, int substeps,
+         int delay, bool truncate, int threads)
       : step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
         get_state_(pointer_to<GetState>(functions["mj_getState"])),
+        kinematics_(pointer_to<Compute>(functions["mj_kinematics"])),
+        centres_(pointer_to<Compute>(functions["mj_comPos"])),
+        velocities_(pointer_to<Compute>(functions["mj_comVel"])),
+        velocity_of_(pointer_to<Velocity>(functions["mj_objectVelocity"])),
         layout_(layout),
         substeps_(substeps),
         delay_(delay),
         truncate_(truncate),
+        bodies_(bodies),
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
       worlds_.push_back({pointer<const void>(model), pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
-                         pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]), pointer<double>(torques.data()[k])});
+                         pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]), pointer<double>(torques.data()[k]),
+                         pointer<double>(xpos.data()[k]), pointer<double>(xmat.data()[k])});
     friction_.assign(friction.data(), friction.data() + friction.size());
     const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
     pending.assign(n * joints, 0.0);
@@ -101,6 +117,10 @@ class Worlds {
     for (auto* triple : {&torso_pos, &gyro, &accel, &position}) triple->assign(n * 3, 0.0);
     rotation.assign(n * 9, 0.0);
     foot_frames.assign(n * 2 * static_cast<std::size_t>(substeps), 0.0);
+    for (auto* triple : {&body_position, &body_velocity, &body_spin}) triple->assign(bodies_.size() * n * 3, 0.0);
+    body_rotation.assign(bodies_.size() * n * 9, 0.0);
+    contacts.assign(static_cast<std::size_t>(layout.parts) * n, 0.0);
+    ball.assign(layout.parts ? 3 * n : 0, 0.0);
     diverged.assign(n, 0);
     warnings.resize(n);
     *pointer<void (*)(const char*)>(nb::cast<std::uint64_t>(functions["mju_user_warning"])) = note_warning;
@@ -140,13 +160,15 @@ class Worlds {
     cycle.running = false;
   }
 
-  // One row of a snapshot: integration state, sensordata, pending command.
+  // One row of a snapshot: integration state, sensordata, contacts with the ball, pending command.
   void save(int row, double* out) const {
     const World& world = worlds_[row];
     get_state_(world.model, world.data, out, layout_.signature);
     out += layout_.state;
     std::memcpy(out, world.sensordata, sizeof(double) * layout_.sensors());
-    std::memcpy(out + layout_.sensors(), &pending[static_cast<std::size_t>(row) * layout_.joints], sizeof(double) * layout_.joints);
+    out += layout_.sensors();
+    for (int part = 0; part < layout_.parts; ++part) *out++ = contact(part, row);
+    std::memcpy(out, &pending[static_cast<std::size_t>(row) * layout_.joints], sizeof(double) * layout_.joints);
   }
 
   void load(int row, const double* from) {
@@ -154,10 +176,18 @@ class Worlds {
     set_state_(world.model, world.data, from, layout_.signature);
     from += layout_.state;
     std::memcpy(world.sensordata, from, sizeof(double) * layout_.sensors());
-    std::memcpy(&pending[static_cast<std::size_t>(row) * layout_.joints], from + layout_.sensors(), sizeof(double) * layout_.joints);
-    for (int s = 0; s < substeps_; ++s) note_feet(row, s);
+    for (int s = 0; s < substeps_; ++s) note_contacts(row, s);
+    from += layout_.sensors();
+    for (int part = 0; part < layout_.parts; ++part) contact(part, row) = *from++;
+    std::memcpy(&pending[static_cast<std::size_t>(row) * layout_.joints], from, sizeof(double) * layout_.joints);
     warnings[row].clear();
     publish(row);
+  }
+
+  // Publish what a changed state shows; `seen`: the ball in this cycle, whether or not one reports it.
+  void refresh(int row, bool seen) {
+    publish(row);
+    if (seen && layout_.parts) publish_ball(row);
   }
 
   void set_model(int row, std::uint64_t model) { worlds_[row].model = pointer<const void>(model); }
@@ -173,6 +203,8 @@ class Worlds {
   }
 
   std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
+  std::vector<double> body_position, body_rotation, body_velocity, body_spin;  // body by body, then row by row
+  std::vector<double> contacts, ball;                                          // part by part; row by row
   std::vector<std::uint8_t> diverged;
   std::vector<std::string> warnings;
 
@@ -197,11 +229,14 @@ class Worlds {
     for (int s = 0; s < substeps_; ++s) {
       apply_friction(world);
       step_(world.model, world.data);
-      note_feet(row, s);
+      note_contacts(row, s);
     }
     world_warning = nullptr;
     publish(row);
   }
+
+  double& contact(int part, int row) { return contacts[static_cast<std::size_t>(part) * worlds_.size() + row]; }
+  double contact(int part, int row) const { return contacts[static_cast<std::size_t>(part) * worlds_.size() + row]; }
 
   template <class T>
   static T pointer_to(nb::handle address) {
@@ -214,11 +249,16 @@ class Worlds {
       world.joint_torques[j] = -friction_[j] * std::fmax(-1.0, std::fmin(1.0, world.joint_speeds[j] / kSliding));
   }
 
-  void note_feet(int row, int substep) {
+  void note_contacts(int row, int substep) {
     const double* forces = worlds_[row].sensordata + layout_.foot_forces();
     double* frame = &foot_frames[(static_cast<std::size_t>(row) * substeps_ + substep) * 2];
     frame[0] = forces[2];
     frame[1] = forces[5];
+    const double* touching = worlds_[row].sensordata + layout_.touching();
+    for (int part = 0; part < layout_.parts; ++part) {
+      double& share = contact(part, row);
+      share = (substep ? share : 0.0) + (touching[part] > 0.0 ? 1.0 / substeps_ : 0.0);
+    }
   }
 
   // The server prints torso pose with three decimals and everything else with two, truncated toward zero.
@@ -244,16 +284,53 @@ class Worlds {
     double sum = 0.0;
     for (int k = 0; k < layout_.positions; ++k) sum += worlds_[row].qpos[k];
     diverged[r] = !std::isfinite(sum) || std::fabs(x[0]) + std::fabs(x[1]) + std::fabs(x[2]) > kFarthest;
+    if (!bodies_.empty()) publish_bodies(row);
+    if (layout_.parts) {
+      double time;
+      get_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
+      if (std::lround(time / kStep) % 2 == 0)  // the server reports what is seen in every other cycle
+        publish_ball(row);
+      else
+        for (int k = 0; k < 3; ++k) ball[3 * r + k] = std::nan("");
+    }
+  }
+
+  // Motion of the named bodies at the end of the step. What mj_step has left in the data is 5 ms older; the next one computes it anew.
+  void publish_bodies(int row) {
+    const World& world = worlds_[row];
+    for (Compute compute : {kinematics_, centres_, velocities_}) compute(world.model, world.data);
+    for (std::size_t b = 0; b < bodies_.size(); ++b) {
+      const std::size_t at = b * worlds_.size() + static_cast<std::size_t>(row), body = static_cast<std::size_t>(bodies_[b]);
+      std::memcpy(&body_position[3 * at], world.xpos + 3 * body, 3 * sizeof(double));
+      std::memcpy(&body_rotation[9 * at], world.xmat + 9 * body, 9 * sizeof(double));
+      double motion[6];
+      velocity_of_(world.model, world.data, kBody, bodies_[b], motion, 0);
+      std::memcpy(&body_spin[3 * at], motion, 3 * sizeof(double));
+      std::memcpy(&body_velocity[3 * at], motion + 3, 3 * sizeof(double));
+    }
+  }
+
+  // The ball as the server reports it: distance, azimuth and elevation from the camera; NaN out of view.
+  void publish_ball(int row) {
+    const double* p = worlds_[row].sensordata + layout_.touching() + layout_.parts;
+    const double distance = std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+    const double polar[3] = {distance, std::atan2(p[1], p[0]) * kDegrees, std::asin(p[2] / distance) * kDegrees};
+    double* out = &ball[3 * static_cast<std::size_t>(row)];
+    print(polar, 3, 1.0, 100.0, out);
+    if (!(std::fabs(out[1]) <= kView && std::fabs(out[2]) <= kView)) out[0] = out[1] = out[2] = std::nan("");
   }
 
   Step step_;
   SetState set_state_;
   GetState get_state_;
+  Compute kinematics_, centres_, velocities_;
+  Velocity velocity_of_;
   Layout layout_;
   int substeps_, delay_;
   bool truncate_;
   std::vector<World> worlds_;
   std::vector<double> friction_;
+  std::vector<int> bodies_;  // whose motion is published
   std::map<int, Cycle> cycles_;  // in the background, by their first row
   naosim::ThreadPool pool_;      // last: its helpers use the rest
 };
@@ -268,21 +345,22 @@ int row_of(const Worlds& worlds, int row) {
 NB_MODULE(_mujoco, m) {
   nb::class_<Worlds>(m, "Worlds")
       .def("__init__",
-           [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature,
+           [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature, int parts,
               const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos,
-              const Addresses& speeds, const Addresses& torques, const Doubles& friction, int substeps, int delay, bool truncate,
-              int threads) {
+              const Addresses& speeds, const Addresses& torques, const Addresses& xpos, const Addresses& xmat, const Doubles& friction,
+              const std::vector<int>& bodies, int substeps, int delay, bool truncate, int threads) {
              require(data.size() >= 1, "one world at least");
-             for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &torques})
+             for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &torques, &xpos, &xmat})
                require(each->size() == data.size(), "one address per world is needed");
              require(friction.size() == 0 || friction.size() == static_cast<std::size_t>(joints), "friction: one value per joint, or none");
-             require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1, "layout: out of range");
+             require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1 && parts >= 0, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
-             new (self) Worlds(functions, model, {joints, positions, torso, state, signature}, data, ctrl, sensordata, qpos, speeds,
-                               torques, friction, substeps, delay, truncate, threads);
+             new (self) Worlds(functions, model, {joints, positions, torso, state, signature, parts}, data, ctrl, sensordata, qpos, speeds,
+                               torques, xpos, xmat, friction, bodies, substeps, delay, truncate, threads);
            }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
-           nb::arg("state"), nb::arg("signature"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
-           nb::arg("speeds"), nb::arg("torques"), nb::arg("friction"), nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
+           nb::arg("state"), nb::arg("signature"), nb::arg("parts"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
+           nb::arg("speeds"), nb::arg("torques"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("friction"), nb::arg("bodies"),
+           nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
       .def("step",
            [](Worlds& self, const Doubles& targets, int first, const std::optional<Bytes>& active) {
              const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;
@@ -326,6 +404,7 @@ NB_MODULE(_mujoco, m) {
              require(from.size() == static_cast<std::size_t>(self.layout().row()), "state: wrong shape");
              self.load(row_of(self, row), from.data());
            })
+      .def("refresh", [](Worlds& self, int row, bool seen) { self.refresh(row_of(self, row), seen); }, nb::arg("row"), nb::arg("seen"))
       .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
       .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
       .def_prop_ro("threads", [](const Worlds& self) { return reinterpret_cast<std::uintptr_t>(self.threads()); })
@@ -346,6 +425,13 @@ NB_MODULE(_mujoco, m) {
         views["position"] = view(w.position, {n, 3});
         views["rotation"] = view(w.rotation, {n, 3, 3});
         views["foot_frames"] = view(w.foot_frames, {n, static_cast<std::size_t>(w.substeps()), 2});
+        const std::size_t bodies = n ? w.body_position.size() / (3 * n) : 0, parts = static_cast<std::size_t>(w.layout().parts);
+        views["body_position"] = view(w.body_position, {bodies, n, 3});
+        views["body_rotation"] = view(w.body_rotation, {bodies, n, 3, 3});
+        views["body_velocity"] = view(w.body_velocity, {bodies, n, 3});
+        views["body_spin"] = view(w.body_spin, {bodies, n, 3});
+        views["contacts"] = view(w.contacts, {parts, n});
+        views["ball"] = view(w.ball, {parts ? n : 0, 3});
         views["diverged"] = nb::ndarray<nb::numpy, std::uint8_t>(w.diverged.data(), {n}, self);
         return views;
       });
@@ -354,12 +440,12 @@ NB_MODULE(_mujoco, m) {
   exchange
       .def("__init__",
            [](MujocoExchange* self, int n, const std::vector<std::string>& perceptors, const std::vector<std::string>& effectors,
-              const std::vector<double>& kp, const std::vector<double>& kd) {
+              const std::vector<double>& kp, const std::vector<double>& kd, bool ball) {
              const std::size_t joints = perceptors.size();
              require(n >= 1 && joints >= 1, "one server and one joint at least");
              require(effectors.size() == joints && kp.size() == joints && kd.size() == joints, "one effector, kp and kd per joint are needed");
-             new (self) MujocoExchange(n, perceptors, effectors, kp, kd);
-           }, nb::arg("n"), nb::arg("perceptors"), nb::arg("effectors"), nb::arg("kp"), nb::arg("kd"))
+             new (self) MujocoExchange(n, perceptors, effectors, kp, kd, ball);
+           }, nb::arg("n"), nb::arg("perceptors"), nb::arg("effectors"), nb::arg("kp"), nb::arg("kd"), nb::arg("ball"))
       .def("prepend",
            [](MujocoExchange& self, int row, const std::string& text) { self.prepend(naosim::protocol::row_of(self, row), text); })
       .def("messages", [](const MujocoExchange& self, int row) { return self.messages_of(naosim::protocol::row_of(self, row)); })
@@ -377,6 +463,7 @@ NB_MODULE(_mujoco, m) {
         views["torso_pos"] = view(e.torso_pos, {n, 3});
         views["gyro"] = view(e.gyro, {n, 3});
         views["accel"] = view(e.accel, {n, 3});
+        views["ball"] = view(e.ball, {n, 3});
         views["time"] = view(e.time, {n});
         views["rotation"] = view(e.rotation, {n, 3, 3});
         return views;

@@ -17,9 +17,10 @@ from naosim.simulator import PLAIN, Scene, Simulator, Starts
 from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 
 
-def embedded(name: str, **parameters: object) -> Subject:
+def embedded(name: str, scene: Scene = PLAIN, *, exact: bool = False, **parameters: object) -> Subject:
     robot, kind = robots.get(name).with_parameters(parameters), kinds.get("embedded")
-    return Subject(lambda n: kind.open(robot, n, kind.parameters(robot)()))
+    settings = kind.parameters(robot)(exact=True) if exact else kind.parameters(robot)()
+    return Subject(lambda n: kind.open(robot, n, settings, scene=scene))
 
 
 SUBJECTS = {
@@ -28,6 +29,10 @@ SUBJECTS = {
     "nao-0 onboard": embedded("nao-0", onboard_sensing=True),
     "t1": embedded("t1"),
     "k1": embedded("k1"),
+    "t1 with a ball": embedded("t1", Scene(ball=True)),
+    "t1 with a ball, exact": embedded("t1", Scene(ball=True, goals=True), exact=True),
+    "k1 with a ball": embedded("k1", Scene(ball=True, goals=True)),
+    "k1 with bodies": embedded("k1", Scene(bodies=True)),
     "crawler": Subject(lambda n: CrawlerSimulator(CRAWLER, n)),
 }
 

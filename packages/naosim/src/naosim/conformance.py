@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import Simulator, SimulatorClosedError, Starts
+from naosim.simulator import BALL, STEP_S, TOUCHING, Simulator, SimulatorClosedError, Starts
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -39,6 +39,7 @@ _STEPS = 20
 _LOSING_STEPS = 5
 _LONGEST_LATENCY = 10
 _NEAR_M, _NEAR_RAD = 0.3, 0.3
+_SAME_M = 0.01
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,27 @@ def arrays_match_the_robot(subject: Subject) -> None:
         _require(simulator.loss_reason(0) == "", "loss_reason: must be empty for a robot that is not lost")
 
 
+def bodies_have_the_names_of_the_scene(subject: Subject) -> None:
+    """Check that truth has the motion of every body that the scene names, and contacts if there is a ball."""
+    with _started(subject) as simulator:
+        truth, scene = simulator.truth, simulator.scene
+        bodies, contacts = tuple(truth.bodies), tuple(truth.contacts)
+        _require(bodies == scene.moving, f"truth.bodies: expected {scene.moving}, got {bodies}")
+        for name, body in truth.bodies.items():
+            for part, shape in (("position", (3,)), ("rotation", (3, 3)), ("velocity", (3,)), ("spin", (3,))):
+                _require_array(f"truth.bodies[{name!r}].{part}", getattr(body, part), (N, *shape))
+        if scene.moving:
+            away = np.abs(truth.bodies["torso"].position - truth.torso_position).max()
+            _require(away < _SAME_M, f"truth.bodies['torso']: {away:g} m from truth.torso_position")
+        expected = TOUCHING if scene.ball else ()
+        _require(contacts == expected, f"truth.contacts: expected {expected}, got {contacts}")
+        for name, share in truth.contacts.items():
+            _require_array(f"truth.contacts[{name!r}]", share, (N,))
+        if not scene.ball:
+            with _raising(ValueError, "place_ball() without a ball"):
+                simulator.place_ball(np.arange(N), np.zeros((N, 3)))
+
+
 def groups_hold_every_robot_once(subject: Subject) -> None:
     """Check that every robot is in exactly one group."""
     with _opened(subject) as simulator:
@@ -168,6 +190,32 @@ def starts_are_repeated(subject: Subject) -> None:
         # order of rows does not matter
         simulator.start(np.array([1, 0]), np.array([1, 0]), np.array([0, 1]))
         _require_same(_record(simulator), first, subject.tolerance_deg, "start() for the third time")
+
+
+def the_ball_is_where_it_is_placed(subject: Subject) -> None:
+    """Check that a placed ball rolls, is perceived by robots that have it in view, and is one in each world."""
+    with _started(subject, (0, 0)) as simulator:
+        if not simulator.scene.ball:
+            return
+        ball, radius = simulator.truth.bodies[BALL], simulator.robot.field.ball_radius_m
+        ahead = np.array([np.cos(HEADING_RAD), np.sin(HEADING_RAD), 0.0])
+        place = np.array([*POSITION_M, radius]) + np.outer([3.0, -3.0], ahead)
+        simulator.place_ball(np.arange(N), place, np.outer([1.0, 0.0], ahead))
+        seen = np.zeros((N, 0))
+        for _ in range(_STEPS):
+            simulator.step(np.repeat(simulator.robot.nominal[None], N, axis=0))
+            seen = np.column_stack([seen, simulator.perceptors[BALL][:, 0]])
+        moved = (ball.position - place) @ ahead
+        rolled = _STEPS * STEP_S
+        near = 0.5 * rolled < moved[0] < 1.2 * rolled
+        _require(near, f"place_ball(): rolled {moved[0]:.2f} m in {rolled:g} s at 1 m/s")
+        _require(abs(moved[1]) < _NEAR_M, f"place_ball(): a ball at rest moved {moved[1]:.2f} m")
+        along = float(ball.velocity[0] @ ahead)
+        _require(0.4 < along < 1.1, f"truth.bodies['ball'].velocity: {along:.2f} m/s, placed at 1 m/s")
+        distances = seen[0][np.isfinite(seen[0])]
+        _require(len(distances) > _STEPS // 4, f"perceptors['ball']: reported in {len(distances)} of {_STEPS} steps")
+        _require(bool((np.abs(distances - 3.2) < 0.5).all()), f"perceptors['ball']: {distances} m, placed 3 m ahead")
+        _require(not np.isfinite(seen[1]).any(), "perceptors['ball']: a ball behind the robot is reported")
 
 
 # steps
@@ -313,10 +361,12 @@ def a_closed_simulator_refuses_use(subject: Subject) -> None:
 
 CHECKS: tuple[Check, ...] = (
     arrays_match_the_robot,
+    bodies_have_the_names_of_the_scene,
     groups_hold_every_robot_once,
     unknown_starts_are_refused,
     robots_start_where_they_should,
     starts_are_repeated,
+    the_ball_is_where_it_is_placed,
     steps_are_deterministic,
     robots_are_independent,
     inactive_robots_keep_still,
@@ -385,6 +435,10 @@ def _record(simulator: Simulator) -> dict[str, Floats]:
     arrays = {name: array.copy() for name, array in simulator.perceptors.items()}
     arrays["torso_position"] = simulator.truth.torso_position.copy()
     arrays["torso_rotation"] = simulator.truth.torso_rotation.copy()
+    for name, body in simulator.truth.bodies.items():
+        for part in ("position", "rotation", "velocity", "spin"):
+            arrays[f"{name}.{part}"] = getattr(body, part).copy()
+    arrays |= {f"contact.{name}": share.copy() for name, share in simulator.truth.contacts.items()}
     return arrays
 
 

@@ -17,14 +17,13 @@ import numpy as np
 from naospec.sections import Section
 from numpy.typing import NDArray
 
-from naosim.robots.description import PerceptorDescription
+from naosim.robots.description import PerceptorDescription, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from contextlib import AbstractContextManager
 
     from naosim.robots import Robot
-    from naosim.robots.description import Shape
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -204,6 +203,18 @@ class Truth:
     contacts: Mapping[str, Floats] = field(default_factory=dict)
 
 
+def finite(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Return values as float64.
+
+    Raises:
+        ValueError: if they have another shape or are not finite.
+    """
+    array: Floats = np.asarray(values, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got shape {array.shape}")
+    return array
+
+
 def halves(n: int, multiple: int = 1) -> tuple[slice, ...]:
     """Return two groups of about n / 2 robots, the first a multiple of a number; one if there are too few robots."""
     middle = -(-n // (2 * multiple)) * multiple
@@ -335,8 +346,10 @@ class Simulator(ABC):
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """Everything that is drawn: the robot, and what the scene contains."""
-        return self.robot.shapes
+        """Everything that is drawn: the robot's shapes, then the ball if there is one."""
+        if not self.scene.ball:
+            return self.robot.shapes
+        return (*self.robot.shapes, Shape(BALL, "sphere", (self.robot.field.ball_radius_m, 0.0, 0.0)))
 
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of :attr:`shapes`: position in metres and quaternion w, x, y, z, world frame."""

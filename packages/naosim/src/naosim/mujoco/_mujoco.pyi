@@ -15,13 +15,17 @@ class Worlds:
         torso: int,
         state: int,
         signature: int,
+        parts: int,
         data: NDArray[np.uint64],
         ctrl: NDArray[np.uint64],
         sensordata: NDArray[np.uint64],
         qpos: NDArray[np.uint64],
         speeds: NDArray[np.uint64],
         torques: NDArray[np.uint64],
+        xpos: NDArray[np.uint64],
+        xmat: NDArray[np.uint64],
         friction: NDArray[np.float64],
+        bodies: list[int],
         substeps: int,
         delay: int,
         truncate: bool,
@@ -34,6 +38,7 @@ class Worlds:
     def step_bare(self, cycles: int) -> None: ...
     def save(self, row: int, out: NDArray[np.float64]) -> None: ...
     def load(self, row: int, from_: NDArray[np.float64], /) -> None: ...
+    def refresh(self, row: int, seen: bool) -> None: ...
     def set_model(self, row: int, model: int) -> None: ...
     def warning(self, row: int) -> str: ...
     @property
@@ -44,7 +49,7 @@ class Worlds:
 
 class Exchange:
     def __init__(
-        self, n: int, perceptors: list[str], effectors: list[str], kp: list[float], kd: list[float]
+        self, n: int, perceptors: list[str], effectors: list[str], kp: list[float], kd: list[float], ball: bool
     ) -> None: ...
     def attach(self, row: int, agent: int, monitor: int) -> None: ...
     def detach(self, row: int) -> None: ...

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim.mujoco.world import SUBSTEPS, World, library
+from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
+from naosim.simulator import TOUCHING, BodyState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,6 +35,8 @@ class MujocoBatch:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
         position: (n, 3) torso positions in metres, full precision.
         rotation: (n, 3, 3) rotations from the torso's frame into the world's.
+        bodies: motion of the bodies that the world's scene names, at the end of the step.
+        contacts: by part of the robot, (n,) share of the step in which the ball touched it.
         foot_frames: (n, 4, 2) upward force of the ground on left and right foot in newtons, every 5 ms of the step.
         diverged: (n,) worlds whose state is no longer finite; they are not stepped.
         data: the ``MjData`` of every world.
@@ -64,20 +67,28 @@ class MujocoBatch:
             torso=world.torso,
             state=mujoco.mj_stateSize(world.model, signature),
             signature=signature,
+            parts=len(TOUCHING) if world.scene.ball else 0,
             data=_addresses(data._address for data in self.data),
             ctrl=_addresses(data.ctrl.ctypes.data for data in self.data),
             sensordata=_addresses(data.sensordata.ctypes.data for data in self.data),
             qpos=_addresses(data.qpos.ctypes.data for data in self.data),
             speeds=_addresses(data.qvel[world.first_speed :].ctypes.data for data in self.data),
             torques=_addresses(data.qfrc_applied[world.first_speed :].ctypes.data for data in self.data),
+            xpos=_addresses(data.xpos.ctypes.data for data in self.data),
+            xmat=_addresses(data.xmat.ctypes.data for data in self.data),
             friction=world.friction,
+            bodies=list(world.moving),
             substeps=SUBSTEPS,
             delay=delay,
             truncate=truncate,
             threads=threads,
         )
         views = self._worlds.views()
-        self.perceptors: Mapping[str, Floats] = MappingProxyType({name: views[name] for name in PERCEPTORS})
+        names = (*PERCEPTORS, *(each.name for each in world.scene.perceptors))
+        self.perceptors: Mapping[str, Floats] = MappingProxyType({name: views[name] for name in names})
+        motion = [views[f"body_{name}"] for name in ("position", "rotation", "velocity", "spin")]
+        self.bodies = {name: BodyState(*(view[k] for view in motion)) for k, name in enumerate(world.scene.moving)}
+        self.contacts: dict[str, Floats] = dict(zip(TOUCHING, views["contacts"], strict=False))
         self.position: Floats = views["position"]
         self.rotation: Floats = views["rotation"]
         self.foot_frames: Floats = views["foot_frames"]
@@ -149,6 +160,30 @@ class MujocoBatch:
         """Restore a world from its (row_size,) state."""
         self._worlds.load(row, state)
 
+    def place_ball(self, row: int, position: Floats, velocity: Floats, spin: Floats) -> None:
+        """Place the ball, as the server's monitor does; if it is in view, the robot perceives it at once.
+
+        Args:
+            row: which world.
+            position: (3,) metres.
+            velocity: (3,) m/s.
+            spin: (3,) angular velocity in rad/s.
+        """
+        data, ball, camera = self.data[row], BALL_JOINT, self.world.camera
+        data.qpos[ball : ball + 7] = (*position, 1.0, 0.0, 0.0, 0.0)
+        data.qvel[ball : ball + 6] = (*velocity, *spin)
+        self._worlds.refresh(row, False)  # which computes where the camera is
+        rotation = data.site_xmat[camera].reshape(3, 3)
+        data.sensordata[-3:] = rotation.T @ (position - data.site_xpos[camera])
+        self._worlds.refresh(row, True)
+
+    def set_velocities(self, row: int, joints: Floats, torso: Floats, spin: Floats) -> None:
+        """Set (J,) joint speeds, (3,) velocity of the torso in m/s and (3,) its angular velocity, world frame."""
+        data, first = self.data[row], self.world.first_speed
+        data.qvel[first:], data.qvel[first - 6 : first - 3] = joints, torso
+        data.qvel[first - 3 : first] = self.rotation[row].T @ spin
+        self._worlds.refresh(row, False)
+
     def place(
         self, row: int, position: tuple[float, float, float], quaternion: Floats, joints: Floats, targets: Floats
     ) -> None:
@@ -175,5 +210,6 @@ def _functions() -> dict[str, int]:
     mujoco = library()
     loaded = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))  # loaded already
     names = ("mj_step", "mj_getState", "mj_setState")
+    names += ("mj_kinematics", "mj_comPos", "mj_comVel", "mj_objectVelocity")
     functions = {name: ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0 for name in names}
     return functions | {"mju_user_warning": ctypes.addressof(ctypes.c_void_p.in_dll(loaded, "mju_user_warning"))}

@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from naosim.fields import RCSSSERVERMJ
-from naosim.fleet import Fleet, Motion
+from naosim.fleet import Fleet, Motion, Rows
 from naosim.launchers import Address, Launcher
 from naosim.mujoco._mujoco import Exchange
 from naosim.mujoco.batch import PERCEPTORS
 from naosim.mujoco.world import PARKED_BALL_M, UNIFORM_NUMBER, Floats, gains
+from naosim.simulator import BALL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,6 +62,7 @@ class MujocoFleet(Fleet):
         timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
         max_failures: number of servers that may be replaced before `replace` raises.
+        ball: whether the ball is perceived and can be placed, which keeps a monitor on every server.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
@@ -84,6 +86,7 @@ class MujocoFleet(Fleet):
         timeout_s: float = 10.0,
         start_timeout_s: float = 60.0,
         max_failures: int = 100,
+        ball: bool = False,
     ) -> None:
         super().__init__(
             servers,
@@ -97,13 +100,17 @@ class MujocoFleet(Fleet):
             raise ValueError(f"team: must be letters and digits, not {team!r}")
         self.robot = robot
         self._team = team
+        self._monitors: dict[int, socket.socket] = {}
+        self._keeps_monitors = ball
         kp, kd = gains(robot)
         effectors = [joint.effector for joint in robot.joints]
         self._exchange: Exchange = Exchange(
-            self.n, [f"q_{name.replace('e', 'j')}" for name in effectors], effectors, kp.tolist(), kd.tolist()
+            self.n, [f"q_{name.replace('e', 'j')}" for name in effectors], effectors, kp.tolist(), kd.tolist(), ball
         )
         views: dict[str, Floats] = self._exchange.views()
-        self.perceptors: Mapping[str, Floats] = {name: views[name] for name in PERCEPTORS}
+        self.perceptors: Mapping[str, Floats] = {
+            name: views[name] for name in (*PERCEPTORS, *((BALL,) if ball else ()))
+        }
         self.time: Floats = views["time"]
         self.rotation: Floats = views["rotation"]
         self._idle[:] = robot.nominal
@@ -152,9 +159,32 @@ class MujocoFleet(Fleet):
 
     # servers
 
+    def place_ball(self, row: int, position: Floats, velocity: Floats) -> None:
+        """Place the ball of one server, (3,) in metres and (3,) in m/s; it is there when its next cycle ends."""
+        numbers = [" ".join(f"{value:.4f}" for value in values.tolist()) for values in (position, velocity)]
+        try:
+            self._monitors[row].sendall(_framed(f"(ball (pos {numbers[0]})(vel {numbers[1]}))"))
+        except (OSError, KeyError) as error:
+            self._exchange.fail(row, f"monitor port: {error!r}")
+            self._note_failures()
+
+    def _gather(self, rows: Rows) -> None:
+        super()._gather(rows)
+        for monitor in list(self._monitors.values()):
+            with suppress(OSError):  # a lost server is noticed at its agent port
+                while monitor.recv(1 << 20):
+                    pass
+
+    def _leave_monitor(self, row: int) -> None:
+        monitor = self._monitors.pop(row, None)
+        if monitor is not None:
+            _leave(monitor)
+
     def close(self) -> None:
         """Close all connections and stop the servers that were started."""
         self._closing.set()
+        for row in list(self._monitors):
+            self._leave_monitor(row)
         super().close()
 
     def _enter(self, row: int, address: Address, deadline: float) -> None:
@@ -163,7 +193,14 @@ class MujocoFleet(Fleet):
             agent = self._connect_port(row, address.host, address.agent_port, deadline)
             self._exchange.attach(row, agent.detach(), -1)
             self._shake_hands(row, monitor, deadline)
-        finally:
+        except BaseException:
+            _leave(monitor)
+            raise
+        self._leave_monitor(row)
+        if self._keeps_monitors:
+            monitor.setblocking(False)
+            self._monitors[row] = monitor
+        else:
             _leave(monitor)
 
     def _watching(self, row: int, address: Address, deadline: float) -> socket.socket:
@@ -206,8 +243,7 @@ class MujocoFleet(Fleet):
         exchange.post(row, False, f"(init {model} {self._team} {UNIFORM_NUMBER})".encode())
         exchange.collect(only, 1, 0, left_s())
         x, y = PARKED_BALL_M
-        with_length = f"(ball (pos {x} {y} {RCSSSERVERMJ.ball_radius_m})(vel 0 0 0))".encode()
-        monitor.sendall(len(with_length).to_bytes(4, "big") + with_length)
+        monitor.sendall(_framed(f"(ball (pos {x} {y} {RCSSSERVERMJ.ball_radius_m})(vel 0 0 0))"))
         for _ in range(_FIRST_CYCLES):
             if exchange.failure(row):
                 break
@@ -222,6 +258,10 @@ class MujocoFleet(Fleet):
             )
         if mode != _MODE:
             exchange.fail(row, f"the game is in mode {mode!r}, robots can enter in {_MODE!r} only; start a new server")
+
+
+def _framed(text: str) -> bytes:
+    return len(text).to_bytes(4, "big") + text.encode()
 
 
 def _leave(monitor: socket.socket) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import EmbeddedParameters
 from naosim.mujoco.shapes import body_poses
-from naosim.mujoco.world import World, library, torque_shares, world_of
-from naosim.simulator import CONTACT_N, Simulator, Truth, halves
+from naosim.mujoco.world import BALL_JOINT, World, library, torque_shares, world_of
+from naosim.simulator import CONTACT_N, PLAIN, STEP_S, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
-    from naosim.simulator import Bytes, Flags, Floats, Ints, Starts
+    from naosim.simulator import Bytes, Flags, Floats, Ints, Scene, Starts
 
 _EXACT = EmbeddedParameters(exact=True)
 
@@ -37,6 +37,7 @@ class MujocoSimulator(Simulator):
         n: number of robots.
         parameters: what is computed.
         threads: threads that step the worlds.
+        scene: what the worlds contain besides the robots. A ball lies in a corner until it is placed.
 
     Raises:
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
@@ -44,14 +45,22 @@ class MujocoSimulator(Simulator):
 
     stable_arrays = True
 
-    def __init__(self, robot: Robot, n: int, parameters: EmbeddedParameters = _EXACT, *, threads: int = 1) -> None:
-        super().__init__(robot, n)
+    def __init__(
+        self,
+        robot: Robot,
+        n: int,
+        parameters: EmbeddedParameters = _EXACT,
+        *,
+        threads: int = 1,
+        scene: Scene = PLAIN,
+    ) -> None:
+        super().__init__(robot, n, scene)
         self.parameters = parameters
-        self.world: World = world_of(robot, exact=parameters.exact)
+        self.world: World = world_of(robot, exact=parameters.exact, scene=scene)
         self._threads = threads
         self.batch = self._new_batch(n)
         self.perceptors = self.batch.perceptors
-        self.truth = Truth(self.batch.position, self.batch.rotation)
+        self.truth = Truth(self.batch.position, self.batch.rotation, self.batch.bodies, self.batch.contacts)
         self.latency_steps = 1 + parameters.action_delay
         self._starts: Floats | None = None
         self._failures = 0
@@ -161,7 +170,11 @@ class MujocoSimulator(Simulator):
             batch.step(starts.poses_rad)
         if starts.orientations is None:
             self._require_standing(batch)
-        return batch.save()
+        states = batch.save()
+        if self.scene.ball:
+            # an episode begins in a cycle with vision or in one without: the first number of a state is its time
+            states[1::2, 0] += STEP_S
+        return states
 
     def _require_standing(self, batch: MujocoBatch) -> None:
         height, upright = batch.position[:, 2], batch.rotation[:, 2, 2]
@@ -186,13 +199,44 @@ class MujocoSimulator(Simulator):
         centres = data.geom_xpos[self.world.geoms, 2] + np.einsum("gi,gi->g", down, boxes[:, :3])
         return float(-np.min(centres - np.einsum("gi,gi->g", np.abs(down), boxes[:, 3:])))
 
+    # the beginning of an episode
+
+    def place_ball(
+        self, rows: Ints, position_m: Floats, velocity_mps: Floats | None = None, spin_rad_s: Floats | None = None
+    ) -> None:
+        """Place the ball; robots that have it in view perceive it at once."""
+        if not self.scene.ball:
+            super().place_ball(rows, position_m, velocity_mps, spin_rad_s)
+        self.require_open()
+        still = np.zeros((len(rows), 3))
+        position = finite("position_m", position_m, still.shape)
+        velocity = still if velocity_mps is None else finite("velocity_mps", velocity_mps, still.shape)
+        spin = still if spin_rad_s is None else finite("spin_rad_s", spin_rad_s, still.shape)
+        for row, *ball in zip(rows.tolist(), position, velocity, spin, strict=True):
+            self.batch.place_ball(row, *ball)
+
+    def set_velocities(
+        self, rows: Ints, joints_rad_s: Floats, torso_mps: Floats, torso_rad_s: Floats | None = None
+    ) -> None:
+        """Set the speeds of robots; they perceive them from the next step on."""
+        self.require_open()
+        joints = finite("joints_rad_s", joints_rad_s, (len(rows), self.world.joints))
+        torso = finite("torso_mps", torso_mps, (len(rows), 3))
+        spin = np.zeros_like(torso) if torso_rad_s is None else finite("torso_rad_s", torso_rad_s, torso.shape)
+        for row, *motion in zip(rows.tolist(), joints, torso, spin, strict=True):
+            self.batch.set_velocities(row, *motion)
+
     # for viewers
 
     def bodies(self) -> Floats:
-        """Return (n, B, 7) poses of ``robot.shapes``."""
+        """Return (n, B, 7) poses of :attr:`shapes`."""
         self.require_open()
         first = self.world.torso
-        return body_poses(self.world, np.array([data.qpos[first:] for data in self.batch.data]))
+        poses = body_poses(self.world, np.array([data.qpos[first:] for data in self.batch.data]))
+        if not self.scene.ball:
+            return poses
+        balls = np.array([data.qpos[BALL_JOINT : BALL_JOINT + 7] for data in self.batch.data])
+        return np.concatenate([poses, balls[:, None]], axis=1)
 
     def foot_forces(self) -> Floats:
         """Return the (n, 2) upward forces on left and right foot in newtons, 5 ms before the end of the step."""

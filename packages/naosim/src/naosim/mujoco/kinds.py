@@ -72,6 +72,11 @@ class EmbeddedKind(SimulatorKind):
         """Return whether the robot is of the Booster family."""
         return robot.family == FAMILY
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return nothing: every scene is possible."""
+        del robot, scene
+        return ""
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
@@ -94,7 +99,7 @@ class EmbeddedKind(SimulatorKind):
 
         self.require_scene(robot, scene)
         assert isinstance(parameters, EmbeddedParameters)
-        return MujocoSimulator(robot, n, parameters, threads=options.threads)
+        return MujocoSimulator(robot, n, parameters, threads=options.threads, scene=scene)
 
     def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
         """Return what is missing of MuJoCo and the league's models; empty if nothing is."""

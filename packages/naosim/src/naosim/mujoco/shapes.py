@@ -8,6 +8,7 @@ import numpy as np
 
 from naosim.mujoco.world import FEET, PREFIX, Floats, compiled, library
 from naosim.robots.description import Shape, ShapeKind, Side
+from naosim.simulator import PLAIN
 
 if TYPE_CHECKING:
     from naosim.mujoco.world import World
@@ -20,7 +21,7 @@ def shapes_of(robot: str) -> tuple[Shape, ...]:
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
     """
     kind = library().mjtGeom
-    world = compiled(robot, True)
+    world = compiled(robot, True, PLAIN)
     found: dict[str, int] = {}
     shapes = []
     for geom in world.geoms:

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from naosim.mujoco.batch import PERCEPTORS, MujocoBatch
-from naosim.mujoco.world import Floats, set_gains, world_of
+from naosim.mujoco.world import BALL_JOINT, Floats, set_gains, world_of
 from naosim.robots.booster import ROBOTS
 from naosim.robots.description import Robot
+from naosim.simulator import BALL, PLAIN, Scene
 
 _PERCEPTOR_KEYS = dict(
     zip(PERCEPTORS, ("p_angle", "p_speed", "p_quat", "p_pos", "p_gyro", "p_acc"), strict=True),
@@ -36,9 +37,11 @@ class Trace:
         command: (T, J, 5) target deg, target speed deg/s, kp, kd, torque N m.
         beam: (T, 3) x m, y m, theta deg of a beam before the step; NaN if there is none.
         move: (T, 4) x, y, z m, theta deg of the monitor's move after the step; NaN if there is none.
+        ball: (T, 6) position m and velocity m/s of the monitor's ball command after the step; NaN if there is none.
         states: (T + 1, ...) ``qpos``, ``qvel``, ``qacc_warmstart``, ``sensordata`` before every step.
         time: (T + 1,) simulated seconds.
-        perceptors: (T + 1, width) by name.
+        perceptors: (T + 1, width) by name; NaN where the ball is not reported. The ball is missing in recordings whose
+            messages were kept without it.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Trace:
     command: Floats
     beam: Floats
     move: Floats
+    ball: Floats
     states: dict[str, Floats]
     time: Floats
     perceptors: dict[str, Floats]
@@ -85,18 +89,21 @@ def load(path: Path) -> Trace:
     if effectors != [joint.effector for joint in robot.joints]:
         raise TraceError(f"{path}: field 'meta.effectors' is not in the order of {robot.name}")
     joints, cycles = len(robot.joints), len(np.atleast_1d(data["command"]))
-    widths = dict.fromkeys(PERCEPTORS[:2], joints) | {"torso_quat": 4, "torso_pos": 3, "gyro": 3, "accel": 3}
+    data.setdefault("ball", np.full((cycles, 6), np.nan))
+    perceived = _PERCEPTOR_KEYS | ({BALL: "p_ball"} if "p_ball" in data else {})
+    widths = dict.fromkeys(PERCEPTORS[:2], joints) | {"torso_quat": 4, "torso_pos": 3, "gyro": 3, "accel": 3, BALL: 3}
     shapes = {"command": (cycles, joints, 5), "beam": (cycles, 3), "move": (cycles, 4), "time": (cycles + 1,)}
+    shapes["ball"] = (cycles, 6)
     shapes |= {"qpos": (cycles + 1, 14 + joints), "sensordata": (cycles + 1, 13 + 2 * joints)}
     shapes |= {key: (cycles + 1, 12 + joints) for key in ("qvel", "qacc_warmstart")}
-    shapes |= {key: (cycles + 1, widths[name]) for name, key in _PERCEPTOR_KEYS.items()}
+    shapes |= {key: (cycles + 1, widths[name]) for name, key in perceived.items()}
     for key, shape in shapes.items():
         values = data[key]
         if values.shape != shape or values.dtype != np.float64:
             raise TraceError(
                 f"{path}: field {key!r} must be float64 of shape {shape}, not {values.dtype} of {values.shape}"
             )
-        if key not in ("beam", "move") and not np.isfinite(values).all():
+        if key not in ("beam", "move", "ball", "p_ball") and not np.isfinite(values).all():
             raise TraceError(f"{path}: field {key!r} contains values that are not finite")
     return Trace(
         Path(path).stem,
@@ -104,9 +111,10 @@ def load(path: Path) -> Trace:
         data["command"],
         data["beam"],
         data["move"],
+        data["ball"],
         {key: data[key] for key in _STATE_KEYS},
         data["time"],
-        {name: data[key] for name, key in _PERCEPTOR_KEYS.items()},
+        {name: data[key] for name, key in perceived.items()},
     )
 
 
@@ -122,12 +130,13 @@ def check(path: Path) -> dict[str, Any]:
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
     """
     trace = load(path)
-    batch = MujocoBatch(world_of(trace.robot), 1, delay=0)
+    scene = Scene(ball=True, goals=True) if BALL in trace.perceptors else PLAIN
+    batch = MujocoBatch(world_of(trace.robot, scene=scene), 1, delay=0)
     data, model, first = batch.data[0], batch.world.model, batch.world.torso
     recorded = len(trace.states["sensordata"][0])
     data.qpos[:], data.qvel[:] = trace.states["qpos"][0], trace.states["qvel"][0]
     data.qacc_warmstart[:], data.time = trace.states["qacc_warmstart"][0], trace.time[0]
-    differences = dict.fromkeys((*_STATE_KEYS, "time", *PERCEPTORS), 0.0)
+    differences = dict.fromkeys((*_STATE_KEYS, "time", *trace.perceptors), 0.0)
     first_difference = None
     for t, command in enumerate(trace.command):
         if np.isfinite(trace.beam[t]).all():
@@ -140,17 +149,20 @@ def check(path: Path) -> dict[str, Any]:
         if np.isfinite(trace.move[t]).all():
             x, y, z, theta = trace.move[t].tolist()
             _place(data, first, (x, y, z), math.radians(theta))
+        if np.isfinite(trace.ball[t]).all():
+            data.qpos[BALL_JOINT : BALL_JOINT + 7] = (*trace.ball[t, :3], 1.0, 0.0, 0.0, 0.0)
+            data.qvel[BALL_JOINT : BALL_JOINT + 6] = (*trace.ball[t, 3:], 0.0, 0.0, 0.0)
         ours = {
             "qpos": data.qpos,
             "qvel": data.qvel,
             "qacc_warmstart": data.qacc_warmstart,
             "sensordata": data.sensordata[:recorded],
             "time": np.array([data.time]),
-            **{name: values[0] for name, values in batch.perceptors.items()},
+            **{name: batch.perceptors[name][0] for name in trace.perceptors},
         }
         theirs = trace.states | trace.perceptors | {"time": trace.time}
         for name, values in ours.items():
-            largest = float(np.max(np.abs(values - theirs[name][t + 1])))
+            largest = _largest(values, theirs[name][t + 1])
             differences[name] = max(differences[name], largest if math.isfinite(largest) else math.inf)
         if first_difference is None and any(differences.values()):
             first_difference = t
@@ -162,6 +174,13 @@ def check(path: Path) -> dict[str, Any]:
         "exact": not any(differences.values()),
         "first_difference": first_difference,
     }
+
+
+def _largest(ours: Floats, theirs: Floats) -> float:
+    """Return the largest difference; infinite where only one of two numbers is missing."""
+    if (np.isnan(ours) != np.isnan(theirs)).any():
+        return math.inf
+    return float(np.max(np.nan_to_num(np.abs(ours - theirs))))
 
 
 def _place(data: Any, first: int, position: tuple[float, float, float], heading_rad: float) -> None:

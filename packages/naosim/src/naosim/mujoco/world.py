@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.fields import RCSSSERVERMJ
+from naosim.simulator import BALL, PLAIN, TOUCHING, Scene
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -44,6 +45,12 @@ FEET = ("left_foot_link", "right_foot_link")
 """Bodies that touch the ground while the robot runs."""
 
 PREFIX = "robot-"
+
+BALL_JOINT = 0
+"""Where the ball's coordinates begin in ``qpos`` and ``qvel``."""
+
+_SHANKS = {"T1": ("Shank_Left", "Shank_Right"), "K1": ("Left_Shank", "Right_Shank")}
+_FOREARMS = {"T1": ("AL3", "AR3"), "K1": ("Left_Arm_3", "Right_Arm_3")}
 
 
 class MujocoUnavailableError(FileNotFoundError):
@@ -99,12 +106,15 @@ class World:
             there is a ball.
         friction: (J,) Coulomb friction of the joints in N m, to be applied as torques; empty if the model has it as a
             constraint.
+        scene: what is reported besides the robot. An exact world has a ball in every scene, since it takes part in the
+            constraint solver.
     """
 
     model: Any
     joints: int
     torso: int
     friction: Floats
+    scene: Scene = PLAIN
 
     @property
     def ball(self) -> bool:
@@ -143,6 +153,19 @@ class World:
         return data
 
     @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Indices of the bodies whose motion is reported."""
+        names = {"torso": "torso", "left_foot": FEET[0], "right_foot": FEET[1]}
+        ids = {name: self.model.body(PREFIX + body).id for name, body in names.items()}
+        ids |= {BALL: self.model.body("ball").id} if self.ball else {}
+        return tuple(ids[name] for name in self.scene.moving)
+
+    @cached_property
+    def camera(self) -> int:
+        """Index of the site from which the robot sees."""
+        return int(self.model.site(PREFIX + "camera").id)
+
+    @cached_property
     def geoms(self) -> NDArray[np.int64]:
         """Indices of the robot's colliding geoms."""
         names = (self.model.body(body).name for body in self.model.geom_bodyid)
@@ -177,19 +200,19 @@ def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats)
     return shares
 
 
-def world_of(robot: Robot, *, exact: bool = True) -> World:
+def world_of(robot: Robot, *, exact: bool = True, scene: Scene = PLAIN) -> World:
     """Return the world of a robot with its gains."""
-    world = compiled(robot.data["model"], exact)
+    world = compiled(robot.data["model"], exact, scene)
     return world.with_gains(*gains(robot))
 
 
 @cache
-def compiled(robot: str, exact: bool) -> World:
+def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
     A world that is not exact has neither ball nor air, and the joints' friction is not part of the constraint solver,
     which takes most of a step: it has 10 instead of 33 rows while a T1 runs. A cycle later, joint speeds differ by
-    0.3 % of their root mean square.
+    0.3 % of their root mean square. Ball and air stay where the scene has a ball: without air it rolls farther.
     """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
@@ -208,8 +231,10 @@ def compiled(robot: str, exact: bool) -> World:
         geom.material = ""
     for element in (*world.materials, *world.textures):
         world.delete(element)
-    if not exact:
+    if not exact and not scene.ball:
         world.delete(world.body("ball"))
+    if scene.goals:
+        _add_goals(world, mujoco.mjtGeom)
     torso = spec.body("torso")
     torso.pos[0] = -(2 * UNIFORM_NUMBER + 1)
     torso.pos[1] = RCSSSERVERMJ.width_m / 2 + RCSSSERVERMJ.border_m
@@ -226,15 +251,68 @@ def compiled(robot: str, exact: bool) -> World:
             refname=PREFIX + foot,
             intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3, 1],
         )
+    if scene.ball:
+        _add_ball_sensors(world, robot, mujoco)
     model = world.compile()
     # a world that diverges stays where it is, for the caller to see, instead of being reset automatically
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     joints, friction = model.nu // 3, np.zeros(0)
     if not exact:
-        model.opt.density = model.opt.viscosity = 0.0
+        if not scene.ball:
+            model.opt.density = model.opt.viscosity = 0.0
         # one robot is one island: to look for islands costs time and changes nothing
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
         if model.dof_frictionloss.any():
             friction = model.dof_frictionloss[-joints:].copy()
             model.dof_frictionloss[:] = 0.0
-    return World(model, joints, 7 if exact else 0, friction)
+    return World(model, joints, 7 if exact or scene.ball else 0, friction, scene)
+
+
+def _add_ball_sensors(world: Any, robot: str, mujoco: Any) -> None:
+    """Add what is noted of the ball, last in sensordata: parts that touch it, and its place in the camera's frame."""
+    body, subtree, site = (getattr(mujoco.mjtObj, f"mjOBJ_{name}") for name in ("BODY", "XBODY", "SITE"))
+    parts = [(body, name) for name in (*FEET, *_SHANKS[robot])]
+    parts += [(subtree, name) for name in (*_FOREARMS[robot], "torso")]
+    for name, (kind, part) in zip(TOUCHING, parts, strict=True):
+        world.add_sensor(
+            name=f"ball-{name}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname="ball",
+            reftype=kind,
+            refname=PREFIX + part,
+            intprm=[1 << mujoco.mjtConDataField.mjCONDATA_FOUND.value, 0, 1],
+        )
+    place = {"objtype": site, "objname": "B-vismarker", "reftype": site, "refname": PREFIX + "camera"}
+    world.add_sensor(name="ball-seen", type=mujoco.mjtSensor.mjSENS_FRAMEPOS, **place)
+
+
+def _add_goals(world: Any, kinds: Any) -> None:
+    """Add the goals in the server's order: posts, bars and nets are solid, a net is a box as thick as a post."""
+    goal = RCSSSERVERMJ.goal
+    radius, side, top = goal.post_radius_m, goal.width_m / 2, goal.height_m
+    half = math.sqrt(0.5)  # the server's quaternions have seven digits, which MuJoCo normalizes
+    for end, sign in (("left", -1.0), ("right", 1.0)):
+        body = world.worldbody.add_body(name=f"goal-{end}", pos=(sign * RCSSSERVERMJ.length_m / 2, 0.0, 0.0))
+        back, middle = sign * goal.depth_m, sign * goal.depth_m / 2
+
+        def bar(
+            length: float, pos: tuple[float, float, float], quat: tuple[float, ...] = (1, 0, 0, 0), to: Any = body
+        ) -> None:
+            to.add_geom(type=kinds.mjGEOM_CYLINDER, pos=pos, size=(radius, length / 2, 0), quat=quat)
+
+        for x in (0.0, back):
+            for y in (-side, side):
+                bar(top, (x, y, top / 2))
+        across, along = (0.0, 0.0, half, half), (0.0, half, 0.0, half)
+        for x in (0.0, back):
+            bar(goal.width_m, (x, 0.0, top), across)
+        for y in (-side, side):
+            bar(goal.depth_m, (middle, y, top), along)
+        bar(goal.width_m, (back, 0.0, 0.0), across)
+        for y in (-side, side):
+            bar(goal.depth_m, (middle, y, 0.0), along)
+        nets = [((middle, 0.0, top), (goal.depth_m / 2, side, radius)), ((back, 0.0, top / 2), (radius, side, top / 2))]
+        nets += [((middle, y, top / 2), (goal.depth_m / 2, radius, top / 2)) for y in (-side, side)]
+        for pos, size in nets:
+            body.add_geom(type=kinds.mjGEOM_BOX, pos=pos, size=size)

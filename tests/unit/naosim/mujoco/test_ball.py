@@ -1,0 +1,206 @@
+"""The ball in embedded worlds: placed, perceived, touched, part of snapshots; worlds without one are as they were."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from naosim import robots
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.simulator import PLAIN, Floats, Scene, Starts
+
+BALL = Scene(ball=True)
+RADIUS_M = 0.11
+EVERY = np.arange(2)
+
+
+@contextmanager
+def opened(name: str = "t1", scene: Scene = BALL, *, n: int = 2, exact: bool = True) -> Iterator[MujocoSimulator]:
+    """Open n robots in the middle of the field; they face +x."""
+    simulator = MujocoSimulator(robots.get(name), n, EmbeddedParameters(exact=exact), scene=scene)
+    try:
+        simulator.load_starts(Starts(np.repeat(simulator.robot.nominal[None], 2, axis=0)))
+        simulator.start(np.arange(n), np.arange(n) % 2)
+        yield simulator
+    finally:
+        simulator.close()
+
+
+def hold(simulator: MujocoSimulator, steps: int = 1) -> None:
+    for _ in range(steps):
+        simulator.step(np.repeat(simulator.robot.nominal[None], simulator.n, axis=0))
+
+
+def placed(*points: tuple[float, float]) -> Floats:
+    return np.array([(*point, RADIUS_M) for point in points])
+
+
+@pytest.mark.parametrize("name", ["t1", "k1"])
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_ball_in_view_is_reported_every_other_cycle(name: str, exact: bool) -> None:
+    """The two starts report it in different cycles, and what is reported is where the ball is."""
+    with opened(name, exact=exact) as simulator:
+        simulator.place_ball(EVERY, placed((2.0, 0.5), (2.0, 0.5)))
+        assert np.isfinite(simulator.perceptors["ball"]).all(), "at once"
+        reports = []
+        for _ in range(6):
+            hold(simulator)
+            reports.append(simulator.perceptors["ball"].copy())
+        seen = np.isfinite(np.array(reports)).all(axis=2)
+        assert (seen[:, 0] != seen[:, 1]).all() and (seen[1:] != seen[:-1]).all()
+        distance, azimuth, elevation = next(report[0] for report in reports if np.isfinite(report[0, 0]))
+        assert 1.9 < distance < 2.2
+        assert azimuth == pytest.approx(np.degrees(np.arctan2(0.5, 1.95)), abs=1.0)
+        assert -35.0 < elevation < -15.0
+        for value in (distance, azimuth, elevation):
+            assert round(value * 100) == pytest.approx(value * 100, abs=1e-6), "two decimals"
+
+
+@pytest.mark.parametrize("point", [(-1.0, 0.0), (0.1, 1.5), (0.25, 0.0)])
+def test_a_ball_behind_beside_or_below_the_robot_is_not_seen(point: tuple[float, float]) -> None:
+    with opened() as simulator:
+        simulator.place_ball(EVERY, placed(point, (1.5, 0.0)))
+        for _ in range(3):
+            assert np.isnan(simulator.perceptors["ball"][0]).all()
+            hold(simulator)
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "point"),
+    [
+        ("t1", "right_foot", (0.26, -0.11)),
+        ("t1", "left_foot", (0.26, 0.11)),
+        ("k1", "right_foot", (0.25, -0.1)),
+        ("t1", "left_shank", (0.3, 0.11)),
+    ],
+)
+def test_who_touches_the_ball_is_named(name: str, part: str, point: tuple[float, float]) -> None:
+    with opened(name) as simulator:
+        contacts = simulator.truth.contacts
+        simulator.place_ball(EVERY, placed(point, (1.0, 0.0)), np.array([[-2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+        most = dict.fromkeys(contacts, 0.0)
+        for _ in range(8):
+            hold(simulator)
+            most = {key: max(most[key], float(share[0])) for key, share in contacts.items()}
+            assert all(share[1] == 0.0 for share in contacts.values())
+        assert 0.0 < most[part] <= 1.0 and most["robot"] >= most[part]
+        other = part.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right")
+        assert most[other] == most["left_hand"] == most["right_hand"] == 0.0
+
+
+@pytest.mark.parametrize(("name", "side"), [("t1", 1.0), ("k1", -1.0)])
+def test_a_hand_touches_a_ball_that_falls_on_it(name: str, side: float) -> None:
+    """Arms point sideways at angle 0."""
+    with opened(name, n=1) as simulator:
+        pose = simulator.robot.nominal.copy()
+        for index, joint in enumerate(simulator.robot.joints):
+            if "shoulder" in joint.name or "elbow" in joint.name:
+                pose[index] = 0.0
+        for _ in range(25):
+            simulator.step(pose[None])
+        torso = simulator.truth.torso_position[0]
+        simulator.place_ball(np.array([0]), np.array([[torso[0] + 0.05, side * 0.4, torso[2] + 0.4]]))
+        touched = set()
+        for _ in range(20):
+            simulator.step(pose[None])
+            touched |= {key for key, share in simulator.truth.contacts.items() if share[0] > 0.0}
+        assert touched == {"left_hand" if side > 0 else "right_hand", "robot"}
+
+
+def test_bodies_move_as_their_velocities_say() -> None:
+    with opened(exact=True) as simulator:
+        simulator.set_velocities(
+            EVERY,
+            np.zeros((2, len(simulator.robot.joints))),
+            np.array([[0.5, 0.0, 0.0], [0.0, 0.3, 0.0]]),
+            np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]),
+        )
+        torso, foot = (simulator.truth.bodies[name] for name in ("torso", "left_foot"))
+        assert torso.velocity == pytest.approx(np.array([[0.5, 0.0, 0.0], [0.0, 0.3, 0.0]]), abs=1e-12)
+        assert torso.spin[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+        # a rigid body: the foot moves with the torso and around it
+        arm = foot.position[0] - torso.position[0]
+        assert foot.velocity[0] == pytest.approx([0.5 - arm[1], arm[0], 0.0], abs=1e-9)
+        assert simulator.truth.torso_position == pytest.approx(torso.position, abs=0)
+        assert simulator.truth.torso_rotation == pytest.approx(torso.rotation, abs=1e-12)
+        before, speed = torso.position.copy(), torso.velocity.copy()
+        hold(simulator)
+        mean = (torso.velocity + speed) / 2
+        assert torso.position - before == pytest.approx(mean * 0.02, abs=2e-3)
+
+
+def test_snapshots_contain_ball_and_contacts() -> None:
+    with opened() as simulator:
+        simulator.place_ball(EVERY, placed((0.26, -0.11), (1.0, 0.2)), np.array([[-2.0, 0.0, 0.0], [0.5, 0.0, 0.0]]))
+        hold(simulator, 2)
+
+        def record() -> dict[str, Floats]:
+            truth = simulator.truth
+            arrays = {"ball": simulator.perceptors["ball"].copy()} | {k: v.copy() for k, v in truth.contacts.items()}
+            return arrays | {name: body.velocity.copy() for name, body in truth.bodies.items()}
+
+        state, here = simulator.snapshot(), record()
+        assert here["robot"].any()
+        hold(simulator, 5)
+        there = record()
+        simulator.restore(state)
+        for name, values in record().items():
+            assert np.array_equal(values, here[name], equal_nan=True), name
+        hold(simulator, 5)
+        for name, values in record().items():
+            assert np.array_equal(values, there[name], equal_nan=True), name
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_observed_world_moves_as_the_bare_one(exact: bool) -> None:
+    """Reporting bodies changes no bit of the motion."""
+    with opened(scene=PLAIN, exact=exact) as plain, opened(scene=Scene(bodies=True), exact=exact) as observed:
+        for step in range(40):
+            targets = plain.robot.nominal + 0.3 * np.sin(0.3 * step + np.arange(len(plain.robot.joints)))
+            for simulator in (plain, observed):
+                simulator.step(np.repeat(targets[None], 2, axis=0))
+            assert np.array_equal(plain.truth.torso_position, observed.truth.torso_position)
+            assert np.array_equal(plain.perceptors["joint_speeds"], observed.perceptors["joint_speeds"])
+
+
+def test_the_fast_world_rolls_and_kicks_a_ball_nearly_as_the_exact_one() -> None:
+    ends = []
+    for exact in (True, False):
+        with opened(exact=exact) as simulator:
+            simulator.place_ball(
+                EVERY, placed((2.0, 0.0), (0.27, -0.11)), np.array([[3.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
+            )
+            hold(simulator, 50)
+            ends.append(simulator.truth.bodies["ball"].velocity.copy())
+    exact_end, fast_end = ends
+    assert fast_end[0] == pytest.approx(exact_end[0], abs=1e-6), "alone it rolls alike, with air"
+    assert np.linalg.norm(exact_end[1]) > 0.3
+    assert fast_end[1] == pytest.approx(exact_end[1], abs=0.1)
+
+
+def test_shapes_end_with_the_ball() -> None:
+    with opened() as simulator:
+        simulator.place_ball(EVERY, placed((1.0, 0.0), (2.0, 0.0)))
+        assert simulator.shapes[-1].name == "ball" and simulator.shapes[-1].size_m[0] == RADIUS_M
+        assert simulator.bodies()[:, -1, :3] == pytest.approx(placed((1.0, 0.0), (2.0, 0.0)))
+    with opened(scene=PLAIN) as simulator:
+        assert simulator.shapes == simulator.robot.shapes
+        with pytest.raises(ValueError, match=r"there is none in this MujocoSimulator; open it with Scene\(ball=True\)"):
+            simulator.place_ball(EVERY, placed((1.0, 0.0), (2.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((np.zeros((1, 3)),), "position_m: expected finite numbers of shape"),
+        ((np.full((2, 3), np.nan),), "position_m"),
+        ((np.zeros((2, 3)), np.zeros(3)), "velocity_mps"),
+        ((np.zeros((2, 3)), None, np.full((2, 3), np.inf)), "spin_rad_s"),
+    ],
+)
+def test_places_that_are_no_places_are_refused(arguments: tuple[Floats, ...], named: str) -> None:
+    with opened() as simulator, pytest.raises(ValueError, match=named):
+        simulator.place_ball(EVERY, *arguments)
