@@ -295,7 +295,7 @@ class Worlds {
     }
   }
 
-  // Motion of the named bodies at the end of the step. What mj_step has left in the data is 5 ms older; the next one computes it anew.
+  // Motion of the named bodies at the end of the step. What mj_step has left in the data is 5 ms older; the next step computes it again.
   void publish_bodies(int row) {
     const World& world = worlds_[row];
     for (Compute compute : {kinematics_, centres_, velocities_}) compute(world.model, world.data);

@@ -209,7 +209,7 @@ def _functions() -> dict[str, int]:
     """Return the addresses of what the loop uses of the library that the Python package has loaded."""
     mujoco = library()
     loaded = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))  # loaded already
-    names = ("mj_step", "mj_getState", "mj_setState")
-    names += ("mj_kinematics", "mj_comPos", "mj_comVel", "mj_objectVelocity")
+    steps, motion = ("mj_step", "mj_getState", "mj_setState"), ("kinematics", "comPos", "comVel", "objectVelocity")
+    names = (*steps, *(f"mj_{name}" for name in motion))
     functions = {name: ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0 for name in names}
     return functions | {"mju_user_warning": ctypes.addressof(ctypes.c_void_p.in_dll(loaded, "mju_user_warning"))}
