@@ -25,13 +25,14 @@ from naojobs.database import make_engine, make_sessions
 from naojobs.models import Backup, Checkpoint, Job
 from naojobs.records import Batch
 from naojobs.retention import Retention, sweep
+from naojobs.roles import Role, create_roles
 from naojobs.settings import ServiceSettings
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, Manifest
 from naojobs.submission import JobRequest
 from naosprint_worker.sink import JobSink
 
-from tests.integration.conftest import PG_PROGRAMS
+from tests.integration.conftest import PG_PROGRAMS, as_role
 
 ROOT = Path(__file__).parents[3]
 
@@ -44,8 +45,14 @@ case "$*" in *"$BREAK_AT"*) test -z "$BREAK_AT" || kill -9 0 ;; esac
 verb=$1
 case $verb in
   exec) shift 3 ;;
-  run) shift 5 ;;
-  up) case "$*" in *api*) exec python -m naojobs migrate --directory "$MIGRATIONS" ;; *) exit 0 ;; esac ;;
+  run)
+    shift 4
+    case $1 in
+      roles) exec python -m naojobs roles ;;
+      migrate) NAOSPRINT_DATABASE_URL=$OWNER_URL; cd "$MIGRATIONS/.." ;;
+    esac
+    shift
+    ;;
   *) exit 0 ;;
 esac
 case "$*" in *"artifacts export"*)
@@ -55,7 +62,12 @@ program=$1
 shift
 for argument; do
   shift
-  case $argument in --username=* | --dbname=*) ;; *) set -- "$@" "$argument" ;; esac
+  case $argument in
+    --username=naosprint) ;;
+    --username=*) PGUSER=${argument#*=} ;;
+    --dbname=*) ;;
+    *) set -- "$@" "$argument" ;;
+  esac
 done
 exec "$program" "$@"
 """
@@ -81,6 +93,8 @@ class Place:
             "PGDATABASE": parts.path[1:],
             "CALLS": str(self.calls),
             "MIGRATIONS": str(ROOT / "migrations"),
+            "OWNER_URL": as_role(url, Role.OWNER),
+            **{f"NAOSPRINT_{name}_PASSWORD": "of-no-use" for name in ("OWNER", "API", "WORKER", "METRICS")},
             "NAOSPRINT_MODE": "local",
             "NAOSPRINT_DATABASE_URL": url,
             "NAOSPRINT_BROKER_URL": "redis://127.0.0.1:1/0",
@@ -204,14 +218,78 @@ def test_a_restore_that_is_killed_leaves_nothing_and_can_be_repeated(
     code, output = place.run("backup", tmp_path / "backup")
     assert code == 0, output
     other = make_place("other", migrated=False)
-    for command in ("stop ", "artifacts import", "pg_restore", "psql --username=naosprint --dbname=naosprint --quiet"):
+    for command in ("stop ", "artifacts import", "pg_restore", "naojobs restore"):
         code, _ = other.run("restore", tmp_path / "backup", break_at=command)
         assert code == -signal.SIGKILL, command
         with psycopg.connect(other.url) as connection:
-            assert connection.execute("SELECT to_regclass('jobs')").fetchone() == (None,), command
+            made = connection.execute("SELECT to_regclass('jobs')").fetchone() != (None,)
+            assert not made or connection.execute("SELECT count(*) FROM jobs").fetchone() == (0,), command
     code, output = other.run("restore", tmp_path / "backup")
     assert code == 0, output
     assert other.checkpoints() == before
+
+
+#: What a worker may define in its schema; each calls a function that writes a file as the user that runs it.
+PLANTED = {
+    "check": "CREATE TABLE optuna.one (id integer CHECK (optuna.run('check'))); INSERT INTO optuna.one VALUES (1)",
+    "domain": "CREATE DOMAIN optuna.kind AS integer CHECK (optuna.run('domain'));"
+    "CREATE TABLE optuna.two (id optuna.kind); INSERT INTO optuna.two VALUES (1)",
+    "generated": "CREATE TABLE optuna.three (id integer, run boolean GENERATED ALWAYS AS (optuna.always()) STORED);"
+    "INSERT INTO optuna.three VALUES (1)",
+    "trigger": "CREATE TABLE optuna.studies (id integer); INSERT INTO optuna.studies VALUES (1);"
+    "CREATE FUNCTION optuna.fire() RETURNS trigger LANGUAGE plpgsql AS"
+    " 'BEGIN PERFORM optuna.run(''trigger''); RETURN NEW; END';"
+    "CREATE TRIGGER planted BEFORE INSERT ON optuna.studies FOR EACH ROW EXECUTE FUNCTION optuna.fire();"
+    "ALTER TABLE optuna.studies ENABLE ALWAYS TRIGGER planted",
+    "name": 'CREATE TABLE optuna."jobs naosprint_owner\n\\! touch {marks}/name\n" ()',
+}
+
+
+def test_a_restore_runs_nothing_that_a_worker_has_defined(
+    source: tuple[Place, JobSink, Callable[[int], None]],
+    make_place: Callable[..., Place],
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:
+    place, _, save = source
+    save(100)
+    marks = Path(tempfile.mkdtemp(prefix="naosprint-planted-"))
+    request.addfinalizer(lambda: shutil.rmtree(marks))
+    marks.chmod(0o777)  # Postgres may run as another account
+    create_roles(place.url, {})
+    with psycopg.connect(as_role(place.url, Role.WORKER)) as connection:
+        # Where it is planted it does no harm: what only a superuser may do fails silently.
+        connection.execute(f"""
+            CREATE FUNCTION optuna.run(mark text) RETURNS boolean LANGUAGE plpgsql AS $$
+            BEGIN
+              EXECUTE format('COPY (SELECT 1) TO PROGRAM %L', 'cat >{marks}/' || mark);
+              RETURN true;
+            EXCEPTION WHEN insufficient_privilege THEN RETURN true;
+            END $$;
+            CREATE FUNCTION optuna.always() RETURNS boolean IMMUTABLE LANGUAGE plpgsql AS $$
+            BEGIN RETURN optuna.run('generated'); END $$""")
+        for statement in PLANTED.values():
+            connection.execute(statement.format(marks=marks))
+    assert place.run("backup", tmp_path / "backup")[0] == 0
+    dump = tmp_path / "backup" / "database.dump"
+    for program in ("pg_restore", "pg_dump"):  # what backups contain now, and what those of older versions did
+        if program == "pg_dump":
+            everything = ["--format=custom", "--no-owner", "--no-privileges", f"--file={dump}", place.url]
+            subprocess.run([PG_PROGRAMS / program, *everything], check=True)
+            careless = make_place("careless", migrated=False).url
+            subprocess.run([PG_PROGRAMS / "pg_restore", f"--dbname={careless}", dump], check=False, capture_output=True)
+            assert {mark.name for mark in marks.iterdir()} == {"check", "domain", "generated"}, "the dump is harmless"
+            for mark in marks.iterdir():
+                mark.unlink()
+        other = make_place(program, migrated=False)
+        code, output = other.run("restore", tmp_path / "backup")
+        assert code == 0, output
+        assert not list(marks.iterdir())
+        assert other.checkpoints() == place.checkpoints()
+        with psycopg.connect(other.url) as connection:
+            made = connection.execute("SELECT FROM pg_class WHERE relnamespace = 'optuna'::regnamespace").rowcount
+            of_tables = "SELECT DISTINCT tableowner FROM pg_tables WHERE schemaname = 'public'"
+            assert (made, connection.execute(of_tables).fetchall()) == (0, [(Role.OWNER,)])
 
 
 def test_a_restore_refuses_while_a_worker_is_connected(

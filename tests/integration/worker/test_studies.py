@@ -25,7 +25,7 @@ from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
 from naospec.search import SearchSpec
 from naosprint_worker.studies import Conductor
-from sqlalchemy import select
+from sqlalchemy import select, text
 
 from tests.integration.conftest import as_role
 
@@ -336,3 +336,37 @@ def _optuna_is_quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", module="optuna")
         yield
+
+
+def test_a_study_continues_without_the_tables_of_optuna(service: Service, conductor: Conductor) -> None:
+    """A backup contains none of them."""
+    pruning = {"name": "median", "metric": "reward", "interval_steps": ROLLOUT}
+    study = start(service, parallel=3, pruning=pruning, objectives=[{"metric": "reward"}])
+    conductor.advance(study.id)
+    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for lease, reward in zip(leases, (3.0, 1.0, 2.0), strict=True):
+        records.append_metrics(
+            service.sessions, lease, [{"step": ROLLOUT * n, "reward": reward * n} for n in range(1, 21)]
+        )
+    for lease, state in zip(leases[:2], (WorkState.SUCCEEDED, WorkState.FAILED), strict=True):
+        lifecycle.transition(service.sessions, lease, state)
+    conductor.advance(study.id)
+    before = told(service, study.id)
+    rows = study_of(service, study.id)[1]
+    with service.sessions.begin() as session:
+        session.execute(text("DROP SCHEMA optuna CASCADE"))
+        session.execute(text("CREATE SCHEMA optuna"))
+    later = Conductor(service.sessions, service.settings.sqlalchemy_url)
+    later.advance(study.id)
+    after = told(service, study.id)
+
+    def seen(trials: list[Any]) -> list[tuple[object, ...]]:
+        parts = ("number", "state", "values", "params", "distributions", "intermediate_values")
+        return [tuple(getattr(trial, part) for part in parts) for trial in trials]
+
+    assert seen(after)[: len(before)] == seen(before)
+    assert [trial.number for trial in study_of(service, study.id)[1]] == [row.number for row in rows]
+    lifecycle.transition(service.sessions, leases[2], WorkState.SUCCEEDED)
+    later.advance(study.id)
+    settled = {trial.number: trial for trial in told(service, study.id)}
+    assert settled[2].values == [pytest.approx(40.0)]

@@ -30,6 +30,11 @@ def _parser() -> argparse.ArgumentParser:
     migrate.add_argument("--down", action="store_true", help="downgrade to the revision")
     migrate.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
 
+    restore = commands.add_parser(
+        "restore", help="load what `pg_restore --data-only --schema=public` writes into a database without jobs"
+    )
+    restore.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
+
     commands.add_parser("roles", help="make the database's roles with least rights; needs a superuser")
 
     token = commands.add_parser("token", help="make, list and revoke tokens").add_subparsers(dest="verb", required=True)
@@ -79,6 +84,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command == "migrate":
         change = downgrade if arguments.down else upgrade
         change(settings.sqlalchemy_url, arguments.directory.resolve(), arguments.revision)
+        return 0
+    if arguments.command == "restore":
+        try:
+            counts = backups.restore(settings.sqlalchemy_url, arguments.directory.resolve(), sys.stdin.buffer)
+        except JobError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
+        sys.stdout.write(json.dumps({"rows": counts}) + "\n")
         return 0
     engine = make_engine(settings.sqlalchemy_url, pool_size=1)
     try:

@@ -2,20 +2,150 @@
 
 A backup copies the database first and the store afterwards, which takes a while. Whatever its copy of the database
 refers to must still be in the store then. Files that were to be deleted meanwhile are deleted by the next sweep.
+
+A restore takes only data from a dump, and only of the tables that the migrations make: roles with fewer rights than the
+one that restores can define functions in a database that is dumped, and these would run.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from datetime import timedelta
+from pathlib import Path
+from typing import BinaryIO
 
+import psycopg
+from psycopg import sql
 from sqlalchemy import delete, func, select
 
-from naojobs.database import Sessions
-from naojobs.errors import NotFoundError
+from naojobs.database import Sessions, downgrade, upgrade
+from naojobs.errors import InvalidError, NotFoundError
 from naojobs.models import Backup
 
 #: Age of an unfinished backup at which it counts as broken off.
 LONGEST = timedelta(days=1)
+
+#: What `pg_restore --data-only` writes between the tables; each line is one of these.
+_COPY = re.compile(r'COPY (\w+)\."?(\w+)"? \((["\w, ]+)\) FROM stdin;')
+_SETVAL = re.compile(r"SELECT pg_catalog\.setval\('(\w+)\.(\w+)', (\d+), (true|false)\);")
+_REST = re.compile(
+    r"|--.*|SET \w+ = [^;]*;|SELECT pg_catalog\.set_config\('search_path', '', false\);|\\(un)?restrict \w+"
+)
+_END_OF_DATA, _COMPLETE = b"\\.\n", "-- PostgreSQL database dump complete"
+
+#: Constraints between tables. Jobs and checkpoints refer to each other, so no order of the tables would do.
+_FOREIGN_KEYS = """
+SELECT conrelid::regclass::text, conname FROM pg_constraint
+WHERE contype = 'f' AND connamespace = 'public'::regnamespace AND NOT condeferrable
+"""
+
+
+def restore(url: str, migrations: Path, source: BinaryIO) -> dict[str, int]:
+    """Load a dump's data into a database without jobs; return the number of rows of each table.
+
+    The migrations make the tables, at the dump's revision and then at this version's. All data is one transaction.
+
+    Args:
+        url: the database (postgresql+psycopg://...), as the owner of its tables.
+        migrations: folder of the migrations.
+        source: what `pg_restore --data-only --schema=public` writes of the dump.
+
+    Raises:
+        InvalidError: the database has jobs, or the dump is incomplete, of another program or of a newer version.
+    """
+    lines = _Lines(source)
+    if lines.next_copy() is None or lines.table != "alembic_version":
+        raise InvalidError("the dump does not begin with its revision; write it with pg_restore --data-only", "dump")
+    (revision,) = (row.decode().strip() for row in lines.rows())
+    libpq = f"postgresql://{url.split('://', 1)[1]}"
+    with psycopg.connect(libpq, connect_timeout=5) as connection:
+        if connection.execute("SELECT to_regclass('public.jobs')").fetchone() != (None,):
+            if connection.execute("SELECT EXISTS (SELECT FROM public.jobs)").fetchone() == (True,):
+                raise InvalidError("this database has jobs already; restore into an empty one", "database")
+            connection.rollback()
+            downgrade(url, migrations, "base")
+    if not (migrations / "versions").is_dir() or not list((migrations / "versions").glob(f"{revision}_*.py")):
+        raise InvalidError(f"the dump has revision {revision!r}, which this version does not know", "dump")
+    upgrade(url, migrations, revision)
+    with psycopg.connect(libpq, connect_timeout=5) as connection:
+        counts = _load(connection, lines)
+    upgrade(url, migrations)
+    return counts
+
+
+def _load(connection: psycopg.Connection, lines: _Lines) -> dict[str, int]:
+    keys = connection.execute(_FOREIGN_KEYS).fetchall()
+    made = "SELECT table_name, column_name FROM information_schema.columns WHERE table_schema = 'public'"
+    known: dict[str, set[str]] = {}
+    for table, column in connection.execute(made):
+        known.setdefault(table, set()).add(column)
+    constrain = sql.SQL("ALTER TABLE {} ALTER CONSTRAINT {} {}")
+    for table, name in keys:
+        words = sql.SQL("DEFERRABLE INITIALLY DEFERRED")
+        connection.execute(constrain.format(sql.SQL(table), sql.Identifier(name), words))
+    counts: dict[str, int] = {}
+    while (columns := lines.next_copy()) is not None:
+        table = lines.table
+        if table not in known or not known[table].issuperset(columns):
+            more = ", ".join(sorted(set(columns) - known.get(table, set())))
+            raise InvalidError(f"no migration of the dump's revision makes table {table} with {more}", "dump")
+        names = sql.SQL(", ").join(map(sql.Identifier, columns))
+        statement = sql.SQL("COPY {} ({}) FROM STDIN").format(sql.Identifier("public", table), names)
+        with connection.cursor() as cursor:
+            with cursor.copy(statement) as copy:
+                for row in lines.rows():
+                    copy.write(row)
+            counts[table] = cursor.rowcount
+    for name, value, called in lines.sequences:
+        sequence = sql.Identifier("public", name).as_string(connection)
+        connection.execute("SELECT setval(%s::regclass, %s, %s)", (sequence, value, called))
+    # The backup that is restored was not finished when its dump was made.
+    if "backups" in known:
+        connection.execute("UPDATE public.backups SET finished_at = now() WHERE finished_at IS NULL")
+    connection.execute("SET CONSTRAINTS ALL IMMEDIATE")
+    for table, name in keys:
+        connection.execute(constrain.format(sql.SQL(table), sql.Identifier(name), sql.SQL("NOT DEFERRABLE")))
+    return counts
+
+
+class _Lines:
+    """Output of `pg_restore --data-only`, table by table; nothing of it is executed."""
+
+    def __init__(self, source: BinaryIO) -> None:
+        self._source = source
+        self.table = ""
+        self.sequences: list[tuple[str, int, bool]] = []
+
+    def next_copy(self) -> list[str] | None:
+        """Go to the next table's rows; return its columns, or nothing at the end. Raises InvalidError."""
+        complete = False
+        for raw in self._source:
+            line = raw.decode("utf-8", "replace").rstrip("\n")
+            if (match := _COPY.fullmatch(line)) and match[1] == "public":
+                self.table = match[2]
+                return [name.strip('"') for name in match[3].split(", ")]
+            if (match := _SETVAL.fullmatch(line)) and match[1] == "public":
+                self.sequences.append((match[2], int(match[3]), match[4] == "true"))
+            elif line == _COMPLETE:
+                complete = True
+            elif not _REST.fullmatch(line):
+                raise InvalidError(
+                    f"the dump has more than the data of schema public ({line[:60]!r}); "
+                    "write it with pg_restore --data-only --schema=public",
+                    "dump",
+                )
+        if not complete:
+            raise InvalidError("the dump is cut off", "dump")
+        return None
+
+    def rows(self) -> Iterator[bytes]:
+        """Return the rows of the table as lines. Raises InvalidError."""
+        for raw in self._source:
+            if raw == _END_OF_DATA:
+                return
+            yield raw
+        raise InvalidError(f"the dump is cut off in table {self.table}", "dump")
 
 
 def begin(sessions: Sessions) -> int:

@@ -27,7 +27,7 @@ class Role(StrEnum):
     WORKER = "naosprint_worker"
     #: Reads the server's statistics, and no table.
     METRICS = "naosprint_metrics"
-    #: Reads all tables for a backup. It has no password: it connects through the server's own socket only.
+    #: Reads all tables but the sampler's. It has no password: it connects through the server's own socket only.
     BACKUP = "naosprint_backup"
 
 
@@ -56,7 +56,8 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
 
 _WORDS = {"S": "SELECT", "I": "INSERT", "U": "UPDATE", "D": "DELETE"}
 
-#: Schema of the sampler's tables, which workers make and own.
+#: Schema of the sampler's tables, which workers make and own. No backup contains it, since workers can define functions in
+#: it; its tables are made again from `trials`.
 _SAMPLER = "optuna"
 
 #: Relations and types of a schema with another owner; a sequence of a column follows its table.
@@ -96,7 +97,9 @@ def create_roles(url: str, passwords: Mapping[Role, str]) -> None:
     Raises:
         psycopg.Error: the database refused, for example because the user is not a superuser.
     """
-    with psycopg.connect(url, connect_timeout=5) as connection:
+    # What the owner of the tables has put into a schema must not answer for what a superuser calls by name.
+    options = "-c search_path=pg_catalog,pg_temp"
+    with psycopg.connect(url, connect_timeout=5, options=options) as connection:
         known = {name for (name,) in connection.execute("SELECT rolname FROM pg_roles")}
         for role in Role:
             name = sql.Identifier(role)
@@ -114,8 +117,7 @@ def create_roles(url: str, passwords: Mapping[Role, str]) -> None:
         for kind in ("TABLES", "SEQUENCES"):
             connection.execute(
                 sql.SQL(
-                    "ALTER DEFAULT PRIVILEGES FOR ROLE naosprint_owner, naosprint_worker "
-                    "GRANT SELECT ON {} TO naosprint_backup"
+                    "ALTER DEFAULT PRIVILEGES FOR ROLE naosprint_owner GRANT SELECT ON {} TO naosprint_backup"
                 ).format(sql.SQL(kind))
             )
         connection.execute(sql.SQL("REVOKE ALL ON DATABASE {} FROM PUBLIC").format(database))
@@ -142,9 +144,10 @@ def _hand_over(connection: psycopg.Connection, schema: str, owner: Role) -> None
     for kind, name in connection.execute(_FOREIGN, {"schema": schema, "owner": owner}).fetchall():
         statement = sql.SQL("ALTER {} {} OWNER TO {}")
         connection.execute(statement.format(sql.SQL(kind), sql.Identifier(schema, name), sql.Identifier(owner)))
-    for objects in ("TABLES", "SEQUENCES"):
-        statement = sql.SQL("GRANT SELECT ON ALL {} IN SCHEMA {} TO naosprint_backup")
-        connection.execute(statement.format(sql.SQL(objects), schema_name))
+    if schema != _SAMPLER:
+        for objects in ("TABLES", "SEQUENCES"):
+            statement = sql.SQL("GRANT SELECT ON ALL {} IN SCHEMA {} TO naosprint_backup")
+            connection.execute(statement.format(sql.SQL(objects), schema_name))
 
 
 def _exists(connection: psycopg.Connection, schema: str) -> bool:
@@ -177,11 +180,7 @@ def grant_rights(url: str) -> None:
                     )
         if Role.WORKER in known and "metrics" in tables:
             connection.execute("GRANT USAGE ON SEQUENCE public.metrics_seq TO naosprint_worker")
-        schemas = [schema for schema in ("public", _SAMPLER) if _exists(connection, schema)]
         if Role.BACKUP in known:
-            for schema in schemas:
-                connection.execute(
-                    sql.SQL("GRANT USAGE ON SCHEMA {} TO naosprint_backup").format(sql.Identifier(schema))
-                )
-        if Role.WORKER in known and _SAMPLER in schemas:
+            connection.execute("GRANT USAGE ON SCHEMA public TO naosprint_backup")
+        if Role.WORKER in known and _exists(connection, _SAMPLER):
             connection.execute("GRANT USAGE, CREATE ON SCHEMA optuna TO naosprint_worker")

@@ -2,7 +2,8 @@
 
 Optuna's tables hold what the sampler knows; each of its trials gets one row in `trials`, with at most one job, in one
 transaction. Every pass compares the two, so whatever an interrupted pass left behind is completed by the next one, by
-this worker or another: a trial without a row gets its job, and a trial whose job has ended is reported once.
+this worker or another: a trial without a row gets its job, a trial whose job has ended is reported once, and a row
+without a trial, as after a restore, gives Optuna its trial again.
 """
 
 from __future__ import annotations
@@ -140,6 +141,7 @@ class _Pass:
     def run(self) -> tuple[dict[str, str], bool]:
         """Return the jobs to prune with the reasons, and whether jobs were queued."""
         with _quiet():
+            self._give_back()
             frozen = {trial.number: trial for trial in self._study.get_trials(deepcopy=False)}
             behind: dict[str, str] = {}
             ended = False
@@ -153,6 +155,31 @@ class _Pass:
                 self._row.importance = self._importance()
             queued = not self._finish() and self._start(frozen)
         return behind, queued
+
+    def _give_back(self) -> None:
+        """Add the trials that have rows and that Optuna lacks: a backup contains no tables of Optuna."""
+        import optuna
+
+        theirs = optuna.trial.TrialState
+        held = len(self._study.get_trials(deepcopy=False))
+        space = {name: _distribution(item) for name, item in self._search.space.items()}
+        for number in range(held, max(self._rows, default=-1) + 1):  # Optuna numbers in the order of addition
+            row = self._rows.get(number)
+            if row is None:
+                self._study.add_trial(optuna.trial.create_trial(state=theirs.FAIL))
+                continue
+            job = self._jobs.get(row.job_id or "")
+            compared = job is not None and self._search.pruning.name != "none"
+            means = self._interval_means(job, after=0) if job is not None and compared else {}
+            self._study.add_trial(
+                optuna.trial.create_trial(
+                    state=theirs.FAIL if row.state is TrialState.FAILED else theirs[row.state.name],
+                    values=row.values if row.state is TrialState.COMPLETE else None,
+                    params={name: _stored(self._search.space[name], value) for name, value in row.params.items()},
+                    distributions={name: space[name] for name in row.params},
+                    intermediate_values={interval: self._factor * mean for interval, mean in means.items()},
+                )
+            )
 
     # Results
 
@@ -346,11 +373,18 @@ class _Pass:
 
 def _suggest(trial: optuna.trial.Trial, name: str, item: Parameter) -> Any:
     """Return the value of a setting in a trial, chosen now if it has none yet."""
+    value = trial._suggest(name, _distribution(item))
+    return json.loads(value) if isinstance(item, Choices) else value
+
+
+def _distribution(item: Parameter) -> optuna.distributions.BaseDistribution:
+    from optuna import distributions
+
     if isinstance(item, Choices):
-        return json.loads(trial.suggest_categorical(name, [_stored(item, choice) for choice in item.choices]))
+        return distributions.CategoricalDistribution([_stored(item, choice) for choice in item.choices])
     if isinstance(item, IntRange):
-        return trial.suggest_int(name, item.low, item.high, step=item.step or 1, log=item.log)
-    return trial.suggest_float(name, item.low, item.high, step=item.step, log=item.log)
+        return distributions.IntDistribution(item.low, item.high, step=item.step or 1, log=item.log)
+    return distributions.FloatDistribution(item.low, item.high, step=item.step, log=item.log)
 
 
 def _stored(item: Parameter, value: Any) -> Any:
