@@ -59,3 +59,15 @@ def test_the_page_quotes_the_task_that_the_integration_test_installs() -> None:
     assert metadata == (package / "pyproject.toml").read_text()
     lines = sum(len(path.read_text().splitlines()) for path in package.rglob("*") if path.suffix in (".py", ".toml"))
     assert lines <= 120
+
+
+def test_the_section_about_the_ball_quotes_its_example() -> None:
+    package = documents.ROOT / "tests" / "packages" / "naosprint-push"
+    code = (package / "naosprint_push.py").read_text()
+    section = (HOW_TO / "own-task.md").read_text().partition("## Add a ball\n")[2].partition("\n## ")[0]
+    quoted = section.split("```python\n")[1:]
+    assert len(quoted) == 4
+    for block in quoted:
+        assert block.partition("```")[0] in code
+    lines = sum(len(path.read_text().splitlines()) for path in package.rglob("*") if path.suffix in (".py", ".toml"))
+    assert lines <= 120

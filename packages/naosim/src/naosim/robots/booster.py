@@ -14,7 +14,15 @@ from typing import Any, ClassVar
 from pydantic import Field, field_validator
 
 from naosim.fields import RCSSSERVERMJ
-from naosim.robots.description import JointDescription, PerceptorDescription, Robot, RobotParameters, Shape, Side
+from naosim.robots.description import (
+    CameraMount,
+    JointDescription,
+    PerceptorDescription,
+    Robot,
+    RobotParameters,
+    Shape,
+    Side,
+)
 
 FAMILY = "booster"
 
@@ -103,10 +111,24 @@ class BoosterParameters(RobotParameters):
         json_schema_extra={"unit": "rad"},
     )
 
+    head_pitch_rad: float = Field(
+        default=0.0,
+        ge=-0.3,
+        le=0.85,
+        title="Head pitch",
+        description="Angle at which the head is held; with 0.6 the camera sees a ball at the feet.",
+        json_schema_extra={"unit": "rad"},
+    )
+
     def description(self, robot: Robot) -> dict[str, Any]:
-        """Return the range of the actions."""
+        """Return the range of the actions, and the nominal pose with the head's angle."""
         names = (joint.name for joint in robot.joints if joint.actuated)
-        return {"action_range_rad": MappingProxyType(dict.fromkeys(names, self.action_range_rad))}
+        pose = {name: angle for name, angle in robot.nominal_rad.items() if name != "head_pitch"}
+        pose |= {"head_pitch": self.head_pitch_rad} if self.head_pitch_rad else {}
+        return {
+            "action_range_rad": MappingProxyType(dict.fromkeys(names, self.action_range_rad)),
+            "nominal_rad": MappingProxyType(pose),
+        }
 
     @field_validator("kp")
     @classmethod
@@ -231,6 +253,7 @@ def _robot(
     fall_height_m: float,
     erect_height_m: float,
     beam_height_m: float,
+    camera: CameraMount,
 ) -> Robot:
     joints = _joints(table)
     robot = Robot(
@@ -267,6 +290,7 @@ def _robot(
         data=MappingProxyType({"model": name.upper(), "beam_height_m": beam_height_m}),
         load_shapes=lambda: _shapes(name.upper()),
         field=RCSSSERVERMJ,
+        camera=camera,
     )
     return replace(robot, **parameters.description(robot))
 
@@ -279,6 +303,7 @@ T1 = _robot(
     fall_height_m=0.45,
     erect_height_m=0.57,
     beam_height_m=0.6735,
+    camera=CameraMount((0.0625, 0.0, 0.243), (0.0, 0.0, 0.06185), (0.05, 0.0, 0.12)),
 )
 K1 = _robot(
     "k1",
@@ -288,5 +313,6 @@ K1 = _robot(
     fall_height_m=0.37,
     erect_height_m=0.47,
     beam_height_m=1.0,
+    camera=CameraMount((0.0056, 0.0, 0.2149), (0.0, 0.0, 0.033), (0.06, 0.0, 0.08)),
 )
 ROBOTS = (T1, K1)

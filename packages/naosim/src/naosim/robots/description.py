@@ -82,6 +82,36 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class CameraMount:
+    """Where the camera is: on a head that the joints ``head_yaw`` and ``head_pitch`` turn, in this order.
+
+    Attributes:
+        yaw_m: joint ``head_yaw``, torso's frame, metres.
+        pitch_m: joint ``head_pitch``, frame of what the yaw turns.
+        camera_m: the camera, frame of the head; it looks along x.
+    """
+
+    yaw_m: tuple[float, float, float]
+    pitch_m: tuple[float, float, float]
+    camera_m: tuple[float, float, float]
+
+    def pose(self, yaw_rad: Floats, pitch_rad: Floats) -> tuple[Floats, Floats]:
+        """Return (k, 3) positions and (k, 3, 3) rotations of the camera in the torso's frame.
+
+        Args:
+            yaw_rad: (k,) angles of ``head_yaw``.
+            pitch_rad: (k,) angles of ``head_pitch``.
+        """
+        turn, nod = np.zeros((2, len(yaw_rad), 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(yaw_rad)
+        turn[:, 1, 0], turn[:, 0, 1], turn[:, 2, 2] = np.sin(yaw_rad), -np.sin(yaw_rad), 1.0
+        nod[:, 0, 0] = nod[:, 2, 2] = np.cos(pitch_rad)
+        nod[:, 0, 2], nod[:, 2, 0], nod[:, 1, 1] = np.sin(pitch_rad), -np.sin(pitch_rad), 1.0
+        head = np.array(self.pitch_m) + nod @ np.array(self.camera_m)
+        return np.array(self.yaw_m) + np.einsum("kij,kj->ki", turn, head), turn @ nod
+
+
+@dataclass(frozen=True)
 class PerceptorDescription:
     """One perceptor: a named array of measurements.
 
@@ -121,6 +151,7 @@ class Robot:
         data: further data for simulators of its family, for example the number of a type.
         load_shapes: returns :attr:`shapes`; called on first use.
         field: its league's field.
+        camera: where its camera is; None if it does not see the ball.
     """
 
     name: str
@@ -139,6 +170,7 @@ class Robot:
     data: Mapping[str, Any] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
     load_shapes: Callable[[], tuple[Shape, ...]] = dataclasses.field(default=tuple, repr=False, compare=False)
     field: Field = RCSSSERVER3D
+    camera: CameraMount | None = None
 
     def with_parameters(self, values: Mapping[str, Any]) -> Robot:
         """Return this robot with other parameters.

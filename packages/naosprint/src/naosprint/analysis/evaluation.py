@@ -282,7 +282,7 @@ class _Recorder:
             self.angles.append(environment.actuation.angles(world.perceptors["joint_angles"][row : row + 1])[0])
         watched = rows[episode[rows] < self.shown]
         if len(watched):
-            poses = simulator.bodies() if world.robot.shapes else np.zeros((environment.n, 0, 7))
+            poses = simulator.bodies() if simulator.shapes else np.zeros((environment.n, 0, 7))
             for row in watched.tolist():
                 self.bodies[int(episode[row])].append(poses[row].copy())
 
@@ -314,6 +314,7 @@ def _replay(recorder: _Recorder, episodes: Episodes, spec: TrainingSpec) -> Repl
         foot_forces=episodes.feet[median].astype(np.float32),
         end=reached[0].title if reached else "",
         failed=any(end.failure for end in reached),
+        objects=recorder.environment.simulator.shapes[len(spec.robot_description.shapes) :],
     )
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from naosim import robots
+from naosim.robots.description import Shape, ShapeKind
 from naosim.simulator import STEP_S
 
 if TYPE_CHECKING:
@@ -37,11 +38,12 @@ class Replay:
 
     Attributes:
         robot: the robot.
-        positions: (T, B, 3) centre of each of ``robot.shapes``, metres, world frame.
+        positions: (T, B, 3) centre of each of :attr:`shapes`, metres, world frame.
         rotations: (T, B, 4) unit quaternions w, x, y, z from a shape's frame into the world's.
         foot_forces: (T, 2) upward force on left and right foot, newtons; 0 without contact.
         end: title of the end that the episode reached; empty for a time limit.
         failed: whether that was a failure.
+        objects: shapes of the scene, which follow the robot's, for example the ball.
     """
 
     robot: Robot
@@ -50,6 +52,12 @@ class Replay:
     foot_forces: Float32Array
     end: str
     failed: bool
+    objects: tuple[Shape, ...] = ()
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Everything that is drawn, the robot first."""
+        return (*self.robot.shapes, *self.objects)
 
     @property
     def duration_s(self) -> float:
@@ -84,7 +92,7 @@ class Replay:
             "failed": self.failed,
             "bodies": [
                 {"name": shape.name, "shape": shape.kind, "size_m": list(shape.size_m), "side": shape.side}
-                for shape in self.robot.shapes
+                for shape in self.shapes
             ],
             "position_m": _rounded(self.positions.reshape(frames, -1), 4),
             "rotation_wxyz": _rounded(self.rotations.reshape(frames, -1), 4),
@@ -100,7 +108,7 @@ class Replay:
             arrays,
             robot=np.array(self.robot.name),
             cycle_s=np.array(STEP_S),
-            body_names=np.array([shape.name for shape in self.robot.shapes]),
+            body_names=np.array([shape.name for shape in self.shapes]),
             positions=self.positions,
             rotations=self.rotations,
             foot_forces=self.foot_forces,
@@ -121,16 +129,18 @@ def load_replay(path: Path) -> Replay:
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ReplayError(f"{path}: not a replay of format {FORMAT}")
         robot, frames = robots.get(str(document["robot"])), int(document["frames"])
-        names = [shape.name for shape in robot.shapes]
-        if [body["name"] for body in document["bodies"]] != names:
+        bodies, own = document["bodies"], [shape.name for shape in robot.shapes]
+        if [body["name"] for body in bodies[: len(own)]] != own:
             raise ReplayError(f"{path}: bodies: not those of robot {robot.name}")
+        objects = tuple(_shape(body) for body in bodies[len(own) :])
         replay = Replay(
             robot=robot,
-            positions=np.array(document["position_m"], dtype=np.float32).reshape(frames, len(names), 3),
-            rotations=np.array(document["rotation_wxyz"], dtype=np.float32).reshape(frames, len(names), 4),
+            positions=np.array(document["position_m"], dtype=np.float32).reshape(frames, len(bodies), 3),
+            rotations=np.array(document["rotation_wxyz"], dtype=np.float32).reshape(frames, len(bodies), 4),
             foot_forces=np.array(document["foot_force_n"], dtype=np.float32).reshape(frames, 2),
             end=str(document["end"]),
             failed=bool(document["failed"]),
+            objects=objects,
         )
     except ReplayError:
         raise
@@ -142,6 +152,14 @@ def load_replay(path: Path) -> Replay:
         if not np.isfinite(getattr(replay, name)).all():
             raise ReplayError(f"{path}: {name}: contains numbers that are not finite")
     return replay
+
+
+def _shape(body: dict[str, Any]) -> Shape:
+    """Return the shape of an object; ValueError if there is no such kind or size."""
+    kind, (a, b, c) = body["shape"], (float(length) for length in body["size_m"])
+    if kind not in get_args(ShapeKind) or not all(math.isfinite(length) for length in (a, b, c)):
+        raise ValueError(f"bodies: {body['name']}: no such shape")
+    return Shape(str(body["name"]), kind, (a, b, c))
 
 
 def _rounded(rows: Float32Array, decimals: int) -> list[list[float]]:

@@ -24,6 +24,9 @@ RIGHT_COLOUR = "#d9772b"
 BODY_COLOUR = "#c9ced6"
 """Colour of torso, neck and head."""
 
+OBJECT_COLOUR = "#f4f4f0"
+"""Colour of what is not part of the robot, for example the ball."""
+
 UNIT_TORSO_M, UNIT_TOP_M = 0.385, 0.53
 """Standing torso height of the robot that sizes in pictures are chosen for, and height of its head, metres."""
 
@@ -67,7 +70,7 @@ class _Face:
 
 def scale(replay: Replay) -> float:
     """Return the size of a replay's robot in pictures, 1 for one of :data:`UNIT_TORSO_M`."""
-    top = float(replay.positions[:, :, 2].max())
+    top = float(replay.positions[:, : len(replay.robot.shapes), 2].max())
     return max(replay.robot.standing_height_m / UNIT_TORSO_M, top / UNIT_TOP_M)
 
 
@@ -113,14 +116,20 @@ def robot_polygons(
     size = scale(replay)
     shadows: list[FloatArray] = []
     faces: list[_Face] = []
-    for shape, position, quaternion in zip(
-        replay.robot.shapes, positions - below, replay.rotations[frame], strict=True
+    parts = len(replay.robot.shapes)
+    for number, (shape, position, quaternion) in enumerate(
+        zip(replay.shapes, positions - below, replay.rotations[frame], strict=True)
     ):
         rotation = _rotation(quaternion.astype(np.float64))
-        red, green, blue = to_rgb(_COLOURS[shape.side])
+        red, green, blue = to_rgb(_COLOURS[shape.side] if number < parts else OBJECT_COLOUR)
         base = np.array([red, green, blue])
         if shape.kind == "sphere":
-            radius = max(shape.size_m[0], _JOINT_RADIUS_M * size)
+            radius = shape.size_m[0]
+            if number < parts:
+                radius = max(radius, _JOINT_RADIUS_M * size)
+            else:
+                ground = np.column_stack([position[:2] + radius * _circle(), np.zeros(_SIDES)])
+                shadows.append((ground @ view.T)[:, :2])
             centre = position @ view.T
             disc = centre[:2] + radius * _circle()
             faces.append(_Face(disc, _shade(base, view[2]), float(centre[2])))

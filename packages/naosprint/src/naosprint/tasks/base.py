@@ -20,7 +20,7 @@ from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
-    from naosim.simulator import Simulator
+    from naosim.simulator import BodyState, Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.compiled import Operation
@@ -97,6 +97,24 @@ class World:
     def rotation(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k, 3, 3) true rotations from the torso's frame into the world's."""
         return self.simulator.truth.torso_rotation[rows]
+
+    @property
+    def bodies(self) -> Mapping[str, BodyState]:
+        """True motion of the bodies that the task's scene names: torso, feet and ball."""
+        return self.simulator.truth.bodies
+
+    @property
+    def contacts(self) -> Mapping[str, FloatArray]:
+        """By part of the robot, (n,) share of the latest step in which the ball touched it."""
+        return self.simulator.truth.contacts
+
+    def place_ball(self, rows: IntArray, position_m: FloatArray, velocity_mps: FloatArray | None = None) -> None:
+        """Place the ball of the (k,) robots ``rows`` at (k, 3), at rest or with (k, 3) velocities.
+
+        Raises:
+            ValueError: if the task's scene has no ball.
+        """
+        self.simulator.place_ball(rows, position_m, velocity_mps)
 
     def torque_share(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k,) mean over the joints of the squared share of its torque limit that each motor applies.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from naosim.simulator import STEP_S
+from naosim.simulator import BALL, STEP_S
 
 from naosprint.mirror import Mirror
 from naosprint.tasks.compiled import Operation, columns, joint_angles
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from naosprint.tasks.base import World
 
 _AXES = ("x", "y", "z")
+_NEVER = 1e6  # steps since a report that there has not been
 
 
 class ObservationBlock:
@@ -454,6 +455,79 @@ def _velocity(world: World) -> ObservationBlock:
     )
 
 
+def _ball(world: World) -> ObservationBlock:
+    """Ball in metres and m/s before and left of the torso, and how old that is, from the perceived reports.
+
+    A report is turned into a place on the field by the perceived pose of the torso and the angles of the head. Between
+    reports the place is remembered; the velocity is that between the last two. The age is that of the last report, 0 to
+    1 for a second and more; without any report the other numbers are 0.
+    """
+    camera, joints = world.robot.camera, world.robot.joint_names
+    if BALL not in world.perceptors or camera is None:
+        raise ValueError(
+            f"observations: ball: robot {world.robot.name} perceives none; give the task a scene with a ball"
+        )
+    yaw, pitch = joints.index("head_yaw"), joints.index("head_pitch")
+    place: FloatArray = np.zeros((world.n, 2))
+    velocity: FloatArray = np.zeros((world.n, 2))
+    age: FloatArray = np.full(world.n, _NEVER)  # steps
+
+    def look(rows: IntArray) -> None:
+        """Take in the reports of the robots that have one."""
+        seen = rows[np.isfinite(world.perceptors[BALL][rows, 0])]
+        if not len(seen):
+            return
+        # the server truncates: the middle of the interval is half a digit farther from zero
+        middle = world.perceptors[BALL][seen]
+        middle = middle + np.copysign(0.005, middle)
+        distance, (azimuth, elevation) = middle[:, 0], np.radians(middle[:, 1:]).T
+        level = distance * np.cos(elevation)
+        polar = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
+        angles = np.radians(world.perceptors["joint_angles"][seen])
+        position, rotation = camera.pose(angles[:, yaw], angles[:, pitch])
+        ball = position + np.einsum("kij,kj->ki", rotation, polar)
+        found = world.perceptors["torso_pos"][seen, :2] + _turned(world.perceptors["torso_quat"][seen], ball)[:, :2]
+        known = (age[seen] < _NEVER)[:, None]
+        elapsed = np.where(known, np.maximum(age[seen], 1.0)[:, None], 1.0) * STEP_S
+        velocity[seen] = np.where(known, (found - place[seen]) / elapsed, 0.0)
+        place[seen] = found
+        age[seen] = 0.0
+
+    def begin(rows: IntArray) -> None:
+        place[rows] = velocity[rows] = 0.0
+        age[rows] = _NEVER
+        look(rows)
+
+    def update(rows: slice) -> None:
+        age[rows] += 1.0
+        look(np.arange(world.n)[rows])
+
+    def measure(rows: slice | IntArray) -> FloatArray:
+        heading, known = perceived_yaw(world, rows), age[rows] < _NEVER
+        cosine, sine = np.cos(heading), np.sin(heading)
+        x, y = (place[rows] - world.perceptors["torso_pos"][rows, :2]).T * known
+        vx, vy = velocity[rows].T
+        return np.stack(
+            [
+                cosine * x + sine * y,
+                cosine * y - sine * x,
+                cosine * vx + sine * vy,
+                cosine * vy - sine * vx,
+                np.minimum(age[rows] * STEP_S, 1.0),
+            ],
+            axis=1,
+        )
+
+    return ObservationBlock(
+        ("ball_forward", "ball_left", "ball_forward_velocity", "ball_left_velocity", "ball_age"),
+        measure,
+        signs=(1.0, -1.0, 1.0, -1.0, 1.0),
+        begin=begin,
+        update=update,
+        arrays={"ball_place": place, "ball_velocity": velocity, "ball_seen": age},
+    )
+
+
 def _ground_velocity(world: World) -> ObservationBlock:
     """Forward and lateral velocity in m/s on the field, from the difference of the last two true positions."""
     before: FloatArray = np.zeros((world.n, 2))
@@ -492,6 +566,13 @@ def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
     return np.asarray(np.arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z)))
 
 
+def _turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return (k, 3) vectors of the torso's frame in the world's, by (k, 4) quaternions w, x, y, z."""
+    axis = quaternions[:, 1:]
+    across = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + quaternions[:, :1] * across + np.cross(axis, across))
+
+
 def _vector_signs(world: World) -> tuple[float, ...]:
     """Return the signs that a vector in the torso's frame gets in a mirror: its lateral component changes sign."""
     lateral = 1 - world.robot.front_axis
@@ -517,6 +598,7 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "foot_counters": _foot_counters,
     "gravity": _gravity,
     "velocity": _velocity,
+    "ball": _ball,
     "ground_velocity": _ground_velocity,
 }
 """Blocks by name."""

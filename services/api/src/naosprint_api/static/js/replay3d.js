@@ -161,6 +161,20 @@ const checks = () =>
       }
   });
 
+/** A ball's surface, whose patches show how it turns. */
+const patches = () =>
+  sketch(128, 64, (c, w, h) => {
+    c.fillStyle = "#ffffff";
+    c.fillRect(0, 0, w, h);
+    c.fillStyle = "#2b3038";
+    for (let row = 0; row < 3; row++)
+      for (let k = 0; k < 4; k++) {
+        c.beginPath();
+        c.ellipse(((k + (row % 2) / 2 + 0.25) * w) / 4, ((row + 0.5) * h) / 3, w / 20, h / 12, 0, 0, 2 * Math.PI);
+        c.fill();
+      }
+  });
+
 const lettering = (text) =>
   sketch(256, 128, (c, w, h) => {
     c.font = `600 92px ${getComputedStyle(document.body).fontFamily}`;
@@ -392,7 +406,9 @@ export class Stage {
     this.joint = plastic({ roughness: 0.7 });
     this.glow = new T.MeshBasicMaterial();
     this.sides = [plastic(), plastic()];
+    this.leather = plastic({ roughness: 0.6, map: patches() });
     const materialOf = (body, i) => {
+      if (body.name === "ball") return this.leather;
       if (feet.includes(i)) return this.sides[body.side === "left" ? 0 : 1];
       if (body.shape === "box" || i === head) return this.shell;
       return body.shape === "sphere" || body.side === "centre" ? this.joint : this.panel;
