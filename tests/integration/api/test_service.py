@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from base64 import b64decode
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -38,6 +39,64 @@ def test_health_and_readiness_need_no_token(api: Any) -> None:
     ready = httpx.get(f"{api.url}/readyz")
     assert ready.status_code == 200
     assert ready.json() == {"ready": True, "database": "ok", "schema_revision": "ok", "store": "ok", "broker": "ok"}
+
+
+DEEP = b'{"spec":' + b"[" * 70 + b"]" * 70 + b"}"
+WIDE = json.dumps({"k" * 100_000: [{}] * 20_000}).encode()
+
+
+@pytest.mark.parametrize("body", [WIDE, DEEP, b"[" + b"0," * 400_000 + b"0]", b"not JSON"], ids=range(4))
+@pytest.mark.parametrize("path", ["/jobs", "/groups", "/studies", "/webhooks", "/tokens"])
+def test_a_body_without_a_valid_token_is_refused_before_it_is_read(api: Any, path: str, body: bytes) -> None:
+    for headers in ({}, {"Authorization": "Bearer nao_unknown"}):
+        answer = httpx.post(f"{api.url}{path}", content=body, headers={"Content-Type": "application/json", **headers})
+        assert answer.status_code == 401
+
+
+def test_the_rest_of_a_refused_body_is_not_awaited(api: Any) -> None:
+    address = (api.url.rpartition("/")[2]).rpartition(":")
+    with socket.create_connection((address[0], int(address[2])), timeout=20) as connection:
+        head = f"POST /jobs HTTP/1.1\r\nHost: {address[0]}\r\nContent-Length: 900000\r\n"
+        connection.sendall(head.encode() + b'Content-Type: application/json\r\n\r\n{"name": "')
+        assert connection.recv(4096).startswith(b"HTTP/1.1 401 ")
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (json.dumps({"k" * 100_000: [[]] * 90_000}).encode(), ""),
+        (json.dumps({"spec": [0] * 200_000}).encode(), "more than 100,000 values"),
+        (DEEP, "levels deep"),
+        (json.dumps({f"unknown{number}": 1 for number in range(20_000)}).encode(), "19,980 more errors"),
+        (json.dumps({"k" * 500_000: 1}).encode(), ""),
+    ],
+    ids=range(5),
+)
+def test_a_hostile_body_with_a_token_costs_little(client: httpx.Client, body: bytes, words: str) -> None:
+    tracemalloc.start()  # the API runs in this process
+    try:
+        answer = client.post("/jobs", content=body, headers={"Content-Type": "application/json"})
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert answer.status_code == 422
+    assert words in answer.text
+    assert len(answer.content) < 50_000
+    assert peak < 100 * len(body) + 20_000_000
+
+
+@pytest.mark.parametrize("path", ["/spec/schema", "/openapi.json", "/ui/index.html", "/", "/tasks", "/healthz"])
+def test_requests_without_a_token_are_counted_everywhere(start_api: Callable[..., Any], path: str) -> None:
+    api = start_api(api_rate_per_s=0.01, api_rate_burst=3)
+    with httpx.Client(base_url=api.url) as anonymous:
+        codes = [anonymous.get(path).status_code for _ in range(5)]
+    assert codes == [200, 200, 200, 429, 429]
+
+
+def test_the_schema_is_sent_once(api: Any) -> None:
+    first = httpx.get(f"{api.url}/spec/schema")
+    assert first.json()["title"] == "JobCreate"
+    assert httpx.get(f"{api.url}/spec/schema", headers={"If-None-Match": first.headers["etag"]}).status_code == 304
 
 
 def test_a_job_is_announced_to_workers_that_have_its_simulator(

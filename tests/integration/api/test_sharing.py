@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import hmac
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,9 +12,10 @@ import httpx
 import pytest
 from naojobs import lifecycle, records, submission
 from naojobs.lifecycle import Lease
-from naojobs.models import Evaluation, Log
+from naojobs.models import Evaluation, Log, Token
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
+from sqlalchemy import select, update
 from sqlalchemy.orm import Session, sessionmaker
 
 
@@ -91,19 +95,17 @@ def test_a_link_ends_with_its_job(client: httpx.Client, with_token: Callable[[st
     assert guest.get("/whoami").status_code == 401
 
 
-def test_a_report_opens_without_a_token_and_runs_nothing(
-    client: httpx.Client,
-    make_client: Callable[..., httpx.Client],
+@pytest.fixture
+def finished_report(
     run_job: Callable[..., Lease],
     save_checkpoint: Callable[..., str],
     sessions: sessionmaker[Session],
     store: ArtifactStore,
-) -> None:
+) -> str:
+    """The id of a finished evaluation with a report."""
     lease = run_job()
     save_checkpoint(lease, 512, {"checkpoint.json": b"{}"})
     row = submission.request_evaluation(sessions, lease.job_id)
-    opens = f"/evaluations/{row.id}/report"
-    assert client.post(opens).status_code == 404, "it has not finished"
     claim = lifecycle.claim(sessions, Evaluation, row.id, "w")
     assert claim is not None
     lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
@@ -111,6 +113,22 @@ def test_a_report_opens_without_a_token_and_runs_nothing(
     files = [store.put_bytes(f"{key}/report.html", b"<p>results</p>").model_dump()]
     records.record_result(sessions, claim.lease, summary={}, key=key, manifest={"files": files})
     lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
+    return row.id
+
+
+def test_a_report_opens_without_a_token_and_runs_nothing(
+    client: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    run_job: Callable[..., Lease],
+    save_checkpoint: Callable[..., str],
+    sessions: sessionmaker[Session],
+    finished_report: str,
+) -> None:
+    lease = run_job()
+    save_checkpoint(lease, 512, {"checkpoint.json": b"{}"})
+    waiting = submission.request_evaluation(sessions, lease.job_id)
+    assert client.post(f"/evaluations/{waiting.id}/report").status_code == 404, "it has not finished"
+    opens = f"/evaluations/{finished_report}/report"
     assert make_client("mallory", "read").post(opens).status_code == 404
     url = client.post(opens).json()["url"]
     page = httpx.get(client.base_url.join(url))
@@ -129,6 +147,51 @@ def test_a_report_opens_without_a_token_and_runs_nothing(
         f"{token_id}x.{expires}.{signature}",
     ):
         assert httpx.get(client.base_url.join(f"{opens}/{forged}")).status_code == 404
+
+
+def test_no_token_signs_a_ticket_by_itself(
+    client: httpx.Client,
+    make_client: Callable[..., httpx.Client],
+    finished_report: str,
+    sessions: sessionmaker[Session],
+) -> None:
+    """A caller can compute the hash of its own token, so the hash must not be the key."""
+    mallory = make_client("mallory", "read")
+    secret = mallory.headers["Authorization"].removeprefix("Bearer ")
+    digest = hashlib.sha256(secret.encode()).hexdigest()
+    with sessions() as session:
+        token_id = session.scalars(select(Token.id).where(Token.sha256 == digest)).one()
+    for lifetime in (60, 10**9):
+        expires = str(int(time.time()) + lifetime)
+        text = f"{finished_report} {token_id} {expires}".encode()
+        for key in (digest, secret, token_id):
+            signature = hmac.new(key.encode(), text, hashlib.sha256).hexdigest()
+            path = f"/evaluations/{finished_report}/report/{token_id}.{expires}.{signature}"
+            assert httpx.get(client.base_url.join(path)).status_code == 404
+
+
+def test_a_ticket_ends_with_its_token_and_with_access_to_the_job(
+    client: httpx.Client, finished_report: str, sessions: sessionmaker[Session], store: ArtifactStore
+) -> None:
+    with sessions() as session:
+        job_id = session.get_one(Evaluation, finished_report).job_id
+    # a link to the job is a token as well, so its holder may open the report as long as the link is valid
+    shared = client.post(f"/jobs/{job_id}/share", json={}).json()["token"]
+    opens = f"/evaluations/{finished_report}/report"
+    with httpx.Client(base_url=client.base_url, headers={"Authorization": f"Bearer {shared}"}) as guest:
+        url = guest.post(opens).json()["url"]
+    page = str(client.base_url.join(url))
+    assert httpx.get(page).status_code == 200
+    token_id = url.rpartition("/")[2].partition(".")[0]
+    with sessions.begin() as session:
+        other = client.post("/jobs", json={"evaluation": None}).json()["id"]
+        session.execute(update(Token).where(Token.id == token_id).values(job_id=other))
+    assert httpx.get(page).status_code == 404, "the token no longer sees this job"
+    with sessions.begin() as session:
+        session.execute(update(Token).where(Token.id == token_id).values(job_id=job_id))
+    assert httpx.get(page).status_code == 200
+    client.delete(f"/jobs/{job_id}/share")
+    assert httpx.get(page).status_code == 404, "the token was revoked"
 
 
 def test_json_is_compressed_and_downloads_and_streams_are_not(

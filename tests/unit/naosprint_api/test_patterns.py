@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from fastapi.exceptions import RequestValidationError
+from naojobs.submission import INVISIBLE
 from naosprint_api.app import openapi_document
-from naosprint_api.patterns import WORDS
+from naosprint_api.patterns import PLAIN, WORDS
 from naosprint_api.problems import field_errors
 from naosprint_api.schemas import JobCreate
 from pydantic import ValidationError
@@ -43,3 +46,11 @@ def test_errors_have_no_regular_expression(body: dict[str, Any], field: str) -> 
     assert error.field == field
     assert error.message.startswith("expected ")
     assert not set("^$[]\\") & set(error.message)
+
+
+def test_names_exclude_every_invisible_character_of_the_basic_plane() -> None:
+    allowed = re.compile(PLAIN)
+    for number in range(0x10000):
+        if not 0xD800 <= number < 0xE000:
+            expected = unicodedata.category(chr(number)) not in INVISIBLE
+            assert (allowed.fullmatch(chr(number)) is not None) is expected, hex(number)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naospec import TrainingSpec
-from naosprint_api.schemas import GroupCreate, JobCreate
-from pydantic import ValidationError
+from naosprint_api.schemas import GroupCreate, JobCreate, StudyCreate
+from pydantic import BaseModel, ValidationError
 
 
 @pytest.mark.parametrize(
@@ -54,3 +57,61 @@ def test_a_request_has_every_field_of_its_schema() -> None:
     assert job.request() == JobRequest(spec=spec, name="x", tags=["a"], priority=1, max_attempts=2)
     group = GroupCreate(job=job, seeds=[1], grid={"n_epochs": [1, 2]})
     assert group.request() == GroupRequest(job.request(), [1], {"n_epochs": [1, 2]})
+
+
+VALID: dict[type[BaseModel], dict[str, Any]] = {
+    JobCreate: {
+        "spec": {
+            "task": {"name": "sprint1"},
+            "robot": {"name": "t1", "kp": {"legs": 100}},
+            "stages": [{"steps": 1000, "task": {"name": "sprint1"}, "algorithm": {"gamma": 0.9}, "robot": "t1"}],
+        },
+        "evaluation": {"task": {"name": "sprint1"}},
+    },
+    GroupCreate: {"job": {"spec": {"stages": [{"steps": 5}]}}, "seeds": [1], "grid": {"gamma": [0.9]}},
+    StudyCreate: {
+        "job": {"spec": {"stages": [{"steps": 5}]}},
+        "search": {
+            "space": {"gamma": {"low": 0.9, "high": 0.99}},
+            "trials": 5,
+            "objectives": [{"metric": "speed_mps"}],
+        },
+    },
+}
+ODD: tuple[Any, ...] = (
+    None,
+    True,
+    1,
+    1e400,
+    "x",
+    "",
+    [],
+    [None],
+    [[1]],
+    [1],
+    {},
+    {"name": [1]},
+    {"name": {}},
+    {"a": 1},
+)
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    yield path
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from places(part, (*path, key))
+
+
+@pytest.mark.parametrize("model", VALID, ids=lambda model: model.__name__)
+def test_a_value_of_the_wrong_type_anywhere_is_an_error_of_the_request(model: type[BaseModel]) -> None:
+    """Validators that run before types are known leave wrong ones to the fields' own validation."""
+    for path in places(VALID[model]):
+        for odd in ODD:
+            body = {"": copy.deepcopy(VALID[model])}
+            *parents, last = ("", *path)
+            place: Any = body
+            for key in parents:
+                place = place[key]
+            place[last] = odd
+            with contextlib.suppress(ValidationError):
+                model.model_validate(body[""])

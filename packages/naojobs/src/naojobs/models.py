@@ -495,6 +495,10 @@ class Backup(Base):
     finished_at: Mapped[datetime | None]
 
 
+#: 244 random bits in hexadecimal digits, drawn by the database.
+RANDOM_KEY = text("replace(gen_random_uuid()::text || gen_random_uuid()::text, '-', '')")
+
+
 class Token(Base):
     """Bearer token, of which only the SHA-256 is kept."""
 
@@ -510,3 +514,5 @@ class Token(Base):
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
+    #: Key that signs the addresses of reports opened with this token; no request or response contains it.
+    ticket_key: Mapped[str] = mapped_column(String(64), server_default=RANDOM_KEY)

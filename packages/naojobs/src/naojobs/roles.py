@@ -56,8 +56,8 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
 
 _WORDS = {"S": "SELECT", "I": "INSERT", "U": "UPDATE", "D": "DELETE"}
 
-#: Schema of the sampler's tables, which workers make and own. No backup contains it, since workers can define functions in
-#: it; its tables are made again from `trials`.
+#: Schema of the sampler's tables, which workers make and own. No backup contains it, since workers can define functions
+#: in it; its tables are made again from `trials`.
 _SAMPLER = "optuna"
 
 #: Relations and types of a schema with another owner; a sequence of a column follows its table.

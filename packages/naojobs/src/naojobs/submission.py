@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 import math
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeVar
@@ -31,6 +32,8 @@ from naojobs.states import OPEN, WorkState
 
 J = TypeVar("J", Job, Study)
 
+#: Categories of characters that no name has: controls, formats, separators of lines and paragraphs.
+INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
 #: The most jobs of one group.
 MAX_GROUP_SIZE = 256
 #: The most evaluations of one job that may wait or run.
@@ -261,7 +264,12 @@ def edit(
 
 
 def free_name(session: Session, model: type[Job] | type[Study], owner: str, name: str) -> str:
-    """Return a name that no job, or no study, of `owner` has: `name`, or with a number."""
+    """Return a name that no job, or no study, of `owner` has: `name`, or with a number.
+
+    Raises InvalidError for characters that would act on a terminal instead of being shown, also in composed names.
+    """
+    if any(unicodedata.category(character) in INVISIBLE for character in name):
+        raise InvalidError("expected text without control, format and separator characters", "name")
     # Two concurrent submits must not both see the same free name.
     session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"name:{owner}", 0))))
     beginning = name[:190]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
-from sqlalchemy import func, select, update
+from sqlalchemy import ColumnElement, func, select, update
 
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
@@ -26,6 +26,7 @@ __all__ = [
     "get_token",
     "is_valid",
     "list_tokens",
+    "principal_of",
     "revoke",
     "revoke_shared",
     "verify",
@@ -97,10 +98,17 @@ def create_token(
 
 def verify(sessions: Sessions, secret: str) -> Principal | None:
     """Return the principal of `secret`, or none if it is unknown, expired or revoked."""
+    return _principal(sessions, Token.sha256 == _sha256(secret))
+
+
+def principal_of(sessions: Sessions, token_id: str) -> Principal | None:
+    """Return the principal of a token by its id, or none if it is unknown, expired or revoked."""
+    return _principal(sessions, Token.id == token_id)
+
+
+def _principal(sessions: Sessions, condition: ColumnElement[bool]) -> Principal | None:
     with sessions.begin() as session:
-        token = session.scalar(
-            select(Token).where(Token.sha256 == _sha256(secret), *_VALID),
-        )
+        token = session.scalar(select(Token).where(condition, *_VALID))
         if token is None:
             return None
         scopes = frozenset().union(*(_INCLUDES[Scope(scope)] for scope in token.scopes))

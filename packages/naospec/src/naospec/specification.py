@@ -286,13 +286,15 @@ class TrainingSpec(_Specification):
                 if plugin is None:
                     continue
                 values = presets.values(preset, section, getattr(robot, "family", None))
-                known = {name: value for name, value in values.items() if name in plugin.Parameters.model_fields}
-                filled[section] = {**known, **filled[section]}
+                offered = {name: value for name, value in values.items() if name in plugin.Parameters.model_fields}
+                filled[section] = {**offered, **filled[section]}
         task = _plugin(plugins.TASKS, filled["task"])
         if task is not None and filled["task"].get("version") is None:
             filled["task"] = {**filled["task"], "version": task.version}
         stages = filled.get("stages")
-        if stages and "total_steps" not in filled:
+        # what is no list of stages is left to the field's own validation
+        known = isinstance(stages, list | tuple) and all(isinstance(stage, dict | Stage) for stage in stages)
+        if stages and known and "total_steps" not in filled:
             given = [stage if isinstance(stage, dict) else stage.model_dump() for stage in stages]
             factors = [(stage.get("steps"), stage.get("candidates", 1)) for stage in given]
             if all(isinstance(factor, int) and factor > 0 for pair in factors for factor in pair):

@@ -8,15 +8,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from fastapi import Depends, FastAPI
+from fastapi import Depends, FastAPI, Request, Response
 from fastapi.openapi.utils import get_openapi
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Scope
 
 from naosprint_api import __version__, problems
-from naosprint_api.dependencies import storable_body
+from naosprint_api.dependencies import CountedRoute, admit, service_of, storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
 from naosprint_api.routes import artifacts, catalog, jobs, policies, sharing, streams, studies, system, tokens, webhooks
@@ -35,6 +35,16 @@ Every error is a problem document (RFC 9457) whose `errors` name the fields to c
 """
 
 
+class CountedFiles(StaticFiles):
+    """Static files, whose requests count like others without a token."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """Return a file, or an error."""
+        request = Request(scope)
+        await admit(request, service_of(request))
+        return await super().get_response(path, scope)
+
+
 def create_app(service: Service) -> FastAPI:
     """Return the application around `service`, without what happens to every request."""
 
@@ -51,7 +61,7 @@ def create_app(service: Service) -> FastAPI:
         # The framework's pages load scripts from other origins; only the document is served.
         docs_url=None,
         redoc_url=None,
-        openapi_url="/openapi.json" if service.settings.api_docs_public else None,
+        openapi_url=None,
         redirect_slashes=False,
         dependencies=[Depends(storable_body)],
     )
@@ -73,12 +83,21 @@ def create_app(service: Service) -> FastAPI:
     for router in routers:
         app.include_router(router)
 
+    app.router.route_class = CountedRoute
+
     @app.get("/", include_in_schema=False)
     def index() -> FileResponse:
         """Serve the dashboard."""
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
-    pages = StaticFiles(directory=STATIC, html=True, check_dir=False)
+    if service.settings.api_docs_public:
+
+        @app.get("/openapi.json", include_in_schema=False)
+        def description() -> JSONResponse:
+            """Serve the OpenAPI document."""
+            return JSONResponse(app.openapi())
+
+    pages = CountedFiles(directory=STATIC, html=True, check_dir=False)
     app.mount("/ui", pages, name="ui")
 
     def openapi() -> dict[str, Any]:

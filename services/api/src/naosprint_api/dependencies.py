@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from functools import partial
 from math import ceil, isfinite
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
-from anyio import to_thread
-from fastapi import Depends, Header, Path, Query, Request, Security
+from anyio import move_on_after, to_thread
+from fastapi import Depends, Header, Path, Query, Request, Response, Security
+from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from naojobs.ids import PATTERN
 from naojobs.tokens import Principal, Scope
@@ -28,6 +29,12 @@ _bearer = HTTPBearer(
 
 #: Largest value of the database's integer columns.
 MAX_BIGINT = 2**63 - 1
+#: Most values and deepest nesting of a JSON body.
+MAX_VALUES, MAX_DEPTH = 100_000, 64
+#: Seconds in which the body of a refused request is read and discarded.
+DRAIN_S = 1.0
+#: Methods of requests that may have a body.
+BODY_METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 
 
 def service_of(request: Request) -> Service:
@@ -46,23 +53,53 @@ ServiceDep = Annotated[Service, Depends(_service)]
 async def storable_body(request: Request) -> None:
     """Refuse a JSON body with values that JSON allows, but no column of the database holds.
 
-    Raises ProblemError for a number beyond 64 bits, one that is not finite, and text with half of a surrogate pair.
+    Raises ProblemError for a number beyond 64 bits, one that is not finite, text with half of a surrogate pair, and
+    for a body of more than :data:`MAX_VALUES` values or deeper than :data:`MAX_DEPTH`.
     """
-    if request.method not in {"POST", "PUT", "PATCH"} or not await request.body():
+    if request.method not in BODY_METHODS or not await request.body():
         return
     try:
-        waiting = [("", await request.json())]
+        body = await request.json()
     except (ValueError, RecursionError):
         return  # the framework has refused it, or the route does not read JSON
-    while waiting:
-        path, value = waiting.pop()
-        if isinstance(value, dict):
-            waiting += [(f"{path}.{name}", part) for name, value in value.items() for part in (name, value)]
-        elif isinstance(value, list):
-            waiting += [(f"{path}.{number}", part) for number, part in enumerate(value)]
-        elif problem := _unstorable(value):
-            field = path.lstrip(".").encode(errors="replace").decode() or "body"
-            raise ProblemError(422, f"{field}: {problem}", [FieldError(field=field, message=problem)])
+    if problem := _body_problem(body):
+        place, message = problem
+        field = ".".join(str(part)[:100] for part in place).encode(errors="replace").decode() or "body"
+        raise ProblemError(422, f"{field}: {message}", [FieldError(field=field, message=message)])
+
+
+def _body_problem(body: object) -> tuple[list[str | int], str] | None:
+    """Return the path of the first value that cannot be stored, and why; a level costs one iterator."""
+    path: list[str | int] = []
+    levels = [_parts(body)]
+    count = 0
+    if reason := _unstorable(body):
+        return [], reason
+    while levels:
+        part = next(levels[-1], None)
+        if part is None:
+            levels.pop()
+            del path[len(levels) - 1 :]
+            continue
+        name, value = part
+        count += 1
+        del path[len(levels) - 1 :]
+        path.append(name)
+        if count > MAX_VALUES:
+            return [], f"more than {MAX_VALUES:,} values; send fewer"
+        if reason := _unstorable(name) or _unstorable(value):
+            return path, reason
+        if isinstance(value, dict | list):
+            if len(levels) == MAX_DEPTH:
+                return path[:5], f"nested more than {MAX_DEPTH} levels deep; send a flatter body"
+            levels.append(_parts(value))
+    return None
+
+
+def _parts(value: object) -> Iterator[tuple[str | int, object]]:
+    if isinstance(value, dict):
+        return iter(value.items())
+    return iter(enumerate(value)) if isinstance(value, list) else iter(())
 
 
 def _unstorable(value: object) -> str:
@@ -83,9 +120,23 @@ def _caller(request: Request) -> str:
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 
 
+async def admit(request: Request, service: Service) -> None:
+    """Count a request without a token, and authenticate one that may have a body, before anything is read or done.
+
+    Raises ProblemError: a limit is exceeded, or the token of a request with a body is missing or not valid.
+    """
+    credentials = await _bearer(request)
+    if credentials is None:
+        _limit(service, f"address {_caller(request)}")
+        request.state.counted = True
+    if request.method in BODY_METHODS:
+        request.state.principal = await _authenticate(request, service, credentials, to_thread.run_sync)
+
+
 async def authenticate(request: Request, service: ServiceDep, credentials: Credentials) -> Principal:
     """Return the owner of the token, and count the request against the rate limit."""
-    return await _authenticate(request, service, credentials, to_thread.run_sync)
+    admitted: Principal | None = getattr(request.state, "principal", None)
+    return admitted or await _authenticate(request, service, credentials, to_thread.run_sync)
 
 
 async def _authenticate(
@@ -95,7 +146,8 @@ async def _authenticate(
     in_thread: Callable[[Callable[[], Principal | None]], Awaitable[Principal | None]],
 ) -> Principal:
     if credentials is None:
-        _limit(service, f"address {_caller(request)}")
+        if not getattr(request.state, "counted", False):
+            _limit(service, f"address {_caller(request)}")
         raise ProblemError(
             401,
             "this address needs a token; send the header `Authorization: Bearer <token>`",
@@ -128,6 +180,27 @@ def _limit(service: Service, caller: str) -> None:
             f"more than {settings.api_rate_per_s:g} requests per second; try again in {wait:.1f} s",
             headers={"Retry-After": str(ceil(wait))},
         )
+
+
+class CountedRoute(APIRoute):
+    """Route that admits a request before its body is read; every router of the API uses it."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the route's function behind :func:`admit`."""
+        handle = super().get_route_handler()
+
+        async def admitted(request: Request) -> Response:
+            try:
+                await admit(request, service_of(request))
+            except ProblemError:
+                # many clients read the answer only when they have sent everything
+                with move_on_after(DRAIN_S):
+                    async for _ in request.stream():
+                        pass
+                raise
+            return await handle(request)
+
+        return admitted
 
 
 def require(scope: Scope, principal: Principal, service: Service) -> Principal:

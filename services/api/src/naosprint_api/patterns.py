@@ -8,10 +8,14 @@ from naojobs.ids import PATTERN
 ID = PATTERN
 #: A tag of a job.
 TAG = r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$"
-#: The name of a job.
-NAME = r"^[^\x00-\x1f]*$"
-#: Text without control characters, which Postgres refuses.
-PLAIN = r"^[^\x00-\x1f\x7f]*$"
+#: Characters that no terminal and no list should get raw: controls, formats such as directions of text, line separators
+#: (categories Cc, Cf, Zl and Zp of Unicode's basic plane). `naojobs.submission.free_name` checks names of all planes.
+_INVISIBLE = (
+    r"\x00-\x1f\x7f-\x9f\xad\u0600-\u0605\u061c\u06dd\u070f\u0890-\u0891\u08e2\u180e\u200b-\u200f\u2028-\u202e"
+    r"\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb"
+)
+#: The name of a job, and other text of one line.
+NAME = PLAIN = rf"^[^{_INVISIBLE}]*$"
 #: Text of several lines.
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$"
 #: An idempotency key.
@@ -32,8 +36,7 @@ TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 WORDS = {
     ID: "expected a full id, such as job_01jd8z6vq9k3m5t7x2c4b6n8pr",
     TAG: "expected a letter or digit, then letters, digits and ._:/=- (at most 50 characters)",
-    NAME: "expected text without control characters",
-    PLAIN: "expected text without control characters",
+    PLAIN: "expected text without control, format and separator characters",
     TEXT: "expected text without control characters",
     STEP: "expected `next_cursor` of the previous page",
     PLACE: "expected `next_cursor` of the previous page",

@@ -22,6 +22,9 @@ from naosprint_api import patterns
 
 MEDIA_TYPE = "application/problem+json"
 
+#: Most errors that a response names, and the longest part of a field's path and message in it, characters.
+MAX_ERRORS, MAX_NAME, MAX_MESSAGE = 20, 100, 1000
+
 _log = logging.getLogger(__name__)
 
 
@@ -79,7 +82,8 @@ def problem_response(
 def field_errors(error: RequestValidationError) -> list[FieldError]:
     """Return one entry for each thing that is wrong with a request, by the path of its field."""
     found = []
-    for item in error.errors():
+    problems = error.errors()
+    for item in problems[:MAX_ERRORS]:
         place, *path = item["loc"] or ("body",)
         message = str(item["msg"]).removeprefix("Value error, ")
         if item["type"] == "json_invalid":
@@ -97,7 +101,10 @@ def field_errors(error: RequestValidationError) -> list[FieldError]:
         head, colon, rest = message.partition(": ")
         if colon and all(part.isidentifier() or part.isdecimal() for part in head.split(".")):
             path, message = [*path, *_below(path, head.split("."))], rest
-        found.append(FieldError(field=".".join(str(part) for part in path) or str(place), message=message))
+        field = ".".join(str(part)[:MAX_NAME] for part in path) or str(place)
+        found.append(FieldError(field=field, message=message[:MAX_MESSAGE]))
+    if len(problems) > MAX_ERRORS:
+        found.append(FieldError(field="body", message=f"{len(problems) - MAX_ERRORS:,} more errors"))
     return found
 
 

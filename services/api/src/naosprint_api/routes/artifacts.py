@@ -14,6 +14,7 @@ from naojobs.store import Manifest
 from naosprint_api import queries
 from naosprint_api.dependencies import (
     CheckpointId,
+    CountedRoute,
     Cursor,
     EvaluationId,
     FileName,
@@ -30,7 +31,7 @@ from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import CheckpointPage, CheckpointPublic, EvaluationCreate, EvaluationPage, EvaluationPublic
 from naosprint_api.views import checkpoint_view
 
-router = APIRouter(tags=["artifacts"])
+router = APIRouter(tags=["artifacts"], route_class=CountedRoute)
 
 _READ = responses(401, 403, 404, 422, 429, 503)
 _BYTES: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 import logging
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request, Response
 from naospec import plugins, presets, recipes
 from naospec.sections import variants
 from pydantic import BaseModel, Field
 
+from naosprint_api.dependencies import CountedRoute
 from naosprint_api.schemas import JobCreate
 
-router = APIRouter(tags=["catalog"])
+router = APIRouter(tags=["catalog"], route_class=CountedRoute)
 
 _log = logging.getLogger(__name__)
 
@@ -158,14 +162,30 @@ class RecipePublic(BaseModel):
     job: dict[str, Any] = Field(description="Body for `POST /jobs`.")
 
 
-@router.get("/spec/schema")
-def spec_schema() -> dict[str, Any]:
+@router.get(
+    "/spec/schema",
+    response_class=Response,
+    responses={
+        200: {"description": "The schema", "content": {"application/json": {"schema": {"type": "object"}}}},
+        304: {"description": "Unchanged: the request has the schema's ETag in If-None-Match"},
+    },
+)
+def spec_schema(request: Request) -> Response:
     """Get the JSON schema of the body of `POST /jobs`, for forms and editors.
 
     A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, distinguished by the
     constant `name`; `x-robots` lists the robots to which a simulator's schema applies.
     """
-    return JobCreate.model_json_schema()
+    content = _schema_content()
+    etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
+    if request.headers.get("if-none-match") == etag:
+        return Response(status_code=304, headers={"ETag": etag})
+    return Response(content, media_type="application/json", headers={"ETag": etag})
+
+
+@functools.cache
+def _schema_content() -> bytes:
+    return json.dumps(JobCreate.model_json_schema()).encode()
 
 
 @router.get("/tasks")

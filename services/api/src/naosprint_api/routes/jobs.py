@@ -16,6 +16,7 @@ from naosprint_api import queries
 from naosprint_api.dependencies import (
     MAX_BIGINT,
     After,
+    CountedRoute,
     Cursor,
     IdempotencyKey,
     JobId,
@@ -41,7 +42,7 @@ from naosprint_api.schemas import (
 from naosprint_api.service import Service
 from naosprint_api.views import event_view, log_view
 
-router = APIRouter(tags=["jobs"])
+router = APIRouter(tags=["jobs"], route_class=CountedRoute)
 
 READ = responses(401, 403, 404, 422, 429, 503)
 LIST = responses(401, 403, 422, 429, 503)

@@ -14,7 +14,7 @@ from naojobs.tokens import Principal
 from pydantic import AfterValidator
 
 from naosprint_api import cards, queries
-from naosprint_api.dependencies import FileName, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import CountedRoute, FileName, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.downloads import send_file
 from naosprint_api.patterns import ALIAS, PLACE, PLAIN, POLICY, REFERENCE
 from naosprint_api.problems import responses
@@ -22,7 +22,7 @@ from naosprint_api.routes.artifacts import finished
 from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, PolicyPage, VersionCreate
 from naosprint_api.service import Service
 
-router = APIRouter(tags=["policies"])
+router = APIRouter(tags=["policies"], route_class=CountedRoute)
 
 _LIST = responses(401, 403, 404, 422, 429, 503)
 _READ = responses(401, 403, 404, 409, 422, 429, 503)

@@ -12,18 +12,20 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from fastapi.responses import Response
 from naojobs.errors import NotFoundError
-from naojobs.tokens import Scope, create_token, get_token, revoke_shared
+from naojobs.models import Evaluation
+from naojobs.tokens import Scope, create_token, get_token, principal_of, revoke_shared
 from starlette.requests import Request
 
 from naosprint_api import queries
-from naosprint_api.dependencies import EvaluationId, JobId, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import CountedRoute, EvaluationId, JobId, Reader, ServiceDep, Submitter
 from naosprint_api.downloads import send_file
 from naosprint_api.patterns import TICKET
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import finished
 from naosprint_api.schemas import PagePublic, ShareCreate, SharePublic
+from naosprint_api.service import Service
 
-router = APIRouter(tags=["sharing"])
+router = APIRouter(tags=["sharing"], route_class=CountedRoute)
 
 _log = logging.getLogger(__name__)
 
@@ -71,6 +73,24 @@ def _signature(key: str, evaluation_id: str, token_id: str, expires: str) -> str
     return hmac.new(key.encode(), f"{evaluation_id} {token_id} {expires}".encode(), hashlib.sha256).hexdigest()
 
 
+def _evaluation_of(service: Service, evaluation_id: str, ticket: str) -> Evaluation:
+    """Return the evaluation whose report a ticket opens, if its token may still see it. Raises NotFoundError."""
+    token_id, expires, signature = ticket.split(".")
+    refused = NotFoundError("this address has expired; open the report from the job's page again")
+    if not 0 <= int(expires) - time.time() <= PAGE_S:
+        raise refused
+    principal = principal_of(service.reads, token_id)
+    if principal is None or Scope.READ not in principal.scopes:
+        raise refused
+    expected = _signature(get_token(service.reads, token_id).ticket_key, evaluation_id, token_id, expires)
+    if not hmac.compare_digest(signature, expected):
+        raise refused
+    try:
+        return queries.visible_evaluation(service.reads, principal, evaluation_id)
+    except NotFoundError:
+        raise refused from None
+
+
 @router.post("/evaluations/{evaluation_id}/report", responses=_READ)
 def open_report(evaluation_id: EvaluationId, principal: Reader, service: ServiceDep) -> PagePublic:
     """Get an address at which a browser can show the evaluation's report for ten minutes."""
@@ -78,7 +98,7 @@ def open_report(evaluation_id: EvaluationId, principal: Reader, service: Service
     if manifest.entry(REPORT) is None:
         raise NotFoundError(f"evaluation {evaluation_id} has no report; `naoctl report` makes one")
     expires = str(int(time.time()) + PAGE_S)
-    key = get_token(service.reads, principal.token_id).sha256
+    key = get_token(service.reads, principal.token_id).ticket_key
     ticket = f"{principal.token_id}.{expires}.{_signature(key, evaluation_id, principal.token_id, expires)}"
     return PagePublic(
         url=f"/evaluations/{evaluation_id}/report/{ticket}", expires_at=datetime.fromtimestamp(int(expires), UTC)
@@ -100,16 +120,7 @@ def show_report(
     service: ServiceDep,
 ) -> Response:
     """Show the report of an evaluation as a page that runs no scripts."""
-    token_id, expires, signature = ticket.split(".")
-    missing = NotFoundError("this address has expired; open the report from the job's page again")
-    if int(expires) < time.time():
-        raise missing
-    token = get_token(service.reads, token_id)
-    expected = _signature(token.sha256, evaluation_id, token_id, expires)
-    if token.revoked_at is not None or not hmac.compare_digest(signature, expected):
-        raise missing
-    row = queries.evaluation(service.reads, evaluation_id)
-    key, manifest = finished(row)
+    key, manifest = finished(_evaluation_of(service, evaluation_id, ticket))
     answer = send_file(request, service.store, service.store_threads, key, manifest, REPORT, presigned=False)
     answer.headers["Content-Type"] = "text/html; charset=utf-8"
     answer.headers["Content-Disposition"] = "inline"

@@ -20,7 +20,7 @@ from naojobs.states import ENDED, WorkState
 from naojobs.tokens import is_valid
 
 from naosprint_api import queries
-from naosprint_api.dependencies import MAX_BIGINT, Follower, JobId, ServiceDep
+from naosprint_api.dependencies import MAX_BIGINT, CountedRoute, Follower, JobId, ServiceDep
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import FieldError, ProblemError, responses
 from naosprint_api.queries import Position
@@ -28,7 +28,7 @@ from naosprint_api.routes.jobs import job_filter
 from naosprint_api.schemas import JobPublic
 from naosprint_api.service import Service
 
-router = APIRouter(tags=["streams"])
+router = APIRouter(tags=["streams"], route_class=CountedRoute)
 
 Kind = Literal["metrics", "log", "event", "state"]
 LastEventId = Annotated[

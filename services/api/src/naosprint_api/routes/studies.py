@@ -13,13 +13,13 @@ from naojobs.studies import StudyRequest
 from naospec.search import SearchSpec
 
 from naosprint_api import queries
-from naosprint_api.dependencies import Cursor, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
+from naosprint_api.dependencies import CountedRoute, Cursor, IdempotencyKey, PageLimit, Reader, ServiceDep, Submitter
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import StudyCreate, StudyDetails, StudyPage, StudyPublic, TrialPublic
 from naosprint_api.service import Service
 
-router = APIRouter(tags=["studies"])
+router = APIRouter(tags=["studies"], route_class=CountedRoute)
 
 READ = responses(401, 403, 404, 422, 429, 503)
 CONTROL = responses(401, 403, 404, 409, 422, 429, 503)

@@ -12,13 +12,13 @@ from naojobs.tokens import Scope
 from pydantic import BaseModel, Field
 
 from naosprint_api import __version__
-from naosprint_api.dependencies import PageLimit, Reader, ServiceDep, authenticate, require, service_of
+from naosprint_api.dependencies import CountedRoute, PageLimit, Reader, ServiceDep, authenticate, require, service_of
 from naosprint_api.patterns import PLAIN
 from naosprint_api.problems import responses
 from naosprint_api.schemas import WorkerPage
 from naosprint_api.views import worker_view
 
-router = APIRouter(tags=["service"])
+router = APIRouter(tags=["service"], route_class=CountedRoute)
 
 Check = Literal["ok", "failed"]
 

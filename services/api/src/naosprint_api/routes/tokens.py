@@ -11,11 +11,11 @@ from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.tokens import Scope, create_token, get_token, list_tokens, revoke
 
-from naosprint_api.dependencies import Cursor, PageLimit, ServiceDep, Submitter, require
+from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter, require
 from naosprint_api.problems import responses
 from naosprint_api.schemas import TokenCreate, TokenMade, TokenPage, TokenPublic
 
-router = APIRouter(tags=["tokens"])
+router = APIRouter(tags=["tokens"], route_class=CountedRoute)
 
 _log = logging.getLogger(__name__)
 

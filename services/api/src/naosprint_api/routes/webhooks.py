@@ -12,13 +12,13 @@ from naojobs.ids import PATTERN
 from naojobs.models import Webhook
 from naojobs.tokens import Principal
 
-from naosprint_api.dependencies import Cursor, PageLimit, ServiceDep, Submitter
+from naosprint_api.dependencies import CountedRoute, Cursor, PageLimit, ServiceDep, Submitter
 from naosprint_api.outbound import is_refused_literal
 from naosprint_api.problems import responses
 from naosprint_api.schemas import DeliveryPage, DeliveryPublic, WebhookCreate, WebhookMade, WebhookPage, WebhookPublic
 from naosprint_api.service import Service
 
-router = APIRouter(tags=["webhooks"])
+router = APIRouter(tags=["webhooks"], route_class=CountedRoute)
 
 _log = logging.getLogger(__name__)
 
