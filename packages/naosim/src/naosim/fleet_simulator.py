@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import Simulator, Truth, halves
+from naosim.simulator import PLAIN, TOUCHING, BodyState, Scene, Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from naosim.simulator import Flags, Floats, Ints, Starts
 
 _NO_START = -1
+_MOTION = ((3,), (3, 3), (3,), (3,))  # shapes of a body's position, rotation, velocity and spin
 
 
 @dataclass(slots=True)
@@ -48,6 +49,7 @@ class FleetSimulator(Simulator):
         sources: the servers' latest perceptors by name, (servers, width) arrays.
         truth: the servers' latest torso poses.
         idle_s: a standby server that waits for its robot is stepped at this interval; None if the fleet does that.
+        scene: what is reported besides the robot.
     """
 
     # a reply describes the state before the cycle that its command starts
@@ -63,8 +65,9 @@ class FleetSimulator(Simulator):
         sources: Mapping[str, Floats],
         truth: Truth,
         idle_s: float | None,
+        scene: Scene = PLAIN,
     ) -> None:
-        super().__init__(robot, n)
+        super().__init__(robot, n, scene)
         self._fleet = fleet
         self._idle_s = idle_s
         self.groups = halves(n)
@@ -77,7 +80,9 @@ class FleetSimulator(Simulator):
         self._sources, self._source_truth = sources, truth
         self._views = {name: np.empty((n, source.shape[1])) for name, source in sources.items()}
         self.perceptors = self._views
-        self.truth = Truth(np.empty((n, 3)), np.empty((n, 3, 3)))
+        bodies = {name: BodyState(*(np.zeros((n, *shape)) for shape in _MOTION)) for name in scene.moving}
+        contacts = {name: np.zeros(n) for name in TOUCHING} if scene.ball else {}
+        self.truth = Truth(np.empty((n, 3)), np.empty((n, 3, 3)), bodies, contacts)
         self._starts: Starts | None = None
         self._refresh(slice(0, n))
 

@@ -20,17 +20,23 @@ from naosim.mujoco.program import RCSSSERVERMJ, server_launcher
 from naosim.mujoco.remote import RemoteMujocoSimulator
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1
-from naosim.simulator import RuntimeOptions, ServerLostError, Simulator, Starts
+from naosim.simulator import PLAIN, RuntimeOptions, Scene, ServerLostError, Simulator, Starts
 
 BOTH = pytest.mark.parametrize("robot", [T1, K1], ids=lambda robot: robot.name)
 
 
 def remote(
-    robot: Robot = T1, n: int = 2, *, settle_steps: int = 40, max_failures: int = 1, standby_servers: bool = False
+    robot: Robot = T1,
+    n: int = 2,
+    *,
+    settle_steps: int = 40,
+    max_failures: int = 1,
+    standby_servers: bool = False,
+    scene: Scene = PLAIN,
 ) -> RemoteMujocoSimulator:
     kind = kinds.get("server")
     options = RuntimeOptions(max_server_failures=max_failures, standby_servers=standby_servers)
-    simulator = kind.open(robot, n, kind.parameters(robot)(settle_steps=settle_steps), options)
+    simulator = kind.open(robot, n, kind.parameters(robot)(settle_steps=settle_steps), options, scene)
     assert isinstance(simulator, RemoteMujocoSimulator)
     return simulator
 
@@ -68,6 +74,57 @@ def test_servers_conform(check: Check, robot: Robot) -> None:
     # and the targets amplify it.
     settle_steps, tolerance_deg = {"t1": (150, 0.1), "k1": (450, 1.0)}[robot.name]
     check(Subject(lambda n: remote(robot, n, settle_steps=settle_steps), lose, tolerance_deg=tolerance_deg))
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_servers_with_a_ball_conform(check: Check) -> None:
+    check(Subject(lambda n: remote(n=n, settle_steps=150, scene=Scene(ball=True)), lose, tolerance_deg=0.1))
+
+
+def test_a_server_and_an_embedded_world_report_the_same_ball() -> None:
+    """It rolls to the robot's foot, bounces off and rolls away, in view all the time."""
+    robot, row = T1.with_parameters({"head_pitch_rad": 0.6}), np.array([0])
+    loaded = Starts(robot.nominal[None], (-6.0, 1.5), 0.3)
+    ahead = np.array([np.cos(0.3), np.sin(0.3), 0.0])
+    place = np.array([[-6.0, 1.5, 0.11]]) + 1.0 * ahead - 0.11 * np.array([-ahead[1], ahead[0], 0.0])
+    scene = Scene(ball=True)
+    embedded = MujocoSimulator(robot, 1, scene=scene)
+    reports, places = [], []
+    with opened(robot, 1, scene=scene) as server:
+        for simulator in (server, embedded):
+            simulator.load_starts(loaded)
+            simulator.start(row, row)
+            simulator.place_ball(row, place, -2.0 * ahead[None])
+            seen, true = [], []
+            for _ in range(70):
+                simulator.step(robot.nominal[None])
+                seen.append(simulator.perceptors["ball"][0].copy())
+                true.append(simulator.truth.bodies["ball"].position[0].copy())
+            reports.append(np.array(seen))
+            places.append(np.array(true))
+            assert simulator.shapes[-1].name == "ball"
+            assert simulator.bodies()[0, -1, :3] == pytest.approx(true[-1])
+        assert not server.lost.any()
+    distances = [seen[np.isfinite(seen[:, 0]), 0] for seen in reports]
+    assert 20 < len(distances[0]) <= len(distances[1]) + 1 <= 37
+    assert distances[0].min() == pytest.approx(distances[1].min(), abs=0.05)
+    assert places[0][-1] == pytest.approx(places[1][-1], abs=0.08)
+    assert np.hypot(*(places[0][-1] - places[0][20])[:2]) > 0.2, "it bounced"
+
+
+def test_a_server_whose_ball_has_crossed_a_line_is_replaced() -> None:
+    with opened(T1, 1, scene=Scene(ball=True), settle_steps=5) as server:
+        server.load_starts(Starts(T1.nominal[None]))
+        row = np.array([0])
+        server.start(row, row)
+        server.place_ball(row, np.array([[27.0, 5.0, 0.11]]), np.array([[6.0, 0.0, 0.0]]))
+        for targets in swinging(T1, 30):
+            server.step(targets)
+        assert not server.lost.any()
+        server.start(row, row)
+        assert server.failures == 1 and not server.lost.any()
+        with pytest.raises(ValueError, match="without spin"):
+            server.place_ball(row, np.array([[1.0, 0.0, 0.11]]), None, np.ones((1, 3)))
 
 
 @BOTH

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from naosim import robots
+from naosim import kinds, robots
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.kinds import EmbeddedParameters
 from naosim.simulator import PLAIN, Floats, Scene, Starts
@@ -204,3 +204,13 @@ def test_shapes_end_with_the_ball() -> None:
 def test_places_that_are_no_places_are_refused(arguments: tuple[Floats, ...], named: str) -> None:
     with opened() as simulator, pytest.raises(ValueError, match=named):
         simulator.place_ball(EVERY, *arguments)
+
+
+@pytest.mark.parametrize("name", ["t1", "k1"])
+def test_a_server_refuses_a_ball_that_would_kill_it(name: str) -> None:
+    server, robot = kinds.get("server"), robots.get(name)
+    refusal = server.refusal(robot, BALL)
+    assert bool(refusal) == (name == "k1")
+    if refusal:
+        assert "first touch of the ball" in refusal and "embedded" in refusal
+    assert server.refusal(robot, PLAIN) == kinds.get("embedded").refusal(robot, Scene(ball=True, goals=True)) == ""

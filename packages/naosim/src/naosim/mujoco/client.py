@@ -152,6 +152,12 @@ class MujocoFleet(Fleet):
             heading_rad: direction the robot faces, counter-clockwise from +x.
             settle_steps: steps in which the motors hold the pose.
         """
+        if self._exchange.play_mode(row) != _MODE:
+            self._exchange.fail(
+                row, f"the game left mode {_MODE!r}, in which robots can be moved: the ball crossed a line"
+            )
+            self._note_failures()
+            return
         x, y = position_m
         self._exchange.prepend(row, f"(beam {x:.6f} {y:.6f} {np.rad2deg(heading_rad):.6f})")
         for _ in range(settle_steps + 1):
@@ -167,6 +173,10 @@ class MujocoFleet(Fleet):
         except (OSError, KeyError) as error:
             self._exchange.fail(row, f"monitor port: {error!r}")
             self._note_failures()
+
+    def messages(self, row: int) -> int:
+        """Return how many messages one server has sent."""
+        return self._exchange.messages(row)
 
     def _gather(self, rows: Rows) -> None:
         super()._gather(rows)

@@ -125,6 +125,15 @@ class ServerKind(SimulatorKind):
         """Return whether the robot is of the Booster family."""
         return robot.family == FAMILY
 
+    def refusal(self, robot: Robot, scene: Scene) -> str:
+        """Return why a robot cannot be on the servers' field with a ball; empty if it can."""
+        if not scene.ball or robot.data["model"] != "K1":
+            return ""
+        return (
+            f"simulator: server cannot run {robot.name} with a ball, because its first touch of the ball ends "
+            "rcssservermj 0.2.1; use the embedded simulator, or a T1"
+        )
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
@@ -159,6 +168,7 @@ class ServerKind(SimulatorKind):
             settle_steps=parameters.settle_steps,
             max_failures=options.max_server_failures,
             standby_servers=options.standby_servers,
+            scene=scene,
         )
 
     def max_robots(self) -> int:
