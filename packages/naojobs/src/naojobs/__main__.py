@@ -64,6 +64,10 @@ def _parser() -> argparse.ArgumentParser:
     backup = commands.add_parser("backup", help="announce a backup: while one is made, no file is deleted")
     backups_verbs = backup.add_subparsers(dest="verb", required=True)
     backups_verbs.add_parser("begin", help="before the database is copied; prints the id")
+    backups_verbs.add_parser(
+        "restored",
+        help="after the database's files were restored: queue running work again and fence its workers off",
+    )
     for verb, text in (("finish", "record that it is complete"), ("abort", "forget it")):
         backups_verbs.add_parser(verb, help=text).add_argument("id", type=int)
     return parser
@@ -132,6 +136,9 @@ def _token(arguments: argparse.Namespace, sessions: Sessions) -> object:
 def _backup(arguments: argparse.Namespace, sessions: Sessions) -> object:
     if arguments.verb == "begin":
         return backups.begin(sessions)
+    if arguments.verb == "restored":
+        backups.renew_generation(sessions)
+        return {"generation": "renewed"}
     change = backups.finish if arguments.verb == "finish" else backups.abort
     change(sessions, arguments.id)
     return {"id": arguments.id}

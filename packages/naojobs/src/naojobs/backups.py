@@ -17,11 +17,11 @@ from typing import BinaryIO
 
 import psycopg
 from psycopg import sql
-from sqlalchemy import delete, func, select
+from sqlalchemy import delete, func, select, text, update
 
 from naojobs.database import Sessions, downgrade, upgrade
 from naojobs.errors import InvalidError, NotFoundError
-from naojobs.models import Backup
+from naojobs.models import Backup, Generation
 
 #: Age of an unfinished backup at which it counts as broken off.
 LONGEST = timedelta(days=1)
@@ -33,6 +33,9 @@ _REST = re.compile(
     r"|--.*|SET \w+ = [^;]*;|SELECT pg_catalog\.set_config\('search_path', '', false\);|\\(un)?restrict \w+"
 )
 _END_OF_DATA, _COMPLETE = b"\\.\n", "-- PostgreSQL database dump complete"
+
+#: Tables whose rows a restored database has of its own.
+_OWN = frozenset({"alembic_version", "generations"})
 
 #: Constraints between tables. Jobs and checkpoints refer to each other, so no order of the tables would do.
 _FOREIGN_KEYS = """
@@ -90,6 +93,10 @@ def _load(connection: psycopg.Connection, lines: _Lines) -> dict[str, int]:
         if table not in known or not known[table].issuperset(columns):
             more = ", ".join(sorted(set(columns) - known.get(table, set())))
             raise InvalidError(f"no migration of the dump's revision makes table {table} with {more}", "dump")
+        if table in _OWN:
+            for _ in lines.rows():
+                pass
+            continue
         names = sql.SQL(", ").join(map(sql.Identifier, columns))
         statement = sql.SQL("COPY {} ({}) FROM STDIN").format(sql.Identifier("public", table), names)
         with connection.cursor() as cursor:
@@ -170,6 +177,12 @@ def abort(sessions: Sessions, backup_id: int) -> None:
     """Forget an unfinished backup."""
     with sessions.begin() as session:
         session.execute(delete(Backup).where(Backup.id == backup_id, Backup.finished_at.is_(None)))
+
+
+def renew_generation(sessions: Sessions) -> None:
+    """Give the database another generation: no attempt from before can write, and its work is queued again."""
+    with sessions.begin() as session:
+        session.execute(update(Generation).values(key=text("gen_random_uuid()::text")))
 
 
 def in_progress(sessions: Sessions) -> bool:

@@ -23,7 +23,18 @@ from naojobs.capabilities import Capabilities
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, is_due, notify, one_statement
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
-from naojobs.models import WORK, Checkpoint, Evaluation, Event, Job, Metric, Policy, PolicyVersion, WorkKind
+from naojobs.models import (
+    WORK,
+    Checkpoint,
+    Evaluation,
+    Event,
+    Job,
+    Metric,
+    Policy,
+    PolicyVersion,
+    WorkKind,
+    generation,
+)
 from naojobs.quotas import require_free_slot
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
@@ -40,7 +51,10 @@ W = TypeVar("W", Job, Evaluation)
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """Right of a worker to write to a piece of work; `attempt` fences it off once another worker has claimed it."""
+    """Right of a worker to write to a piece of work.
+
+    `attempt` fences it off once another worker has claimed the work, `generation` once the database was restored.
+    """
 
     kind: WorkKind
     id: str
@@ -48,6 +62,8 @@ class Lease:
     job_id: str
     owner: str
     attempt: int
+    #: Generation of the database that gave it, see `naojobs.models.generation`.
+    generation: str
 
     def __str__(self) -> str:
         """Return the work and its holder for messages."""
@@ -110,7 +126,7 @@ def _change(work: Job | Evaluation, target: WorkState) -> None:
     work.state = target
     work.updated_at = func.now()
     if target not in LEASED:
-        work.lease_owner = None
+        work.lease_owner = work.lease_generation = None
         work.lease_expires_at = None
         work.stalled_since = None
     if target is WorkState.QUEUED:
@@ -187,7 +203,12 @@ def _known(session: Session, model: type[W], work_id: str) -> W:
 def _held_by(lease: Lease) -> ColumnElement[bool]:
     """Return the condition under which `lease` is still valid."""
     model = WORK[lease.kind]
-    return and_(model.id == lease.id, model.lease_owner == lease.owner, model.attempt == lease.attempt)
+    return and_(
+        model.id == lease.id,
+        model.lease_owner == lease.owner,
+        model.attempt == lease.attempt,
+        generation() == lease.generation,
+    )
 
 
 def _lost(lease: Lease) -> LeaseLostError:
@@ -468,10 +489,11 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
     _change(work, WorkState.STARTING)
     work.attempt += 1
     work.lease_owner = worker
+    work.lease_generation = session.scalars(select(generation())).one()
     work.lease_expires_at = func.now() + timedelta(seconds=lease_s)
     work.heartbeat_at = func.now()
     work.started_at = func.coalesce(type(work).started_at, func.now())
-    lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt)
+    lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt, work.lease_generation)
     if isinstance(work, Evaluation):
         notify(session, work.job_id)  # no event: the job's row is not locked
         checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
@@ -720,11 +742,13 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
     """Count a failed attempt for all work whose lease has expired, and queue it again or end it; return the new states.
 
     An attempt whose last heartbeat is older than the database's start counts as none: the machine, the container engine
-    or the service was restarted, with the worker. Several workers may do so at once: each row is processed by one.
+    or the service was restarted, with the worker. Neither does one of another generation: the database was restored.
+    Several workers may do so at once: each row is processed by one.
     """
     done = []
     for model in WORK.values():
-        expired = and_(model.state.in_(LEASED), model.lease_expires_at < func.now())
+        restored = model.lease_generation.is_distinct_from(generation())
+        expired = and_(model.state.in_(LEASED), or_(model.lease_expires_at < func.now(), restored))
         with sessions() as session:
             stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(limit)).all()
         for work_id in stale:
@@ -732,7 +756,9 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
                 work = lock(session, cast("type[Job]", model), work_id, expired, skip_locked=True)
                 if work is not None:
                     reason, counts = f"lease of worker {work.lease_owner} expired", True
-                    if session.scalar(
+                    if session.scalar(select(restored).where(model.id == work.id)):
+                        reason, counts = "the database was restored", False
+                    elif session.scalar(
                         select(model.heartbeat_at < func.pg_postmaster_start_time()).where(model.id == work.id)
                     ):
                         reason, counts = f"the service was restarted, and with it worker {work.lease_owner}", False

@@ -19,11 +19,13 @@ from sqlalchemy import (
     Index,
     Integer,
     MetaData,
+    ScalarSelect,
     Sequence,
     String,
     Text,
     UniqueConstraint,
     func,
+    select,
     text,
 )
 from sqlalchemy.dialects.postgresql import ARRAY, JSONB
@@ -115,6 +117,8 @@ class Work:
     #: Number of failures at which the work fails for good.
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
     lease_owner: Mapped[str | None] = mapped_column(String(200))
+    #: Generation of the database that gave the lease, see `generation`.
+    lease_generation: Mapped[str | None] = mapped_column(String(80))
     lease_expires_at: Mapped[datetime | None]
     heartbeat_at: Mapped[datetime | None]
     #: Since when leased work has made no step, once its worker has noticed; none while it makes steps.
@@ -497,6 +501,27 @@ class Backup(Base):
 
 #: 244 random bits in hexadecimal digits, drawn by the database.
 RANDOM_KEY = text("replace(gen_random_uuid()::text || gen_random_uuid()::text, '-', '')")
+
+
+class Generation(Base):
+    """Key of the database, in one row: a restored one has another."""
+
+    __tablename__ = "generations"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    key: Mapped[str]
+
+    __table_args__ = (CheckConstraint("id = 1", name="one_row"),)
+
+
+def generation() -> ScalarSelect[str]:
+    """Return the query of the database's generation: its key and the timeline of its server.
+
+    A restore makes another key, and recovery to a moment or a standby that takes over begins another timeline: in each
+    of these cases what workers have written last may be missing.
+    """
+    timeline = func.left(func.pg_walfile_name(func.pg_current_wal_lsn()), 8)
+    return select(func.concat(Generation.key, "-", timeline)).scalar_subquery()
 
 
 class Token(Base):

@@ -40,6 +40,7 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "deliveries": {Role.API: "SIUD", Role.WORKER: "SI"},
     "evaluations": {Role.API: "SIU", Role.WORKER: "SIU"},
     "events": {Role.API: "SI", Role.WORKER: "SI"},
+    "generations": {Role.API: "S", Role.WORKER: "S"},
     "jobs": {Role.API: "SIUD", Role.WORKER: "SIU"},
     "logs": {Role.API: "S", Role.WORKER: "SI"},
     "metrics": {Role.API: "S", Role.WORKER: "SIUD"},

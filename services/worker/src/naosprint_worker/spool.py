@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Self
 
 from naojobs.database import Sessions
-from naojobs.models import Checkpoint, Job
+from naojobs.lifecycle import Lease
+from naojobs.models import Checkpoint, Job, generation
 from naojobs.records import MetricsRow
 from naojobs.states import WorkState
 from sqlalchemy import func, select
@@ -63,9 +64,9 @@ class Spool:
         self._sizes: dict[int, int] = {}
 
     @classmethod
-    def of_attempt(cls, worker_dir: Path, job_id: str, attempt: int) -> Self:
+    def of_attempt(cls, worker_dir: Path, lease: Lease) -> Self:
         """Return the spool of an attempt below the folder of a host's workers."""
-        return cls(worker_dir / SPOOL / job_id / str(attempt), attempt)
+        return cls(worker_dir / SPOOL / lease.generation / lease.job_id / str(lease.attempt), lease.attempt)
 
     @property
     def size(self) -> int:
@@ -115,7 +116,7 @@ class Spool:
 
     def close(self) -> None:
         """Remove the folders that are empty."""
-        for folder in (self._folder, self._folder.parent, self._folder.parent.parent):
+        for folder in (self._folder, *list(self._folder.parents)[:3]):
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
@@ -129,9 +130,18 @@ class Spool:
 
 
 def sweep(worker_dir: Path, sessions: Sessions) -> list[Path]:
-    """Delete spools of jobs that are gone, that succeeded, or that resumed elsewhere; return their folders."""
+    """Delete spools of jobs that are gone, that succeeded, or that resumed elsewhere; return their folders.
+
+    Spools of another generation are of attempts whose records the database may lack.
+    """
     gone = []
-    for job_folder in sorted(path for path in (worker_dir / SPOOL).glob("*") if path.is_dir()):
+    with sessions() as session:
+        current = session.scalars(select(generation())).one()
+    for folder in (worker_dir / SPOOL).glob("*"):
+        if folder.name != current:
+            shutil.rmtree(folder, ignore_errors=True)
+            gone.append(folder)
+    for job_folder in sorted(path for path in (worker_dir / SPOOL / current).glob("*") if path.is_dir()):
         with sessions() as session:
             job = session.get(Job, job_folder.name)
             of_job = Checkpoint.job_id == job_folder.name

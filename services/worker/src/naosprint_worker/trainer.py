@@ -71,7 +71,7 @@ class Attempt:
         self._steps: dict[str, int] = {}
         self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
         settings = services.settings
-        self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease.job_id, assignment.lease.attempt)
+        self._spool = Spool.of_attempt(settings.worker_dir, assignment.lease)
         self._recorder = Recorder(
             self._sink,
             spool=self._spool,
