@@ -6,8 +6,9 @@ subclass of :class:`Section` that the plug-in provides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
@@ -18,6 +19,23 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic.json_schema import JsonSchemaValue
     from pydantic_core import CoreSchema
+
+
+PLAIN_NAME = "^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
+"""Pattern of names that enter generated files as they are: letters, digits, ``_``, ``.`` and ``-``."""
+
+PlainName = Annotated[str, Field(pattern=PLAIN_NAME)]
+
+
+def require_plain_names(what: str, names: Iterable[str]) -> None:
+    """Check names that enter checkpoints and generated files.
+
+    Raises:
+        ValueError: naming the first that does not match :data:`PLAIN_NAME`.
+    """
+    for name in names:
+        if not re.fullmatch(PLAIN_NAME, name):
+            raise ValueError(f"{what}: {name!r}: a name is at most 64 letters, digits, '_', '.' and '-'")
 
 
 class Section(BaseModel):

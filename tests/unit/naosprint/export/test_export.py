@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -164,6 +165,65 @@ def test_check_of_the_header_fails_for_another_policy(tmp_path: Path) -> None:
     subprocess.run(["cc", "-std=c99", "policy_check.c", "-o", "check", "-lm"], cwd=tmp_path, check=True)
     assert subprocess.run([tmp_path / "check"], capture_output=True, check=False).returncode == 1
 
+
+HOSTILE = (
+    'x"};\nstatic int evil = 1;\nstatic const char *const y[] = {"',
+    "??/",  # a trigraph for a backslash: the string would not end
+    "a\\",
+    "*/ static int evil = 1; /*",
+    "x\n#include </etc/passwd>",
+    "\u2028\udcff",
+)
+
+
+def test_names_stay_text_in_the_header(tmp_path: Path) -> None:
+    """Even those that no checkpoint can have: a quote, a trigraph, the end of a comment, a line."""
+    policy, manifest = random_policy("nao-0")
+    names = (*HOSTILE, *manifest.observations[len(HOSTILE) :])
+    header = build_header(policy, manifest.model_copy(update={"observations": names}))
+    (tmp_path / "policy.h").write_text(header)
+    (tmp_path / "names.c").write_text(NAMES)
+    flags = ["-std=c99", "-trigraphs", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function"]
+    subprocess.run(["cc", *flags, "names.c", "-o", "names", "-lm"], cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "names"], capture_output=True, check=True).stdout
+    assert printed.split(b"\0")[:-1] == [name.encode("utf-8", "surrogatepass") for name in names]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_checkpoint_with_a_name_that_is_code_is_refused(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    """Nothing of it reaches a generated file."""
+    copy = Path(shutil.copytree(checkpoint, tmp_path / "copy"))
+    manifest = json.loads((copy / "checkpoint.json").read_text())
+    for field in ("observations", "actions"):
+        (copy / "checkpoint.json").write_text(json.dumps({**manifest, field: [name, *manifest[field][1:]]}))
+        with pytest.raises(CheckpointError, match=f"{field}.0"):
+            export_policy(copy, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_actions_are_joints_of_the_robot(checkpoint: Path, tmp_path: Path) -> None:
+    """Other plain names do not pass for the robot's."""
+    copy = Path(shutil.copytree(checkpoint, tmp_path / "copy"))
+    manifest = json.loads((copy / "checkpoint.json").read_text())
+    (copy / "checkpoint.json").write_text(json.dumps({**manifest, "actions": manifest["actions"][::-1]}))
+    with pytest.raises(CheckpointError, match="actions: not the joints of robot nao-0"):
+        export_policy(copy, tmp_path / "out")
+
+
+NAMES = """
+#include <stdio.h>
+#include "policy.h"
+
+int main(void)
+{
+    int i;
+    (void)policy_action_names;
+    (void)policy_joint_names;
+    for (i = 0; i < POLICY_OBSERVATIONS; i++)
+        printf("%s%c", policy_observation_names[i], 0);
+    return 0;
+}
+"""
 
 RUN = """
 #include <stdio.h>

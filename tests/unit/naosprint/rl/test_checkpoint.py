@@ -124,6 +124,15 @@ def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
         ({"spec_sha256": "0" * 64}, "does not match"),
         ({"spec": {"task": "swim"}}, "spec.task"),
         ({"files": {POLICY: {"sha256": "x", "size": 1}}}, "sha256"),
+        ({"files": {"../policy.npz": {"sha256": "0" * 64, "size": 1}}}, "files"),
+        ({"files": {"/etc/passwd": {"sha256": "0" * 64, "size": 1}}}, "files"),
+        ({"stage": 7}, "stage: 7 is not one of the 1"),
+        ({"observations": ["a", "a"]}, "observations: two have the same name"),
+        ({"observations": ['a"};int x = system("touch x");char*y[]={"']}, "observations.0"),
+        ({"observations": ["a\n"]}, "observations.0"),
+        ({"observations": ["??/"]}, "observations.0"),
+        ({"actions": ["a */ int x;"]}, "actions.0"),
+        ({"steps": 10**400}, "steps"),
     ],
 )
 def test_bad_manifest_is_refused(copy: Path, fields: dict[str, Any], words: str) -> None:

@@ -37,6 +37,9 @@ _STYLE: dict[str, Any] = {
     "font.size": 10,
     "font.family": "DejaVu Sans",
     "text.color": _INK,
+    # text comes from evaluations: no formulas and no TeX, whatever the user's own settings are
+    "text.usetex": False,
+    "text.parse_math": False,
     "axes.edgecolor": "#7a828c",
     "axes.labelcolor": _INK,
     "axes.titlesize": 11,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import string
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ TOLERANCE = 1e-6
 """Largest difference of an action between the header and the checkpoint."""
 
 _VECTORS = 64
+_PLAIN_CHARACTERS = frozenset(string.ascii_letters + string.digits + " _.,:+-")
 _WIDTH = 8
 
 _CODE = """\
@@ -96,7 +98,7 @@ def build_header(policy: Policy, manifest: Manifest) -> str:
     joints = len(arrays["joint_names"])
     widest = max(len(policy.mean), *(len(bias) for _, bias in policy.layers))
     lines = [
-        f"/* Policy of {arrays['robot']}, {manifest.steps} steps of training. Exported by naosprint. */",
+        f"/* Policy of {_text(str(arrays['robot']))}, {manifest.steps} steps of training. Exported by naosprint. */",
         "#ifndef NAOSPRINT_POLICY_H",
         "#define NAOSPRINT_POLICY_H",
         "",
@@ -158,7 +160,15 @@ def exact_actions(policy: Policy, observations: FloatArray) -> FloatArray:
 
 
 def _names(name: str, values: tuple[str, ...] | list[str]) -> str:
-    return f"static const char *const {name}[] = {{\n" + "".join(f'    "{value}",\n' for value in values) + "};"
+    return f"static const char *const {name}[] = {{\n" + "".join(f'    "{_text(value)}",\n' for value in values) + "};"
+
+
+def _text(value: str) -> str:
+    """Return text for a C string or comment: all but letters, digits, spaces and ``_.,:+-`` as octal escapes."""
+    return "".join(
+        chr(byte) if chr(byte) in _PLAIN_CHARACTERS else f"\\{byte:03o}"
+        for byte in value.encode("utf-8", "surrogatepass")
+    )
 
 
 def _array(name: str, values: AnyArray) -> str:

@@ -21,12 +21,13 @@ import zipfile
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from naospec import TrainingSpec, validation_words
 from naospec.json_text import json_text
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from naospec.sections import PlainName
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,23 +61,37 @@ class FileEntry(BaseModel):
     size: int = Field(ge=0, le=_MAX_FILE_BYTES)
 
 
+_Count = Annotated[int, Field(ge=0, le=2**53)]
+_FileName = Annotated[str, Field(pattern="^[a-z][a-z0-9-]{0,63}\\.npz$")]
+
+
 class Manifest(BaseModel):
-    """Content of ``checkpoint.json``."""
+    """Content of ``checkpoint.json``; its names enter generated files and paths, so they are plain."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     format: int
     spec: TrainingSpec
     spec_sha256: str
-    stage: int = Field(ge=0)
-    steps: int = Field(ge=0)
-    updates: int = Field(ge=0)
-    episodes: int = Field(ge=0)
+    stage: _Count
+    steps: _Count
+    updates: _Count
+    episodes: _Count
     training_s: float = Field(ge=0.0)
-    observations: tuple[str, ...]
-    actions: tuple[str, ...]
+    observations: tuple[PlainName, ...]
+    actions: tuple[PlainName, ...]
     versions: dict[str, str]
-    files: dict[str, FileEntry]
+    files: dict[_FileName, FileEntry]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for field, names in (("observations", self.observations), ("actions", self.actions)):
+            if len(set(names)) < len(names):
+                raise ValueError(f"{field}: two have the same name")
+        stages = len(self.spec.stage_specs)
+        if self.stage >= stages:
+            raise ValueError(f"stage: {self.stage} is not one of the {stages} of the specification, counted from 0")
+        return self
 
     @property
     def processes(self) -> int:

@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim.robots.actuation import Actuation
 
-from naosprint.rl.checkpoint import POLICY, CheckpointError, Manifest, read_file, read_manifest
+from naosprint.rl.checkpoint import MANIFEST, POLICY, CheckpointError, Manifest, read_file, read_manifest
 from naosprint.rl.forward import Forward
 from naosprint.rl.normalization import EPSILON
 
@@ -70,6 +71,9 @@ def load_policy(directory: Path) -> tuple[Policy, Manifest]:
         policy = _build(arrays, manifest)
     except KeyError as error:
         raise CheckpointError(f"{directory / POLICY}: array {error.args[0]!r} is missing") from None
+    robot = manifest.stage_spec.robot_description
+    if manifest.actions != Actuation(robot).names:
+        raise CheckpointError(f"{directory / MANIFEST}: actions: not the joints of robot {robot.name}")
     return policy, manifest
 
 

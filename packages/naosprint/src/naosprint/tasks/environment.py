@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from naosim.simulator import RuntimeOptions
 from naospec import plugins
+from naospec.sections import require_plain_names
 
 from naosprint.tasks.base import Task, World
 from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
@@ -65,6 +66,8 @@ class Environment:
         self.actuation = self.world.actuation
         self.task = task_class(parameters, self.world, seed)
         self.observer = Observer(n, self.task.observation_blocks())
+        require_plain_names("observations", self.observer.names)
+        require_plain_names("joints", self.world.robot.joint_names)
         self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
         settings = (
