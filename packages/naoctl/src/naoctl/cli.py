@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import Annotated
 
@@ -24,7 +23,8 @@ from naoctl.commands import (
 )
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
-from naoctl.errors import CliError, ExitCode
+from naoctl.errors import CliError, ExitCode, plain
+from naoctl.render import terminal_json
 
 EPILOG = (
     "Exit codes: 0 done, 1 failed, 2 wrong input, 3 the service does not answer, 4 token refused, 5 not found, "
@@ -119,6 +119,7 @@ def usage_error(error: typer.TyperException) -> CliError:
 def report(error: CliError, *, as_json: bool) -> None:
     """Write an error to standard error: one line of text, or one JSON document."""
     if as_json:
-        sys.stderr.write(json.dumps({"error": error.message, "fix": error.fix, "code": int(error.code)}) + "\n")
+        document = {"error": error.message, "fix": error.fix, "code": int(error.code)}
+        sys.stderr.write(terminal_json(document) + "\n")
     else:
-        sys.stderr.write(f"naoctl: {error}\n")
+        sys.stderr.write(plain(f"naoctl: {error}", keep="\t\n") + "\n")

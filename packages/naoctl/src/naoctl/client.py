@@ -15,7 +15,7 @@ from httpx_sse import SSEError, connect_sse
 
 from naoctl import __version__
 from naoctl.config import Target
-from naoctl.errors import CliError, ExitCode, Unreachable
+from naoctl.errors import CliError, ExitCode, Unreachable, plain
 
 Json = dict[str, Any]
 
@@ -200,8 +200,6 @@ def raise_for_problem(response: httpx.Response) -> None:
     ]
     has_fields = fields and status in (400, 422)
     message = "; ".join(fields) if has_fields else detail[:1].upper() + detail[1:].rstrip(".")
-    # Text of other users must not contain control characters of the terminal.
-    message = "".join(character if character.isprintable() else " " for character in message)
     code, fix = ExitCode.FAILURE, None
     policies = "/policies/" in response.request.url.path
     if status in (301, 302, 303, 307, 308):
@@ -224,10 +222,12 @@ def raise_for_problem(response: httpx.Response) -> None:
         code = ExitCode.USAGE
     elif status == 429:
         wait = response.headers.get("retry-after")
-        fix = f"Try again in {wait} s." if wait else "Try again later."
+        fix = f"Try again in {plain(wait, keep='')} s." if wait else "Try again later."
     elif status >= 500:
         message = f"The service failed with status {status}: {message}"
         fix = "See its log; on this machine `naoctl doctor` shows where it is."
+    # Text of other users must neither control the terminal nor look like a line of ours.
+    message = plain(message, " ", keep="")
     raise ApiError(message, status=status, fix=fix, code=code, problem=problem)
 
 

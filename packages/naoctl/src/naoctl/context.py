@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.render import SHORT_ID, make_console, print_json
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+_INERT_WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_./@+-]*")
 #: Reference to the newest job; no job can have this name.
 NEWEST = "last"
 DataDir = Annotated[
@@ -103,15 +105,25 @@ def _is_id(text: str) -> bool:
     return len(text) == 30 and text.startswith("job_") and text[4:].isalnum()
 
 
+def completions(words: Iterable[str], incomplete: str) -> list[str]:
+    """Return the words that begin with ``incomplete`` and that no shell interprets.
+
+    Shells evaluate what a completion returns: zsh while it completes, bash when the line is run.
+    """
+    return [word for word in dict.fromkeys(words) if word.startswith(incomplete) and _INERT_WORD.fullmatch(word)]
+
+
 def complete_job(incomplete: str) -> list[str]:
-    """Return names and ids of jobs for shell completion: names first; nothing if the service does not answer."""
+    """Return names and ids of jobs for shell completion: names first; nothing if the service does not answer.
+
+    Of a job whose name a shell would interpret it is the id alone.
+    """
     try:
         with Client(resolve_target()) as client:
             jobs = list(client.pages("/jobs", limit=100, q=incomplete or None))
     except CliError:
         jobs = []
-    words = dict.fromkeys([*(job["name"] for job in jobs), NEWEST, *(job["id"] for job in jobs)])
-    return [word for word in words if word.startswith(incomplete)]
+    return completions([*(job["name"] for job in jobs), NEWEST, *(job["id"] for job in jobs)], incomplete)
 
 
 def stdin_is_terminal() -> bool:

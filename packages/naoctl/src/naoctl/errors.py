@@ -36,6 +36,11 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+def plain(text: object, instead: str = "\N{REPLACEMENT CHARACTER}", *, keep: str = "\t") -> str:
+    """Return text without control, format and separator characters, which control the terminal or hide text."""
+    return "".join(c if c.isprintable() or c in keep else instead for c in str(text))
+
+
 class CliError(Exception):
     """Error that ends the command: what is wrong, and how to correct it."""
 

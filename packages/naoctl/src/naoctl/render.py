@@ -10,12 +10,14 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from naosprint.tasks.metrics import format_value
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.progress_bar import ProgressBar
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from naoctl.descriptions import Descriptions, section_name, value_text
+from naoctl.errors import plain
 from naoctl.evaluations import evaluated, headline, metric_text, shown_result
 
 if TYPE_CHECKING:
@@ -43,20 +45,39 @@ MISSING = "-"
 
 def make_console(*, stderr: bool = False) -> Console:
     """Return a console that neither wraps nor colours text if it is not a terminal."""
-    console = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    console = _PlainConsole(stderr=stderr, highlight=False, soft_wrap=False)
     if not console.is_terminal:
-        console = Console(stderr=stderr, highlight=False, width=200, no_color=True)
+        console = _PlainConsole(stderr=stderr, highlight=False, width=200, no_color=True)
     return console
+
+
+class _PlainConsole(Console):
+    """Console whose text never controls the terminal; colours and cursor movements are rich's own."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=plain(segment.text, keep="\t\n"))
+
+
+def terminal_json(value: Any, indent: int | None = None) -> str:
+    """Return JSON in which characters that control a terminal or hide text are escaped."""
+    text = json.dumps(value, indent=indent, ensure_ascii=False)
+    return "".join(c if c.isprintable() or c == "\n" else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    code = ord(character)
+    return f"\\u{code:04x}" if code < 0x10000 else json.dumps(character)[1:-1]
 
 
 def print_json(console: Console, value: Any) -> None:
     """Print JSON without colour and wrapping."""
-    console.file.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+    console.file.write(terminal_json(value, indent=2) + "\n")
 
 
 def print_json_line(console: Console, value: Any) -> None:
     """Print a JSON document on one line and flush."""
-    console.file.write(json.dumps(value, ensure_ascii=False) + "\n")
+    console.file.write(terminal_json(value) + "\n")
     console.file.flush()
 
 
@@ -132,11 +153,6 @@ def clock(text: str | None) -> str:
     """Return a timestamp of the service in local time, hours to milliseconds."""
     moment = parse_time(text)
     return moment.astimezone().strftime("%H:%M:%S.%f")[:-3] if moment else MISSING
-
-
-def plain(text: object) -> str:
-    """Return text without control characters, which could control the terminal."""
-    return "".join(c if c.isprintable() or c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in str(text))
 
 
 def cell(text: object) -> Text:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from typer.models import OptionInfo
 
+from naoctl.context import completions
 from naoctl.errors import InvalidInput
 
 #: What a user writes to set a nullable field to null.
@@ -322,6 +323,6 @@ def _help(setting: Setting) -> str:
 
 def _completion(choices: tuple[str, ...]) -> Callable[[str], list[str]]:
     def complete(incomplete: str) -> list[str]:
-        return [choice for choice in choices if choice.startswith(incomplete)]
+        return completions(choices, incomplete)
 
     return complete

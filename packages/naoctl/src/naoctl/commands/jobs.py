@@ -7,23 +7,12 @@ from typing import Annotated, Any
 import typer
 
 from naoctl.commands.artifacts import await_evaluation
-from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.context import Context, JsonFlag, complete_job, completions, context_of, find_job, stdin_is_terminal
 from naoctl.descriptions import Descriptions, common, value_text
-from naoctl.errors import InvalidInput
+from naoctl.errors import InvalidInput, plain
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.render import (
-    COLUMNS,
-    MISSING,
-    cell,
-    chosen_table,
-    job_details,
-    jobs_table,
-    listing,
-    plain,
-    state_text,
-    value_of,
-)
+from naoctl.render import COLUMNS, MISSING, cell, chosen_table, job_details, jobs_table, listing, state_text, value_of
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
@@ -35,7 +24,7 @@ WaitFlag = Annotated[bool, typer.Option("--wait", help="Return when it has happe
 
 
 def _complete_state(incomplete: str) -> list[str]:
-    return [state for state in STATES if state.startswith(incomplete)]
+    return completions(STATES, incomplete)
 
 
 def list_jobs(

@@ -14,8 +14,8 @@ from naoctl import __version__
 from naoctl.client import ApiError, Client
 from naoctl.config import Config, Target, normal_url, resolve_target
 from naoctl.context import JsonFlag, context_of, stdin_is_terminal
-from naoctl.errors import CliError, ExitCode, InvalidInput
-from naoctl.render import ago, cell, has_passed, listing, plain
+from naoctl.errors import CliError, ExitCode, InvalidInput, plain
+from naoctl.render import ago, cell, has_passed, listing
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
 token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
-from naoctl.context import JsonFlag, context_of
+from naoctl.context import JsonFlag, completions, context_of
 from naoctl.errors import InvalidInput
 from naoctl.help import page
 from naoctl.render import MISSING, pairs
@@ -37,7 +37,7 @@ def complete_field(incomplete: str) -> list[str]:
     """Return groups and settings for shell completion."""
     sections = settings_by_section()
     names = [*sections, *(name for settings in sections.values() for name in settings)]
-    return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
+    return completions(names, incomplete)
 
 
 def spec(

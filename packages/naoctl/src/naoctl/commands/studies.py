@@ -22,9 +22,9 @@ from naoctl.commands.submit import (
     make_job,
 )
 from naoctl.context import JsonFlag, context_of
-from naoctl.errors import CliError, ExitCode, InvalidInput
+from naoctl.errors import CliError, ExitCode, InvalidInput, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
-from naoctl.render import MISSING, ago, cell, listing, pairs, plain
+from naoctl.render import MISSING, ago, cell, listing, pairs
 from naoctl.specflags import expanded, parse_flags, spec_parameters, training_settings, with_parameters
 
 app = typer.Typer(

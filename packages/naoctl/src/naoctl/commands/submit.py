@@ -17,12 +17,11 @@ from pydantic import TypeAdapter
 
 from naoctl.client import Client
 from naoctl.commands.watch import watch_job
-from naoctl.context import NEWEST, Context, JsonFlag, complete_job, context_of, find_job
+from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions, context_of, find_job
 from naoctl.descriptions import section_name
-from naoctl.errors import InvalidInput, Unreachable
+from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.jobfile import load_job_file
-from naoctl.render import plain
 from naoctl.specflags import (
     build,
     flag_name,
@@ -67,7 +66,7 @@ SUBMIT_ATTEMPTS = 3
 
 
 def _complete_recipe(incomplete: str) -> list[str]:
-    return [name for name in recipes.names() if name.startswith(incomplete)]
+    return completions(recipes.names(), incomplete)
 
 
 JobFile = Annotated[

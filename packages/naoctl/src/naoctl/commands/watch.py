@@ -12,10 +12,10 @@ from rich.live import Live
 from naoctl.client import Client
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.descriptions import Descriptions, value_text
-from naoctl.errors import CliError, ExitCode
+from naoctl.errors import CliError, ExitCode, plain
 from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
-from naoctl.render import Curve, clock, duration, live_view, plain, print_json_line, progress_line, stall_text
+from naoctl.render import Curve, clock, duration, live_view, print_json_line, progress_line, stall_text
 
 #: Seconds between two lines of progress where there is no terminal.
 LINE_EVERY_S = 5.0

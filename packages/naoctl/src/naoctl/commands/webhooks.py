@@ -12,8 +12,8 @@ from rich.table import Table
 
 from naoctl.client import ApiError
 from naoctl.context import JsonFlag, context_of
-from naoctl.errors import CliError, ExitCode
-from naoctl.render import MISSING, ago, cell, plain
+from naoctl.errors import CliError, ExitCode, plain
+from naoctl.render import MISSING, ago, cell
 
 app = typer.Typer(
     help="Create, list and delete webhooks: addresses that receive messages about your jobs.",
