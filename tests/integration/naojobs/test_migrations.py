@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic.autogenerate import compare_metadata
@@ -31,11 +33,19 @@ def url_of(engine: Engine) -> str:
     return engine.url.render_as_string(hide_password=False)
 
 
+def differs(difference: Any) -> bool:
+    """Return whether a difference is one: Alembic compares defaults by their values, which random ones never share."""
+    if not isinstance(difference, list) or difference[0][0] != "modify_default":
+        return True
+    texts = [re.sub(r"::text|[\s()]", "", str(default.arg)) for default in difference[0][-2:] if default is not None]
+    return len(set(texts)) != 1 or "gen_random_uuid" not in texts[0]
+
+
 def test_up_gives_what_the_models_say_and_down_leaves_nothing(empty: Engine) -> None:
     upgrade(url_of(empty), MIGRATIONS)
     with empty.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_server_default": True})
-        assert compare_metadata(context, Base.metadata) == []
+        assert [found for found in compare_metadata(context, Base.metadata) if differs(found)] == []
     downgrade(url_of(empty), MIGRATIONS, "base")
     assert inspect(empty).get_table_names() == ["alembic_version"]
     assert inspect(empty).get_sequence_names() == []
