@@ -343,23 +343,29 @@ def test_replays_and_paths_are_on_the_field_of_the_league(
         const frames = 3;
         const recording = new Recording({
           format: 2, frames, dt_s: 0.02, end: "", failed: false, foot_force_n: Array(frames).fill([0, 0]),
-          bodies: [{ name: "torso", shape: "box", size_m: [0.1, 0.2, 0.3], side: "centre" }],
-          position_m: Array(frames).fill([0, 0, 0.5]), rotation_wxyz: Array(frames).fill([1, 0, 0, 0]) }, 0);
+          bodies: [{ name: "torso", shape: "box", size_m: [0.1, 0.2, 0.3], side: "centre" },
+            { name: "ball", shape: "sphere", size_m: [0.11, 0, 0], side: "centre" }],
+          position_m: [0, 1, 2].map((t) => [0, 0, 0.5, 1 + t, 0, 0.11]),
+          rotation_wxyz: Array(frames).fill([1, 0, 0, 0, 1, 0, 0, 0]) }, 0);
         const host = document.getElementById("main");
         host.replaceChildren();
         const stage = new Stage(host, recording, ground);
         const ends = stage.scene.children.filter((m) => m.material === stage.chalk)
           .map((m) => m.position.x + m.geometry.parameters.width / 2 || 0);
         const goals = stage.goals.map((g) => g.position.x);
+        stage.show(1.5);
+        const ball = stage.parts[1];
+        const shown = { x: ball.position.x, radius: ball.geometry.parameters.radius, leather: !!ball.material.map };
         stage.destroy();
         const episode = { x: [0, 1], y: [0, 0], samples: 2, failed: false, distance: 1, seconds: 1, speed: 1 };
         const paths = { ground, lines: [], count: 1, episode: () => episode, all: () => [episode] };
         const picture = field(900, paths, { selected: 0, half: 3, onSelect: () => {} });
         const last = [...picture.querySelectorAll("text")].at(-1).textContent;
-        return { ends: Math.max(0, ...ends), goals, last, goal: ground.goal };
+        return { ends: Math.max(0, ...ends), goals, last, goal: ground.goal, shown };
         """,
         robot,
     )
+    assert found["shown"] == {"x": 2.5, "radius": 0.11, "leather": True}
     if length is None or goal is None:
         assert (found["ends"], found["goals"], found["goal"]) == (0, [], None)
         return

@@ -19,7 +19,7 @@ from naojobs.roles import Role
 
 from tests.integration.conftest import as_role
 
-PACKAGE = Path(__file__).parents[2] / "packages" / "naosprint-backwards"
+PACKAGES = [Path(__file__).parents[2] / "packages" / f"naosprint-{name}" for name in ("backwards", "push")]
 TASK = "run-backwards"
 STEPS = 1_000_000
 FLAGS = ("--n-steps", "32", "--batch-size", "1024", "--gamma", "0.99", "--checkpoint-interval-steps", "500_000")
@@ -52,16 +52,17 @@ def installed(
     make_token: Callable[..., str],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Installation]:
-    """API, worker and naoctl as processes that find the package, which is installed into a folder of its own."""
+    """API, worker and naoctl as processes that find the packages, which are installed into a folder of their own."""
     folder = tmp_path_factory.mktemp("backwards")
-    # a copy: building writes beside the sources
-    source = folder / "source"
-    source.mkdir()
-    for file in PACKAGE.iterdir():
-        if file.is_file():
-            (source / file.name).write_bytes(file.read_bytes())
+    sources = [folder / package.name for package in PACKAGES]
+    for package, source in zip(PACKAGES, sources, strict=True):
+        # a copy: building writes beside the sources
+        source.mkdir()
+        for file in package.iterdir():
+            if file.is_file():
+                (source / file.name).write_bytes(file.read_bytes())
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "--target", folder / "site", source], check=True)
+    subprocess.run([*pip, "--target", folder / "site", *sources], check=True)
     with httpx.Client(timeout=30) as client:
         port = _free_port()
         url = f"http://127.0.0.1:{port}"
@@ -108,8 +109,9 @@ def trained(installed: Installation) -> tuple[dict[str, Any], dict[str, Any]]:
     return job, evaluation
 
 
-def test_the_package_is_small() -> None:
-    files = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".toml")]
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_the_package_is_small(package: Path) -> None:
+    files = [path for path in package.rglob("*") if path.suffix in (".py", ".toml")]
     assert len(files) == 2
     assert sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files) <= MOST_LINES
 
@@ -179,6 +181,30 @@ def test_the_report_shows_its_results(trained: tuple[dict[str, Any], dict[str, A
     (distance,) = (result for result in evaluation["summary"]["results"] if result["name"] == "backward_m")
     assert "Distance backwards" in page
     assert f"{distance['value']:.2f}" in page
+
+
+def test_a_task_with_a_ball_is_trained_evaluated_filmed_and_exported(installed: Installation, tmp_path: Path) -> None:
+    """A few updates only: how the ball is pushed is no matter of the service."""
+    few = ("--n-envs", "16", "--n-steps", "32", "--batch-size", "256", "--steps", "2048", "--eval-episodes", "10")
+    words = ("--task", "push-ball", "--episode-steps", "50", "--robot", "t1", "--head-pitch-rad", "0.6", *few)
+    job = json.loads(installed.naoctl("submit", *words, "--name", "push", "--json"))
+    installed.naoctl("watch", job["id"], "--json")
+    columns = installed.client.get(f"/jobs/{job['id']}/metrics").json()["columns"]
+    assert {"ball_m", "touch_rate", "push_fall_rate"} <= set(columns)
+    (evaluation,) = installed.client.get(f"/jobs/{job['id']}/evaluations").json()["items"]
+    results = {result["name"]: result for result in evaluation["summary"]["results"]}
+    assert results["ball_m"]["title"] == "Ball's way" and results["ball_m"]["episodes"] == 10
+    assert evaluation["summary"]["headline"] == ["ball_m", "touch_rate", "push_fall_rate"]
+    assert "Ball's way" in installed.naoctl("status", "push")
+    files = {file["name"]: file["url"] for file in evaluation["files"]}
+    replay = installed.client.get(files["replay.json"]).json()
+    assert [body["name"] for body in replay["bodies"]].index("ball") == len(replay["bodies"]) - 1
+    installed.naoctl("report", "push", "--film", "--output", str(tmp_path / "report"))
+    assert list((tmp_path / "report").rglob("*.mp4"))
+    installed.naoctl("export", "push", "--format", "onnx", "--output", str(tmp_path / "export"))
+    assert list((tmp_path / "export").rglob("*.onnx"))
+    wrong = installed.client.post("/jobs", json={"spec": {"task": "push-ball", "robot": "nao-0"}})
+    assert wrong.status_code == 422 and "nao-0 have no ball" in wrong.text
 
 
 def _twin(installed: Installation, job: dict[str, Any]) -> str:
