@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import psycopg
 from pydantic_core import from_json, to_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
-from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, InvalidatePoolError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
@@ -87,6 +88,17 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
             raise InvalidatePoolError("the server has cut the connection")
 
     return engine
+
+
+def is_unavailable(error: BaseException) -> bool:
+    """Return whether a failure of a statement is one of the server, not of the statement; the same may succeed later.
+
+    A server that has become read-only has been replaced by another.
+    """
+    if not isinstance(error, DBAPIError):
+        return isinstance(error, PoolTimeoutError)
+    read_only = isinstance(error.orig, psycopg.errors.ReadOnlySqlTransaction)
+    return error.connection_invalidated or isinstance(error, OperationalError) or read_only
 
 
 def _json(value: object) -> str:

@@ -51,9 +51,12 @@ class Envelope:
         scope.setdefault("state", {})["request_id"] = request_id
         started = time.monotonic()
         status = 500
+        sent = complete = False
 
         async def send_with_headers(message: Message) -> None:
-            nonlocal status
+            nonlocal status, sent, complete
+            sent = True
+            complete = message["type"] == "http.response.body" and not message.get("more_body", False)
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
@@ -68,6 +71,14 @@ class Envelope:
 
         try:
             await self._app(scope, receive, send_with_headers)
+        except Exception as error:
+            # An answer that is complete leaves the connection to the client's next request.
+            if sent and not complete:
+                raise
+            _log.error("%s %s failed", scope["method"], scope["path"], exc_info=error, extra={"request_id": request_id})
+            if not sent:
+                answer = problem_response(500, "internal error; see the service's log")
+                await answer(scope, receive, send_with_headers)
         finally:
             elapsed = time.monotonic() - started
             route = route_of(scope)

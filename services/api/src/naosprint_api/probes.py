@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import anyio
+
+_log = logging.getLogger(__name__)
 
 #: Seconds within which a service has to answer.
 DEADLINE_S = 3.0
@@ -53,7 +56,10 @@ class Probes:
         async def ask(probe: Probe, limiter: anyio.CapacityLimiter) -> None:
             # An abandoned thread stays in use until the service answers.
             with anyio.move_on_after(self._deadline_s):
-                good.update(await anyio.to_thread.run_sync(probe.check, limiter=limiter, abandon_on_cancel=True))
+                try:
+                    good.update(await anyio.to_thread.run_sync(probe.check, limiter=limiter, abandon_on_cancel=True))
+                except Exception:
+                    _log.exception("the check of %s failed", " and ".join(probe.names))
 
         try:
             async with anyio.create_task_group() as group:

@@ -81,7 +81,7 @@ class Service:
             return seen.get(settings.lease_s) or ()
 
         probes = (
-            Probe(("database", "schema_revision"), partial(_database_in_order, reads)),
+            Probe(("database", "schema_revision"), partial(_database_in_order, sessions)),
             Probe(("store",), partial(_store_in_order, store)),
             Probe(("broker",), lambda: {"broker"} if notifier.reachable() else set()),
         )
@@ -177,7 +177,8 @@ def _live_workers(sessions: Sessions, stale_s: float) -> Sequence[Worker]:
 def _database_in_order(sessions: Sessions) -> set[str]:
     try:
         with sessions.begin() as session:
-            session.execute(text("SELECT 1"))
+            if session.scalar(text("SHOW transaction_read_only")) == "on":
+                return set()  # another server has taken over
             try:
                 found = session.scalar(text("SELECT version_num FROM alembic_version"))
             except SQLAlchemyError:
