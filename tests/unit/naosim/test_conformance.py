@@ -12,7 +12,7 @@ import pytest
 from naosim import conformance, kinds, robots
 from naosim.conformance import CHECKS, Check, Subject
 from naosim.simspark import EmbeddedSimulator
-from naosim.simulator import PLAIN, Scene, Simulator, Starts
+from naosim.simulator import PLAIN, RobotMotion, Scene, Simulator, Starts
 
 from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 
@@ -166,7 +166,10 @@ def test_a_plain_simulator_has_no_ball_and_starts_at_rest() -> None:
     with pytest.raises(ValueError, match="open it with Scene"):
         simulator.place_ball(np.array([0]), np.zeros((1, 3)))
     with pytest.raises(ValueError, match="begin at rest only"):
-        simulator.set_velocities(np.array([0]), np.zeros((1, 2)), np.zeros((1, 3)))
+        simulator.motion(np.array([0]))
+    motion = RobotMotion(*(np.zeros((1, width)) for width in (2, 2, 3, 4, 3, 3, 2)))
+    with pytest.raises(ValueError, match="begin at rest only"):
+        simulator.set_motion(np.array([0]), motion)
 
 
 def test_descriptions_and_interface_need_no_simulator() -> None:

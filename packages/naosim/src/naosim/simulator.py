@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -119,8 +119,8 @@ PLAIN = Scene()
 class Starts:
     """States from which episodes begin: k poses that robots have settled in.
 
-    Robots begin at rest. :meth:`Simulator.set_velocities` and :meth:`Simulator.place_ball` give an episode other
-    velocities and the ball's place.
+    Robots begin at rest. :meth:`Simulator.set_motion` and :meth:`Simulator.place_ball` give an episode a robot that
+    moves and a ball in its place.
 
     Args:
         poses_rad: (k, J) joint angles that the motors hold while the robot settles, simulator order and signs.
@@ -183,6 +183,39 @@ class BodyState:
     rotation: Floats
     velocity: Floats
     spin: Floats
+
+
+@dataclass(frozen=True)
+class RobotMotion:
+    """Poses and velocities of k robots, from which episodes can begin in the middle of a step.
+
+    Attributes:
+        joints_rad: (k, J) joint angles, simulator order and signs.
+        joints_rad_s: (k, J) joint speeds.
+        torso_m: (k, 3) positions, world frame.
+        torso_wxyz: (k, 4) quaternions from the torso's frame into the world's.
+        torso_mps: (k, 3) velocities, world frame.
+        torso_rad_s: (k, 3) angular velocities, world frame.
+        targets_rad: (k, J) joint angles to which the motors drive until the next command acts.
+    """
+
+    joints_rad: Floats
+    joints_rad_s: Floats
+    torso_m: Floats
+    torso_wxyz: Floats
+    torso_mps: Floats
+    torso_rad_s: Floats
+    targets_rad: Floats
+
+    def checked(self, k: int, joints: int) -> RobotMotion:
+        """Return it as float64.
+
+        Raises:
+            ValueError: if an array is not of k robots with this number of joints, or not finite.
+        """
+        widths = {"torso_m": 3, "torso_wxyz": 4, "torso_mps": 3, "torso_rad_s": 3}
+        names = [each.name for each in fields(self)]
+        return RobotMotion(**{name: finite(name, getattr(self, name), (k, widths.get(name, joints))) for name in names})
 
 
 @dataclass(frozen=True)
@@ -326,21 +359,21 @@ class Simulator(ABC):
         """
         raise ValueError(f"ball: there is none in this {type(self).__name__}; open it with Scene(ball=True)")
 
-    def set_velocities(
-        self, rows: Ints, joints_rad_s: Floats, torso_mps: Floats, torso_rad_s: Floats | None = None
-    ) -> None:
-        """Set the speeds of the (k,) robots ``rows``; poses do not change.
-
-        Args:
-            rows: (k,) robots.
-            joints_rad_s: (k, J) joint speeds, simulator order and signs.
-            torso_mps: (k, 3) velocity of the torso, world frame.
-            torso_rad_s: (k, 3) angular velocity of the torso, world frame; none if left out.
+    def motion(self, rows: Ints) -> RobotMotion:
+        """Return poses and velocities of the (k,) robots ``rows``, from which :meth:`set_motion` lets others begin.
 
         Raises:
             ValueError: if robots can begin at rest only.
         """
-        raise ValueError(f"starts: robots of {type(self).__name__} begin at rest only; leave velocities out")
+        raise ValueError(f"motion: robots of {type(self).__name__} begin at rest only; use the embedded simulator")
+
+    def set_motion(self, rows: Ints, motion: RobotMotion) -> None:
+        """Give the (k,) robots ``rows`` other poses and velocities; the ball does not move.
+
+        Raises:
+            ValueError: if robots can begin at rest only, or a number is not finite.
+        """
+        raise ValueError(f"motion: robots of {type(self).__name__} begin at rest only; use the embedded simulator")
 
     # for viewers
 

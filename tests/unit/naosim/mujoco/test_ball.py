@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -112,12 +113,13 @@ def test_a_hand_touches_a_ball_that_falls_on_it(name: str, side: float) -> None:
 
 def test_bodies_move_as_their_velocities_say() -> None:
     with opened(exact=True) as simulator:
-        simulator.set_velocities(
-            EVERY,
-            np.zeros((2, len(simulator.robot.joints))),
-            np.array([[0.5, 0.0, 0.0], [0.0, 0.3, 0.0]]),
-            np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]),
+        motion = replace(
+            simulator.motion(EVERY),
+            joints_rad_s=np.zeros((2, len(simulator.robot.joints))),
+            torso_mps=np.array([[0.5, 0.0, 0.0], [0.0, 0.3, 0.0]]),
+            torso_rad_s=np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]),
         )
+        simulator.set_motion(EVERY, motion)
         torso, foot = (simulator.truth.bodies[name] for name in ("torso", "left_foot"))
         assert torso.velocity == pytest.approx(np.array([[0.5, 0.0, 0.0], [0.0, 0.3, 0.0]]), abs=1e-12)
         assert torso.spin[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
@@ -130,6 +132,38 @@ def test_bodies_move_as_their_velocities_say() -> None:
         hold(simulator)
         mean = (torso.velocity + speed) / 2
         assert torso.position - before == pytest.approx(mean * 0.02, abs=2e-3)
+
+
+@pytest.mark.parametrize("scene", [PLAIN, BALL])
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_robot_begins_in_the_middle_of_another_ones_step(scene: Scene, exact: bool) -> None:
+    """Its perceptors and its motion are the other's; the ball stays where it is."""
+    with opened(scene=scene, exact=exact) as simulator:
+        targets = np.repeat(simulator.robot.nominal[None], 2, axis=0)
+        for step in range(30):
+            targets[0, 11:] = simulator.robot.nominal[11:] + 0.3 * np.sin(0.4 * step)
+            simulator.step(targets)
+        moving = simulator.motion(np.array([0]))
+        assert np.abs(moving.joints_rad_s).max() > 0.5
+        ball = simulator.bodies()[1, -1].copy()
+        simulator.set_motion(np.array([1]), moving)
+        now = simulator.motion(np.array([1]))
+        for name in (each.name for each in fields(moving)):
+            assert getattr(now, name) == pytest.approx(getattr(moving, name), abs=1e-12), name
+        for name, values in simulator.perceptors.items():
+            if name in ("joint_angles", "torso_pos", "torso_quat"):  # the other's are 5 ms old
+                assert values[1] == pytest.approx(values[0], abs=4.0 if name == "joint_angles" else 0.02), name
+        if scene.ball:
+            assert np.array_equal(simulator.bodies()[1, -1], ball)
+        targets[1] = targets[0]
+        for _ in range(5):
+            simulator.step(targets)
+        assert simulator.truth.torso_position[1] == pytest.approx(simulator.truth.torso_position[0], abs=1e-6)
+        assert simulator.perceptors["joint_speeds"][1] == pytest.approx(
+            simulator.perceptors["joint_speeds"][0], abs=0.05
+        )
+        with pytest.raises(ValueError, match="torso_wxyz: expected finite numbers"):
+            simulator.set_motion(np.array([1]), replace(moving, torso_wxyz=np.full((1, 4), np.nan)))
 
 
 def test_snapshots_contain_ball_and_contacts() -> None:

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
-from naosim.simulator import TOUCHING, BodyState
+from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 Floats = NDArray[np.float64]
 
@@ -177,12 +177,38 @@ class MujocoBatch:
         data.sensordata[-3:] = rotation.T @ (position - data.site_xpos[camera])
         self._worlds.refresh(row, True)
 
-    def set_velocities(self, row: int, joints: Floats, torso: Floats, spin: Floats) -> None:
-        """Set (J,) joint speeds, (3,) velocity of the torso in m/s and (3,) its angular velocity, world frame."""
-        data, first = self.data[row], self.world.first_speed
-        data.qvel[first:], data.qvel[first - 6 : first - 3] = joints, torso
-        data.qvel[first - 3 : first] = self.rotation[row].T @ spin
-        self._worlds.refresh(row, False)
+    def motion(self, rows: Sequence[int]) -> RobotMotion:
+        """Return poses and velocities of robots."""
+        torso, first = self.world.torso, self.world.first_speed
+        data = [self.data[row] for row in rows]
+        qpos, qvel = np.array([each.qpos[torso:] for each in data]), np.array([each.qvel[first - 6 :] for each in data])
+        rotation = self.rotation[list(rows)]
+        return RobotMotion(
+            joints_rad=qpos[:, 7:],
+            joints_rad_s=qvel[:, 6:],
+            torso_m=qpos[:, :3],
+            torso_wxyz=qpos[:, 3:7],
+            torso_mps=qvel[:, :3],
+            torso_rad_s=np.einsum("kij,kj->ki", rotation, qvel[:, 3:6]),
+            targets_rad=self.save()[list(rows), -self.world.joints :],
+        )
+
+    def set_motion(self, row: int, motion: RobotMotion, k: int) -> None:
+        """Give a robot the k-th of some poses and velocities, which it perceives at once."""
+        mujoco, data, state = library(), self.data[row], np.empty(self.row_size)
+        torso, first = self.world.torso, self.world.first_speed
+        rotation = np.empty(9)
+        quaternion = motion.torso_wxyz[k] / np.linalg.norm(motion.torso_wxyz[k])
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        data.qpos[torso:] = np.concatenate([motion.torso_m[k], quaternion, motion.joints_rad[k]])
+        spin = rotation.reshape(3, 3).T @ motion.torso_rad_s[k]
+        data.qvel[first - 6 :] = np.concatenate([motion.torso_mps[k], spin, motion.joints_rad_s[k]])
+        data.qacc_warmstart[first - 6 :] = 0.0
+        data.ctrl[1::3] = motion.targets_rad[k]
+        mujoco.mj_forward(self._models[row], data)
+        self._worlds.save(row, state)
+        state[-self.world.joints :] = motion.targets_rad[k]
+        self._worlds.load(row, state)
 
     def place(
         self, row: int, position: tuple[float, float, float], quaternion: Floats, joints: Floats, targets: Floats

@@ -15,7 +15,7 @@ from naosim.simulator import CONTACT_N, PLAIN, STEP_S, Simulator, Truth, finite,
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
-    from naosim.simulator import Bytes, Flags, Floats, Ints, Scene, Starts
+    from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts
 
 _EXACT = EmbeddedParameters(exact=True)
 
@@ -215,16 +215,17 @@ class MujocoSimulator(Simulator):
         for row, *ball in zip(rows.tolist(), position, velocity, spin, strict=True):
             self.batch.place_ball(row, *ball)
 
-    def set_velocities(
-        self, rows: Ints, joints_rad_s: Floats, torso_mps: Floats, torso_rad_s: Floats | None = None
-    ) -> None:
-        """Set the speeds of robots; they perceive them from the next step on."""
+    def motion(self, rows: Ints) -> RobotMotion:
+        """Return poses and velocities of robots."""
         self.require_open()
-        joints = finite("joints_rad_s", joints_rad_s, (len(rows), self.world.joints))
-        torso = finite("torso_mps", torso_mps, (len(rows), 3))
-        spin = np.zeros_like(torso) if torso_rad_s is None else finite("torso_rad_s", torso_rad_s, torso.shape)
-        for row, *motion in zip(rows.tolist(), joints, torso, spin, strict=True):
-            self.batch.set_velocities(row, *motion)
+        return self.batch.motion(rows.tolist())
+
+    def set_motion(self, rows: Ints, motion: RobotMotion) -> None:
+        """Give robots other poses and velocities, which they perceive at once."""
+        self.require_open()
+        checked = motion.checked(len(rows), self.world.joints)
+        for k, row in enumerate(rows.tolist()):
+            self.batch.set_motion(row, checked, k)
 
     # for viewers
 

@@ -20,7 +20,7 @@ from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
-    from naosim.simulator import BodyState, Simulator
+    from naosim.simulator import BodyState, RobotMotion, Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.compiled import Operation
@@ -115,6 +115,22 @@ class World:
             ValueError: if the task's scene has no ball.
         """
         self.simulator.place_ball(rows, position_m, velocity_mps)
+
+    def motion(self, rows: IntArray) -> RobotMotion:
+        """Return poses and velocities of the (k,) robots ``rows``.
+
+        Raises:
+            ValueError: if the simulator's robots can begin at rest only.
+        """
+        return self.simulator.motion(rows)
+
+    def set_motion(self, rows: IntArray, motion: RobotMotion) -> None:
+        """Let the (k,) robots ``rows`` begin with these poses and velocities instead of at rest.
+
+        Raises:
+            ValueError: if the simulator's robots can begin at rest only.
+        """
+        self.simulator.set_motion(rows, motion)
 
     def torque_share(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k,) mean over the joints of the squared share of its torque limit that each motor applies.
