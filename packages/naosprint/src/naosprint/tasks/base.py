@@ -125,7 +125,7 @@ class World:
         return self.simulator.motion(rows)
 
     def set_motion(self, rows: IntArray, motion: RobotMotion) -> None:
-        """Let the (k,) robots ``rows`` begin with these poses and velocities instead of at rest.
+        """Give the (k,) robots ``rows`` these poses and velocities, instead of rest, to begin with.
 
         Raises:
             ValueError: if the simulator's robots can begin at rest only.
