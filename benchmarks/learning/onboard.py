@@ -120,7 +120,7 @@ class Player(Simulator):
     def step_wait(self, rows: slice) -> None:
         """Read the reply."""
         del rows
-        if self._exchange.gather(None, REPLY_S):
+        if self._exchange.gather(None, REPLY_S, False):
             raise ConnectionError(self._exchange.failure(0))
 
     def end(self) -> None:

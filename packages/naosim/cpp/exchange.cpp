@@ -47,6 +47,12 @@ void acknowledge(int fd) {
   ::setsockopt(fd, IPPROTO_TCP, TCP_QUICKACK, &now, sizeof now);
 }
 
+// Longest wait in one call, so that other servers are renewed meanwhile, and how much longer it may take before this process must
+// have been stopped.
+constexpr double kSlice = 0.25, kStopped = 1.0;
+
+double seconds_since(Clock::time_point then) { return std::chrono::duration<double>(Clock::now() - then).count(); }
+
 // How long a read waits for one server before all of them are polled.
 constexpr timeval kMoment{0, 20000};
 
@@ -81,6 +87,8 @@ void Exchange::attach(int row, int agent_fd, int monitor_fd) {
     ::fcntl(fd, F_SETFL, ::fcntl(fd, F_GETFL) & ~O_NONBLOCK);
   }
   c.spoken = Clock::now();
+  c.silence_s = 0;
+  c.neglected = false;
   c.failure.clear();
   c.failed = false;
   clear(row);
@@ -88,6 +96,7 @@ void Exchange::attach(int row, int agent_fd, int monitor_fd) {
 
 void Exchange::detach(int row) {
   Channel& c = channels_[row];
+  c.admitted = false;
   for (Stream* stream : {&c.agent, &c.monitor}) {
     if (stream->fd >= 0) ::close(stream->fd);
     stream->fd = -1;
@@ -102,12 +111,34 @@ void Exchange::fail(int row, std::string reason) {
   c.failed = true;
 }
 
+void Exchange::lose(int row, bool monitor, const char* why) {
+  Channel& c = channels_[row];
+  if (!c.failure.empty()) return;
+  std::string text = std::string(port_name(monitor)) + ": " + why;
+  // once it has answered, the server waits for us
+  const double silence_s = std::max(c.silence_s, answered(c) ? seconds_since(c.spoken) : 0.0);
+  if (silence_s > 2 * silence_s_) {
+    c.neglected = true;
+    text += " after this process had sent nothing for " + seconds_text(silence_s);
+  }
+  fail(row, std::move(text));
+}
+
+void Exchange::expect(Channel& c, int messages, int frames) {
+  // Answers to what was sent before come first.
+  c.message_goal = std::max(c.message_goal, c.messages) + messages;
+  c.frame_goal = std::max(c.frame_goal, c.frames) + frames;
+}
+
 void Exchange::send(int row, bool monitor, std::string_view framed) {
   Channel& c = channels_[row];
   const int fd = monitor ? c.monitor.fd : c.agent.fd;
   if (fd < 0 || !c.failure.empty()) return;
   const auto until = after(5.0);
-  if (!monitor) c.spoken = Clock::now();
+  if (!monitor) {
+    c.silence_s = seconds_since(c.spoken);
+    c.spoken = Clock::now();
+  }
   while (!framed.empty()) {
     const ssize_t sent = ::send(fd, framed.data(), framed.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
     if (sent > 0) {
@@ -120,7 +151,7 @@ void Exchange::send(int row, bool monitor, std::string_view framed) {
       pollfd wait{fd, POLLOUT | POLLIN, 0};
       if (::poll(&wait, 1, left_ms(until)) == 0) return fail(row, std::string(port_name(monitor)) + ": the server no longer reads");
     } else {
-      return fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
+      return lose(row, monitor, std::strerror(errno));
     }
   }
 }
@@ -146,7 +177,7 @@ bool Exchange::receive(int row, bool monitor, bool waiting) {
       if (!parse(row, monitor)) return false;
       if (static_cast<std::size_t>(got) < sizeof chunk) return true;
     } else if (got == 0) {
-      fail(row, std::string(port_name(monitor)) + ": closed by the server");
+      lose(row, monitor, "closed by the server");
       return false;
     } else if (errno == EINTR) {
       continue;
@@ -157,7 +188,7 @@ bool Exchange::receive(int row, bool monitor, bool waiting) {
       }
       return true;
     } else {
-      fail(row, std::string(port_name(monitor)) + ": " + std::strerror(errno));
+      lose(row, monitor, std::strerror(errno));
       return false;
     }
   }
@@ -203,15 +234,13 @@ void Exchange::dispatch(const double* commands, std::size_t width, const std::ui
     message.assign(4, '\0');
     compose(row, commands + static_cast<std::size_t>(row) * width, message);
     append_size(message, 0);
-    // messages received so far do not answer these commands
-    channels_[row].message_goal = channels_[row].messages + 1;
-    channels_[row].frame_goal = channels_[row].frames + 1;
+    expect(channels_[row], 1, 1);
     send(row, false, message);
   }
 }
 
-int Exchange::gather(const std::uint8_t* rows, double timeout_s) {
-  wait(rows, timeout_s);
+int Exchange::gather(const std::uint8_t* rows, double timeout_s, bool keeping) {
+  wait(rows, timeout_s, keeping);
   for (int row = 0; row < size(); ++row) {
     if ((rows != nullptr && !rows[row]) || !channels_[row].failure.empty()) continue;
     const std::string problem = lacking(row);
@@ -226,33 +255,32 @@ int Exchange::failed() const {
   return count;
 }
 
-int Exchange::renew(const std::uint8_t* chosen, double silence_s, double timeout_s) {
-  const auto before = Clock::now() - std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(silence_s));
-  std::vector<std::uint8_t> rows(channels_.size(), 0);
+int Exchange::renew() {
+  std::string message;
   for (int row = 0; row < size(); ++row) {
-    if (chosen != nullptr && !chosen[row]) continue;
     Channel& c = channels_[row];
-    if (c.failed || c.spoken > before || c.messages < c.message_goal) continue;
-    rows[row] = 1;
-    c.message_goal = c.messages + 1;
-    c.frame_goal = c.frames + 1;
-    post(row, false, "(syn)");
+    if (!c.admitted || c.failed) continue;
+    if (!receive(row, false) || (c.monitor.fd >= 0 && !receive(row, true))) continue;
+    if (!answered(c) || seconds_since(c.spoken) < silence_s_) continue;
+    message.assign(4, '\0');
+    compose_idle(row, message);
+    append_size(message, 0);
+    expect(c, 1, 1);
+    send(row, false, message);
   }
-  wait(rows.data(), timeout_s);
   return failed();
 }
 
 void Exchange::collect(const std::uint8_t* rows, int messages, int frames, double timeout_s) {
   for (int row = 0; row < size(); ++row) {
     if (rows != nullptr && !rows[row]) continue;
-    channels_[row].message_goal = channels_[row].messages + messages;
-    channels_[row].frame_goal = channels_[row].frames + frames;
+    expect(channels_[row], messages, frames);
   }
-  wait(rows, timeout_s);
+  wait(rows, timeout_s, false);
 }
 
-void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
-  const auto until = after(timeout_s);
+void Exchange::wait(const std::uint8_t* rows, double timeout_s, bool keeping) {
+  auto until = after(timeout_s), renewed = Clock::now();
   const auto frame_due = [](const Channel& c) { return c.monitor.fd >= 0 && c.frames < c.frame_goal; };
   const auto due = [&](const Channel& c) { return c.failure.empty() && (c.messages < c.message_goal || frame_due(c)); };
   std::vector<int> waiting;
@@ -284,12 +312,14 @@ void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
         whose.emplace_back(row, true);
       }
     }
-    const int ready = ::poll(polled.data(), polled.size(), left_ms(until));
+    const auto slice = std::min(until, after(kSlice));
+    const int ready = ::poll(polled.data(), polled.size(), left_ms(slice));
+    const double late_s = seconds_since(slice);
     if (ready < 0 && errno != EINTR) {
       for (const int row : waiting) fail(row, std::string("poll: ") + std::strerror(errno));
       return;
     }
-    if (ready == 0 && Clock::now() >= until) {
+    if (ready == 0 && late_s <= kStopped && Clock::now() >= until) {
       for (const int row : waiting) {
         const bool agent = channels_[row].messages < channels_[row].message_goal;
         fail(row, std::string(port_name(!agent)) + ": no reply within " + seconds_text(timeout_s));
@@ -298,6 +328,12 @@ void Exchange::wait(const std::uint8_t* rows, double timeout_s) {
     }
     for (std::size_t k = 0; k < polled.size() && ready > 0; ++k)
       if (polled[k].revents != 0 && receive(whose[k].first, whose[k].second) && whose[k].second) receive(whose[k].first, false);
+    // The servers may have been stopped with this process.
+    if (late_s > kStopped) until += std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(late_s));
+    if (keeping && seconds_since(renewed) > kSlice) {
+      renew();
+      renewed = Clock::now();
+    }
     still_waiting();
   }
 }

@@ -45,17 +45,15 @@ void bind_exchange(nanobind::class_<Subclass>& bound) {
              self.dispatch(data, width, chosen);
            }, nb::arg("commands"), nb::arg("rows").none())
       .def("gather",
-           [rows_of](Subclass& self, const Mask& rows, double timeout_s) {
+           [rows_of](Subclass& self, const Mask& rows, double timeout_s, bool keeping) {
              const std::uint8_t* chosen = rows_of(self, rows);
              nb::gil_scoped_release release;
-             return self.gather(chosen, timeout_s);
-           }, nb::arg("rows").none(), nb::arg("timeout_s"))
-      .def("renew",
-           [rows_of](Subclass& self, const Mask& rows, double silence_s, double timeout_s) {
-             const std::uint8_t* chosen = rows_of(self, rows);
-             nb::gil_scoped_release release;
-             return self.renew(chosen, silence_s, timeout_s);
-           }, nb::arg("rows").none(), nb::arg("silence_s"), nb::arg("timeout_s"))
+             return self.gather(chosen, timeout_s, keeping);
+           }, nb::arg("rows").none(), nb::arg("timeout_s"), nb::arg("keeping"))
+      .def("admit", [](Subclass& self, int row) { self.admit(row_of(self, row)); })
+      .def("neglected", [](const Subclass& self, int row) { return self.neglected(row_of(self, row)); })
+      .def("set_silence", [](Subclass& self, double silence_s) { self.set_silence(silence_s); })
+      .def("renew", [](Subclass& self) { return self.renew(); }, nb::call_guard<nb::gil_scoped_release>())
       .def("collect",
            [rows_of](Subclass& self, const Mask& rows, int messages, int frames, double timeout_s) {
              const std::uint8_t* chosen = rows_of(self, rows);

@@ -28,6 +28,7 @@ class MujocoExchange final : public Exchange {
   };
   void clear(int row) override;
   void compose(int row, const double* targets, std::string& message) override;  // (joints,) rad
+  void compose_idle(int, std::string& message) override { message += "(syn)"; }
   std::string read(int row, bool monitor, std::string_view text) override;
   std::string lacking(int row) const override;
   std::size_t joints_;

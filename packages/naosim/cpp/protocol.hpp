@@ -163,6 +163,7 @@ class SparkExchange final : public Exchange {
   };
   void clear(int row) override;
   void compose(int row, const double* speeds, std::string& message) override;  // (joints,) rad/s
+  void compose_idle(int row, std::string& message) override { compose(row, std::vector<double>(joints_).data(), message); }
   std::string read(int row, bool monitor, std::string_view text) override;
   std::string lacking(int row) const override;
   std::size_t joints_, sights_;

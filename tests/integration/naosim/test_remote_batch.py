@@ -106,15 +106,21 @@ def test_a_lost_server_is_told_and_replaced_while_the_others_go_on() -> None:
             remote.replace()
 
 
-def test_idle_servers_are_kept_alive() -> None:
-    with RemoteBatch(embedded(), 1) as remote:
-        before = float(remote.perceptors.time[0])
-        stepped = threading.Event()
-        step = remote.step
-        remote.step = lambda *args: (step(*args), stepped.set())  # type: ignore[method-assign,assignment,func-returns-value]
-        with remote.keep_alive(0.01):
-            assert stepped.wait(10)
-        assert remote.perceptors.time[0] > before
+def test_idle_servers_are_kept_alive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while the reply of another server is awaited, and while a reply lies unread."""
+    monkeypatch.setattr(RemoteBatch, "silence_s", 0.3)
+    with RemoteBatch(embedded(), 3, timeout_s=3.0) as remote:
+        os.killpg(remote._handles[0].pid, signal.SIGSTOP)  # type: ignore[union-attr]
+        before = remote.perceptors.time.copy()
+        still = np.zeros((3, 22))
+        remote.send(still, np.array([False, True, False]))
+        while not remote.failed[0]:  # a signal takes a moment
+            remote.step(still, np.array([True, False, False]))
+        assert remote.failed.tolist() == [True, False, False]
+        assert (remote.perceptors.time[1:] - before[1:] >= 0.06 - 1e-9).all()
+        remote.receive(np.array([False, True, False]))
+        remote.step(still)
+        assert remote.failed.tolist() == [True, False, False]
 
 
 def test_a_server_that_cannot_start_is_told() -> None:

@@ -36,7 +36,7 @@ class Server:
 
     def step(self, speeds: np.ndarray) -> None:
         self.exchange.dispatch(speeds, None)
-        self.exchange.gather(None, 5.0)
+        self.exchange.gather(None, 5.0, False)
 
     def close(self) -> None:
         self.agent.close()
@@ -114,7 +114,7 @@ def test_a_frame_that_has_come_already_answers_no_later_command(server: Server) 
     server.exchange.dispatch(np.zeros((1, 22)), None)
     server.agent.sendall(protocol.frame(GOOD.replace(b"1.20", b"1.22")))
     server.monitor.sendall(protocol.frame(b"((time 0))"))
-    assert server.exchange.gather(None, 5.0) == 0
+    assert server.exchange.gather(None, 5.0, False) == 0
     assert server.views["time"][0] == 1.22
 
 
@@ -136,7 +136,7 @@ def test_acknowledgements_are_not_delayed() -> None:
             agent.recv(4096)
             agent.sendall(protocol.frame(GOOD))
             far.sendall(protocol.frame(b"((time 0))"))
-            assert server.exchange.gather(None, 5.0) == 0
+            assert server.exchange.gather(None, 5.0, False) == 0
         assert time.monotonic() - began < 0.5, "frames are held back"
     server.close()
 

@@ -3,6 +3,10 @@
 A cycle first sends the commands of all servers, then collects the replies, so servers compute in parallel; `send` and
 `receive` are the two halves, so that the caller can compute meanwhile. `step` does not raise when a server fails: the
 environment is marked in `failed`, `reason` returns why, and `replace` starts another server in its place.
+
+Servers drop robots whose agent is silent. A thread, and every wait for replies, reads what servers have sent and steps
+those to which nothing was sent for a while, so a server that hangs costs no other server its robot. Where this process
+was silent nevertheless, because it was stopped for example, servers are replaced without being counted as failed.
 """
 
 from __future__ import annotations
@@ -11,10 +15,10 @@ import logging
 import socket
 import threading
 import time
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import ClassVar, Protocol, Self
 
 import numpy as np
@@ -49,8 +53,20 @@ class Exchange(Protocol):
     def dispatch(self, commands: Floats, rows: Rows) -> None:
         """Send (n, joints) commands."""
 
-    def gather(self, rows: Rows, timeout_s: float) -> int:
-        """Read the answers; return how many servers have failed."""
+    def gather(self, rows: Rows, timeout_s: float, keeping: bool) -> int:
+        """Read the answers, and renew others meanwhile; return how many servers have failed."""
+
+    def admit(self, row: int) -> None:
+        """Let a server be renewed from now on, until it is detached."""
+
+    def set_silence(self, silence_s: float) -> None:
+        """Set the time without a message after which a server is renewed."""
+
+    def renew(self) -> int:
+        """Read what servers have sent and step silent ones, waiting for nothing; return how many have failed."""
+
+    def neglected(self, row: int) -> bool:
+        """Return whether a server dropped its robot because nothing was sent to it."""
 
 
 class Fleet(ABC):
@@ -63,7 +79,7 @@ class Fleet(ABC):
         joints: number of values in a robot's command.
         timeout_s: time without a reply after which a server has failed.
         start_timeout_s: the same for the start of a server and its first answers.
-        max_failures: number of servers that may be replaced before `replace` raises.
+        max_failures: number of servers that may fail and be replaced before `replace` raises.
 
     Raises:
         ValueError: an argument is out of range.
@@ -71,6 +87,9 @@ class Fleet(ABC):
 
     command_name: ClassVar[str]
     """Name of the commands in error messages."""
+
+    silence_s: ClassVar[float]
+    """Time after which a server to which nothing has been sent is stepped, s; a third of what servers tolerate."""
 
     _exchange: Exchange
 
@@ -97,7 +116,7 @@ class Fleet(ABC):
             raise ValueError(f"n: must be at least 1, not {n}")
         self.n = n
         self.restarts = 0
-        """Number of servers that have been replaced."""
+        """Number of servers that have failed and been replaced; without those that this process had left waiting."""
         self.failed: Flags = np.zeros(n, dtype=np.bool_)
         """(n,), environments whose server is lost; they keep still until replaced."""
         self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
@@ -106,6 +125,7 @@ class Fleet(ABC):
         #: Environments whose server could not be started because the engine that starts servers did not answer.
         self._unavailable: set[int] = set()
         self._lock = threading.RLock()
+        self._closing = threading.Event()
         self._idle = np.zeros((n, joints))
         """(n, joints) commands that hold the robots still."""
 
@@ -123,6 +143,10 @@ class Fleet(ABC):
         Raises:
             ServerLostError: a server did not start; the message states why.
         """
+        self._exchange.set_silence(self.silence_s)
+        threading.Thread(
+            target=_beat, args=(weakref.ref(self), self._closing), name="keep servers alive", daemon=True
+        ).start()
         try:
             self._open(range(self.n))
             for row in range(self.n):
@@ -196,7 +220,7 @@ class Fleet(ABC):
             self._gather(self._rows(mask))
 
     def _gather(self, rows: Rows) -> None:
-        if self._exchange.gather(rows, self._timeout_s) != np.count_nonzero(self.failed):
+        if self._exchange.gather(rows, self._timeout_s, True) != np.count_nonzero(self.failed):
             self._note_failures()
 
     def run_motions(self, motions: Mapping[int, Motion]) -> None:
@@ -221,14 +245,15 @@ class Fleet(ABC):
             (n,), whose rows have been filled in and have to be stepped.
         """
         mask = np.zeros(self.n, dtype=np.bool_)
-        for row, motion in list(motions.items()):
-            if among is not None and not among[row]:
-                continue
-            command = None if self.failed[row] else next(motion, None)
-            if command is None:
-                del motions[row]
-            else:
-                commands[row], mask[row] = command, True
+        with self._lock:  # motions send messages of their own
+            for row, motion in list(motions.items()):
+                if among is not None and not among[row]:
+                    continue
+                command = None if self.failed[row] else next(motion, None)
+                if command is None:
+                    del motions[row]
+                else:
+                    commands[row], mask[row] = command, True
         return mask
 
     # servers
@@ -251,15 +276,15 @@ class Fleet(ABC):
                 return []
             if self._launcher is None:
                 raise ServerLostError(f"server {lost[0]}: {self.reason(lost[0])}; it cannot be replaced")
-            for row in lost:
-                self.restarts += 1
-                logger.warning("server %d: %s; starting a replacement", row, self.reason(row))
-                if self.restarts > self._max_failures:
-                    raise ServerLostError(
-                        f"{self.restarts} servers were lost, {self._max_failures} are allowed; "
-                        f"last: server {row}: {self.reason(row)}"
-                    )
         # without the lock: servers that wait must be kept alive meanwhile
+        for row in lost:
+            self.restarts += not self._exchange.neglected(row)
+            reason = self.reason(row)
+            logger.warning("server %d: %s; starting a replacement", row, reason)
+            if self.restarts > self._max_failures:
+                raise ServerLostError(
+                    f"{self.restarts} servers were lost, {self._max_failures} are allowed; last: server {row}: {reason}"
+                )
         self._open(lost)
         for row in lost:
             if self.failed[row]:
@@ -270,28 +295,18 @@ class Fleet(ABC):
         error = ServersUnavailableError if row in self._unavailable else ServerLostError
         return error(f"server {row}: {self.reason(row)}")
 
-    @contextmanager
-    def keep_alive(self, interval_s: float = 20.0) -> Iterator[None]:
-        """Step every server once per interval while the caller is busy: servers drop silent agents.
+    def renew(self) -> None:
+        """Read what servers have sent, and step those to which nothing has been sent for `silence_s`.
 
         Joints are held still in those cycles; the world's clock advances by them.
         """
-        done = threading.Event()
-
-        def nudge() -> None:
-            while not done.wait(interval_s):
-                self.step(self._idle)
-
-        thread = threading.Thread(target=nudge, name="keep servers alive", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+        with self._lock:
+            if not self._closing.is_set() and self._exchange.renew() != np.count_nonzero(self.failed):
+                self._note_failures()
 
     def close(self) -> None:
         """Close all connections and stop the servers that were started."""
+        self._closing.set()
         with self._lock:
             for row in range(self.n):
                 self._exchange.detach(row)
@@ -319,7 +334,14 @@ class Fleet(ABC):
         for row in range(self.n):
             if not self.failed[row] and not self._entering[row] and self._exchange.failure(row):
                 self.failed[row] = True
-                logger.warning("server %d is lost: %s", row, self.reason(row))
+                # `reason` asks the launcher, which may take long: not with the lock held
+                logger.warning("server %d is lost: %s", row, self._exchange.failure(row))
+
+    def _fail(self, row: int, reason: str) -> None:
+        """Mark a server as failed, unless it has failed already."""
+        with self._lock:
+            self._exchange.fail(row, reason)
+            self._note_failures()
 
     def _open(self, rows: Sequence[int]) -> None:
         self._entering[list(rows)] = True
@@ -357,6 +379,7 @@ class Fleet(ABC):
             problem = self._exchange.failure(row)
             if not problem:
                 self.failed[row] = False
+                self._exchange.admit(row)
                 return
         self._exchange.fail(row, problem)
         self.failed[row] = True
@@ -380,3 +403,16 @@ class Fleet(ABC):
                 connection.close()
                 raise OSError(f"{host}:{port}: another process answers")
             return connection
+
+
+def _beat(fleet: weakref.ref[Fleet], closing: threading.Event) -> None:
+    """Keep a fleet's servers alive until it is closed or forgotten."""
+    alive = fleet()
+    interval_s = alive.silence_s / 3 if alive is not None else 0.0
+    del alive
+    while not closing.wait(interval_s):
+        alive = fleet()
+        if alive is None:
+            return
+        alive.renew()
+        del alive

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from contextlib import contextmanager
 from dataclasses import dataclass
-from time import monotonic
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,8 +29,6 @@ class Standby:
     server: int
     start: int = _NO_START
     """Start that it prepares, or has prepared; ``_NO_START`` if neither."""
-    waiting_since: float = 0.0
-    """Time of its last step, s."""
 
 
 class FleetSimulator(Simulator):
@@ -48,7 +45,6 @@ class FleetSimulator(Simulator):
         n: number of robots.
         sources: the servers' latest perceptors by name, (servers, width) arrays.
         truth: the servers' latest torso poses.
-        idle_s: a standby server that waits for its robot is stepped at this interval; None if the fleet does that.
         scene: what is reported besides the robot.
     """
 
@@ -64,12 +60,10 @@ class FleetSimulator(Simulator):
         *,
         sources: Mapping[str, Floats],
         truth: Truth,
-        idle_s: float | None,
         scene: Scene = PLAIN,
     ) -> None:
         super().__init__(robot, n, scene)
         self._fleet = fleet
-        self._idle_s = idle_s
         self.groups = halves(n)
         self._servers: Ints = np.arange(n)
         self._standbys = [Standby(n + row) for row in range(n)] if fleet.n > n else []
@@ -144,21 +138,9 @@ class FleetSimulator(Simulator):
         """Begin a cycle on the servers of ``mask`` and on those of ``ours`` that prepare a start."""
         if self._motions:
             mask |= self._fleet.next_commands(self._motions, self._commands, ours)
-        if self._idle_s is not None:
-            self._wake_standbys(mask, ours, monotonic())
         if mask.any():
             self._fleet.send(self._commands, mask)
         self._sent |= mask
-
-    def _wake_standbys(self, mask: Flags, ours: Flags, now: float) -> None:
-        """Add to ``mask`` the standby servers of ``ours`` that have waited longer than ``idle_s``."""
-        assert self._idle_s is not None
-        for standby in self._standbys:
-            server = standby.server
-            if not mask[server] and ours[server] and now > standby.waiting_since + self._idle_s:
-                self._commands[server], mask[server] = 0.0, True
-            if mask[server]:
-                standby.waiting_since = now
 
     def _receive(self, ours: Flags) -> None:
         """Finish the cycle of the servers of ``ours`` whose replies are outstanding."""
@@ -238,7 +220,7 @@ class FleetSimulator(Simulator):
 
     @property
     def failures(self) -> int:
-        """Number of servers that have been replaced."""
+        """Number of servers that have failed and been replaced."""
         return self._fleet.restarts
 
     def loss_reason(self, row: int) -> str:
@@ -247,10 +229,9 @@ class FleetSimulator(Simulator):
 
     @contextmanager
     def keep_alive(self) -> Iterator[None]:
-        """Keep servers from dropping their robots while nothing is stepped."""
+        """Let the fleet keep the servers' robots while nothing is stepped."""
         self.require_open()
-        with self._fleet.keep_alive():
-            yield
+        yield
         self._refresh(slice(0, self.n))
 
     def close(self) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -222,6 +226,81 @@ def test_a_hung_server_is_lost_after_the_timeout() -> None:
         assert not fleet.failed.any()
     finally:
         fleet.close()
+
+
+def stop_for(fleet: MujocoFleet, server: int, seconds: float) -> threading.Timer:
+    """Stop one server for a while, as a busy machine does."""
+    pid = fleet._handles[server].pid  # type: ignore[union-attr]
+    os.killpg(pid, signal.SIGSTOP)
+    timer = threading.Timer(seconds, os.killpg, (pid, signal.SIGCONT))
+    timer.start()
+    return timer
+
+
+def test_slow_servers_cost_no_other_its_robot() -> None:
+    """Two of four answer late, while the reply of a third, of another group, lies unread."""
+    fleet = MujocoFleet(server_launcher(), T1, 4, timeout_s=30.0, max_failures=0)
+    timers: list[threading.Timer] = []
+    try:
+        targets = np.repeat(T1.nominal[None], 4, axis=0)
+        slow, unread = np.array([True, True, False, False]), np.array([False, False, True, False])
+        began = time.monotonic()
+        fleet.send(targets, unread)
+        timers += [stop_for(fleet, server, 7.0) for server in (0, 1)]
+        while time.monotonic() - began < 7.0:
+            fleet.step(targets, slow)  # a signal takes a moment
+        fleet.receive(unread)
+        for _ in range(3):
+            fleet.step(targets)
+        assert not fleet.failed[2:].any(), [fleet.reason(row) for row in range(4)]
+        # the slow ones may have dropped their robots, or not
+    finally:
+        for timer in timers:
+            timer.join()
+        fleet.close()
+
+
+def test_a_loss_by_our_own_silence_is_no_failure_of_a_server(tmp_path: Path) -> None:
+    """The training process is stopped and continued, as by Ctrl-Z, at any place: while it waits, or between steps."""
+    program = tmp_path / "trainer.py"
+    program.write_text(STOPPED_TRAINER, encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as trainer:
+        assert trainer.stdin is not None and trainer.stdout is not None
+        assert trainer.stdout.readline() == "ready\n"
+        trainer.send_signal(signal.SIGSTOP)
+        time.sleep(7.0)  # longer than servers wait
+        trainer.send_signal(signal.SIGCONT)
+        out, _ = trainer.communicate("end\n", timeout=120)
+        assert trainer.returncode == 0
+    failed, restarts, reasons = json.loads(out.splitlines()[-1])
+    assert failed == [True, True, True] and restarts == 0
+    assert all("after this process had sent nothing for" in reason for reason in reasons), reasons
+
+
+STOPPED_TRAINER = """
+import json, sys, threading
+import numpy as np
+from naosim.mujoco.client import MujocoFleet
+from naosim.mujoco.program import server_launcher
+from naosim.robots.booster import T1
+
+fleet = MujocoFleet(server_launcher(), T1, 3, max_failures=0)
+targets = np.repeat(T1.nominal[None], 3, axis=0)
+ending = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.readline(), ending.set()), daemon=True).start()
+fleet.step(targets)
+print("ready", flush=True)
+while not (fleet.failed.all() and ending.is_set()):
+    fleet.step(targets)
+failed, reasons = fleet.failed.tolist(), [fleet.reason(row) for row in range(3)]
+assert fleet.replace() == [0, 1, 2]
+fleet.step(targets)
+assert not fleet.failed.any()
+print(json.dumps([failed, fleet.restarts, reasons]))
+fleet.close()
+"""
 
 
 def test_a_server_that_takes_long_to_start_costs_no_other_its_robot() -> None:

@@ -5,7 +5,7 @@ Requirements of the server that this client meets:
 - A robot that enters before the server's first cycle kills it, so a monitor waits for that cycle first.
 - The joints' targets are uninitialised memory after a robot has entered, and one that is huge makes MuJoCo drop those
   of all joints: the first message commands every joint.
-- A server drops agents that are silent for 5 s: a thread steps those to which nothing has been sent for a while.
+- A server drops agents that are silent for 5 s.
 - The K1's first touch of the ball kills the server: the ball is put aside.
 - The game's mode stays BeforeKickOff, in which beams are allowed and no robot is removed.
 """
@@ -15,9 +15,8 @@ from __future__ import annotations
 import socket
 import threading
 import time
-import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -34,9 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from naosim.robots import Robot
-
-_SILENCE_S = 1.5
-"""Silence after which a server is stepped, s; servers drop a robot after 5 s."""
 
 _QUIET_S = 0.1
 """Silence after which a server in sync mode is waiting for its agent."""
@@ -75,6 +71,7 @@ class MujocoFleet(Fleet):
     """
 
     command_name: ClassVar[str] = "targets_rad"
+    silence_s: ClassVar[float] = 1.5
 
     def __init__(
         self,
@@ -114,29 +111,17 @@ class MujocoFleet(Fleet):
         self.time: Floats = views["time"]
         self.rotation: Floats = views["rotation"]
         self._idle[:] = robot.nominal
-        self._closing = threading.Event()
-        beat = threading.Thread(
-            target=_beat, args=(weakref.ref(self), self._closing), name="keep servers alive", daemon=True
-        )
-        beat.start()
         self._start()
 
     # steps
 
-    def step_idle(self) -> None:
-        """Step the servers to which nothing has been sent for a while; their robots hold the last command."""
-        with self._lock:
-            if self._closing.is_set():
-                return
-            there = (~self._entering).view(np.uint8)
-            if self._exchange.renew(there, _SILENCE_S, self._timeout_s) != np.count_nonzero(self.failed):
-                self._note_failures()
+    def renew(self) -> None:
+        """Read what servers have sent, and step those to which nothing has been sent for a while.
 
-    @contextmanager
-    def keep_alive(self, interval_s: float = _SILENCE_S) -> Iterator[None]:
-        """Return a context in which servers keep their robots; they always do."""
-        del interval_s
-        yield
+        Their robots hold the last command.
+        """
+        super().renew()
+        self._skip_frames()
 
     def starting(
         self, row: int, pose_rad: Floats, position_m: tuple[float, float], heading_rad: float, settle_steps: int
@@ -153,10 +138,7 @@ class MujocoFleet(Fleet):
             settle_steps: steps in which the motors hold the pose.
         """
         if self._exchange.play_mode(row) != _MODE:
-            self._exchange.fail(
-                row, f"the game left mode {_MODE!r}, in which robots can be moved: the ball crossed a line"
-            )
-            self._note_failures()
+            self._fail(row, f"the game left mode {_MODE!r}, in which robots can be moved: the ball crossed a line")
             return
         x, y = position_m
         self._exchange.prepend(row, f"(beam {x:.6f} {y:.6f} {np.rad2deg(heading_rad):.6f})")
@@ -171,8 +153,7 @@ class MujocoFleet(Fleet):
         try:
             self._monitors[row].sendall(_framed(f"(ball (pos {numbers[0]})(vel {numbers[1]}))"))
         except (OSError, KeyError) as error:
-            self._exchange.fail(row, f"monitor port: {error!r}")
-            self._note_failures()
+            self._fail(row, f"monitor port: {error!r}")
 
     def messages(self, row: int) -> int:
         """Return how many messages one server has sent."""
@@ -180,6 +161,9 @@ class MujocoFleet(Fleet):
 
     def _gather(self, rows: Rows) -> None:
         super()._gather(rows)
+        self._skip_frames()
+
+    def _skip_frames(self) -> None:
         for monitor in list(self._monitors.values()):
             with suppress(OSError):  # a lost server is noticed at its agent port
                 while monitor.recv(1 << 20):
@@ -259,7 +243,7 @@ class MujocoFleet(Fleet):
                 break
             # not through `step`: other rows may be open, and the caller that replaces servers holds the lock
             exchange.dispatch(self._idle, only)
-            exchange.gather(only, left_s())
+            exchange.gather(only, left_s(), False)
         exchange.drain(row, _QUIET_S, left_s())
         mode, messages = exchange.play_mode(row), exchange.messages(row)
         if messages > 1 + _FIRST_CYCLES:
@@ -284,13 +268,3 @@ def _leave(monitor: socket.socket) -> None:
         monitor.shutdown(socket.SHUT_WR)
         while monitor.recv(65536):
             pass
-
-
-def _beat(fleet: weakref.ref[MujocoFleet], closing: threading.Event) -> None:
-    """Keep a fleet's servers alive until it is closed or forgotten."""
-    while not closing.wait(_SILENCE_S / 3):
-        alive = fleet()
-        if alive is None:
-            return
-        alive.step_idle()
-        del alive

@@ -84,7 +84,6 @@ class RemoteMujocoSimulator(FleetSimulator):
             n,
             sources=self._remote.perceptors,
             truth=Truth(self._remote.perceptors["torso_pos"], self._remote.rotation),
-            idle_s=None,
             scene=scene,
         )
 

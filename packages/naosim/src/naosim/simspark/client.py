@@ -84,6 +84,7 @@ class RemoteBatch(Fleet):
     """
 
     command_name: ClassVar[str] = "speeds"
+    silence_s: ClassVar[float] = 20.0
 
     def __init__(
         self,
@@ -177,8 +178,7 @@ class RemoteBatch(Fleet):
             if self._is_at(row, where, yaw_deg):
                 break
         else:
-            self._exchange.fail(row, f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
-            self._note_failures()
+            self._fail(row, f"the trainer's move has not shown up within {_LANDING_CYCLES} cycles")
             return
         # one that was about to fall asleep has done so in the first cycle; the second wakes it
         yield self._nudge[row]

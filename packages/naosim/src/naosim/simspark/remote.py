@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 _REPLY_TIMEOUT_S = 10.0
 _START_TIMEOUT_S = 30.0
 
-_IDLE_S = 20.0
-"""Interval at which a waiting standby server is stepped, s: servers drop agents silent for 61 s."""
-
 _LANDING_M = 0.004
 """Height above its settled position from which a robot is dropped, m."""
 
@@ -83,7 +80,6 @@ class RemoteSimulator(FleetSimulator):
             n,
             sources={each.name: self._remote.perceptor(each.name) for each in robot.perceptors},
             truth=Truth(self._remote.truth.torso_position, self._remote.truth.torso_rotation),
-            idle_s=_IDLE_S,
         )
 
     def _commands_of(self, targets_rad: Floats, rows: slice) -> Floats:
