@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -71,3 +72,23 @@ def test_files_that_are_too_long_or_unreadable_are_refused(tmp_path: Path) -> No
         load_job_file(tmp_path / "missing.yaml")
     with pytest.raises(InvalidInput, match="directory"):
         load_job_file(tmp_path)
+
+
+def test_files_that_take_long_to_read_are_refused(tmp_path: Path) -> None:
+    """A key of many parts, whose time and memory grow with their square, deep values, and pipes."""
+    path = tmp_path / "job.toml"
+    for text in (
+        ".".join(["a"] * 40_000) + "=1",
+        "[" + " . ".join(["'a'"] * 20_000) + "]",
+        "a={" + "b." * 200 + "b=1}",
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InvalidInput, match="line 1: a key of more than 64 parts"):
+            load_job_file(path)
+    path.write_text("a=" + "[" * 50_000, encoding="utf-8")
+    with pytest.raises(InvalidInput, match="too deeply nested"):
+        load_job_file(path)
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    with pytest.raises(InvalidInput, match="not a regular file"):
+        load_job_file(pipe)

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from naoctl.client import ApiError, Client
 from naoctl.errors import CliError, ExitCode
-from naoctl.transfer import RemoteFile, fetch, safe_relative
+from naoctl.policies import Trained, folder_name
+from naoctl.transfer import RemoteFile, fetch, plain_name, safe_relative
 
 CONTENT = bytes(range(256)) * 4096
 
@@ -122,3 +123,28 @@ def test_a_refusal_is_not_written_to_the_file(server: Any, client: Client, tmp_p
 def test_names_that_lead_out_of_the_folder_are_refused(name: str) -> None:
     with pytest.raises(CliError, match="outside the folder"):
         safe_relative(name)
+
+
+@pytest.mark.parametrize(
+    "text", ["../../x", "/etc/cron.d/x", "..", "a/../../b", "\x1b[2J", ".ssh", "x" * 300, "", "-rf"]
+)
+def test_a_name_from_outside_becomes_a_plain_folder(text: str) -> None:
+    """A reference of a policy, a job's name and its id."""
+    policy = Trained(None, {"reference": text}).folder
+    for name in (policy, folder_name({"name": text, "id": text}), plain_name(text)):
+        assert Path(name).parts == (name,)
+        assert not name.startswith((".", "-"))
+        assert len(name) <= 70
+        assert name.isascii()
+        assert name.isprintable()
+
+
+@pytest.mark.parametrize("url", ["http://other.example/x", "//other.example/x", "https:x", "files/x", "", "\\\\x"])
+def test_the_token_is_sent_to_the_service_alone(server: Any, client: Client, tmp_path: Path, url: str) -> None:
+    """An address that the service names for a file is a path of its own."""
+    with pytest.raises(CliError, match="not one of its own"):
+        fetch(client, RemoteFile("policy.npz", url, 1, "0" * 64), tmp_path)
+    for ask in (client.get, lambda path: next(client.events(path))):
+        with pytest.raises(CliError, match="not one of its own"):
+            ask(url)
+    assert server.received == []

@@ -81,7 +81,7 @@ class Client:
         """Send a request and return the decoded JSON of the answer, or None when the answer has no body."""
         given = {name: value for name, value in (params or {}).items() if value is not None}
         try:
-            response = self._http.request(method, path, json=json_body, params=given, headers=headers)
+            response = self._http.request(method, _own_path(path), json=json_body, params=given, headers=headers)
         except httpx.TransportError as error:
             raise unreachable(self.target.url, error) from None
         raise_for_problem(response)
@@ -122,7 +122,7 @@ class Client:
 
     def open_stream(self, path: str, headers: Mapping[str, str]) -> Any:
         """Return the context manager of a streamed GET; the caller checks the answer."""
-        return self._http.stream("GET", path, headers=dict(headers))
+        return self._http.stream("GET", _own_path(path), headers=dict(headers))
 
     def events(
         self,
@@ -152,7 +152,7 @@ class Client:
             reason = "the stream ended"
             try:
                 timeout = httpx.Timeout(STREAM_SILENCE_S, connect=5.0)
-                with connect_sse(self._http, "GET", path, headers=headers, timeout=timeout) as source:
+                with connect_sse(self._http, "GET", _own_path(path), headers=headers, timeout=timeout) as source:
                     raise_for_problem(source.response)
                     for message in source.iter_sse():
                         wait_s, lost_at = RECONNECT_FIRST_S, None
@@ -174,6 +174,20 @@ class Client:
                 on_lost(reason, wait_s)
             sleep(wait_s)
             wait_s = min(2 * wait_s, RECONNECT_LAST_S)
+
+
+def _own_path(path: str) -> str:
+    """Return the path of an address of the service, which alone gets the token.
+
+    Raises:
+        CliError: if it is the address of another service.
+    """
+    if not path.startswith("/") or path.startswith("//"):
+        raise CliError(
+            f"The service named the address {path!r}, which is not one of its own",
+            fix="Nothing was sent; do not trust this service.",
+        )
+    return path
 
 
 def unreachable(url: str, error: httpx.TransportError) -> CliError:

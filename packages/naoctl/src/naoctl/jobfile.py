@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
+from naospec.files import open_regular
 
 from naoctl.errors import InvalidInput
 
@@ -16,6 +18,7 @@ from naoctl.errors import InvalidInput
 MAX_BYTES = 256 * 1024
 #: Maximum nesting of a job file.
 MAX_DEPTH = 16
+_MAX_DOTS = 64
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -49,7 +52,7 @@ def load_job_file(path: Path) -> dict[str, Any]:
         InvalidInput: with file, line if known, and what is wrong.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             raw = file.read(MAX_BYTES + 1)
         text = raw.decode("utf-8")
     except UnicodeDecodeError:
@@ -61,7 +64,7 @@ def load_job_file(path: Path) -> dict[str, Any]:
     readers: dict[str, Callable[[str], Any]] = {
         ".yaml": _from_yaml,
         ".yml": _from_yaml,
-        ".toml": tomllib.loads,
+        ".toml": _from_toml,
         ".json": _from_json,
     }
     reader = readers.get(path.suffix.lower())
@@ -84,6 +87,14 @@ def load_job_file(path: Path) -> dict[str, Any]:
 
 def _from_yaml(text: str) -> Any:
     return yaml.load(text, Loader=_PlainLoader)  # noqa: S506 - a SafeLoader that refuses even more
+
+
+def _from_toml(text: str) -> Any:
+    # The time and memory of tomllib grow with the square of the parts of a dotted key.
+    for number, line in enumerate(text.splitlines(), start=1):
+        if any(part.count(".") > _MAX_DOTS for part in re.split(r"[][{}=,#]", line)):
+            raise ValueError(f"line {number}: a key of more than {_MAX_DOTS} parts")
+    return tomllib.loads(text)
 
 
 def _from_json(text: str) -> Any:

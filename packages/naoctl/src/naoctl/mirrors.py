@@ -19,6 +19,7 @@ from naoctl.client import ApiError, Client, Json
 from naoctl.errors import CliError, Unreachable
 from naoctl.follow import is_over
 from naoctl.render import parse_time
+from naoctl.transfer import plain_name
 
 T = TypeVar("T")
 
@@ -253,7 +254,7 @@ class WandbMirror:
         """Begin or continue the run of a job."""
         import wandb
 
-        note = self._folder / f"{job['id']}.json"
+        note = self._folder / f"{plain_name(job['id'])}.json"
         if job["id"] in self._runs:  # after an error
             return _WandbCopy(self._runs, job["id"], note)
         settings = wandb.Settings(

@@ -10,6 +10,7 @@ from urllib.parse import quote
 from naoctl.client import ApiError, Client
 from naoctl.context import find_job
 from naoctl.errors import CliError, ExitCode
+from naoctl.transfer import plain_name
 
 REFERENCE = re.compile(r"[a-z0-9-]{1,60}(@[a-z0-9-]{1,60})?")
 
@@ -27,15 +28,14 @@ class Trained:
     def folder(self) -> str:
         """Plain folder name made of the job's name and id, or of the policy's reference."""
         if self.policy is not None:
-            return str(self.policy["reference"]).replace("@", "-")
+            return plain_name(self.policy["reference"], "policy")
         assert self.job is not None
         return folder_name(self.job)
 
 
 def folder_name(job: dict[str, Any]) -> str:
     """Return a plain folder name for a job: its name if possible, with the end of its id."""
-    name = re.sub(r"[^A-Za-z0-9._-]+", "-", job["name"]).strip(".-")[:60] or "job"
-    return f"{name}-{job['id'][-6:]}"
+    return f"{plain_name(job['name'], 'job')}-{plain_name(str(job['id'])[-6:])}"
 
 
 def policy_path(reference: str) -> str:

@@ -29,6 +29,11 @@ class RemoteFile:
     sha256: str
 
 
+def plain_name(text: object, default: str = "unnamed") -> str:
+    """Return a plain file name made of text from outside: at most 60 letters, digits, ``.``, ``_`` and ``-``."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", str(text))[:60].strip(".-") or default
+
+
 def safe_relative(name: str) -> Path:
     """Return the local relative path for a file name given by the service.
 
@@ -36,7 +41,7 @@ def safe_relative(name: str) -> Path:
         CliError: when the name would leave the folder it is put in.
     """
     pure = PurePosixPath(name)
-    odd = not name or pure.is_absolute() or "\\" in name or "\0" in name
+    odd = not name or pure.is_absolute() or "\\" in name or not name.isprintable()
     if odd or any(part in ("..", ".") or ":" in part for part in name.split("/")) or name.endswith("/"):
         raise CliError(
             f"The service named a file {name!r} that would lie outside the folder",

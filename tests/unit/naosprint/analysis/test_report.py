@@ -292,3 +292,44 @@ def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> No
 def test_text_in_csv_is_no_formula() -> None:
     cells = ["=1+1", "+a", "-a", "@a", "\ta", "-1.5", -1.5, "a", ""]
     assert [_cell(cell) for cell in cells] == ["'=1+1", "'+a", "'-a", "'@a", "'\ta", "-1.5", -1.5, "a", ""]
+
+
+@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "a/b", "a\x00", "", ".x"])
+def test_a_table_writes_nothing_outside_the_report(name: str, evaluation: Path, tmp_path: Path) -> None:
+    """A table's name becomes the name of files."""
+    copy = Path(shutil.copytree(evaluation, tmp_path / "deep" / "evaluation"))
+    edit_tables(copy, name=name)
+    with pytest.raises(ReportError, match="tables"):
+        write_report(tmp_path / "deep" / "out", evaluation=copy, film=False)
+    assert not (tmp_path / "deep" / "out").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["deep"]
+
+
+def test_text_of_an_evaluation_stays_text(evaluation: Path, tmp_path: Path) -> None:
+    """In the page and its pictures it is neither markup nor a formula."""
+    copy = Path(shutil.copytree(evaluation, tmp_path / "evaluation"))
+    hostile = "$\\frac{</svg><script>alert(1)</script> -->"
+    edit_tables(copy, title=hostile, description=hostile)
+    page = write_report(tmp_path / "out", evaluation=copy, film=False).read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert "&lt;script&gt;alert(1)" in page
+
+
+def edit_tables(evaluation: Path, **fields: str) -> None:
+    """Change fields of an evaluation's tables, and the titles of their columns with them."""
+    path = evaluation / "evaluation.json"
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    assert summary["tables"]
+    for table in summary["tables"]:
+        table.update(fields)
+        for column in table["columns"]:
+            column["title"] = fields.get("title", column["title"])
+    path.write_text(json.dumps(summary), encoding="utf-8")
+
+
+def test_a_torn_last_line_of_metrics_is_left_out(metrics: Path) -> None:
+    """As a disk that was full leaves it."""
+    rows = read_metrics(metrics)
+    with metrics.open("a", encoding="utf-8") as stream:
+        stream.write('{"step": 768, "spe')
+    assert read_metrics(metrics) == rows

@@ -127,7 +127,7 @@ def choose_files(
     if found.policy is None:
         assert found.job is not None
         point = choose_checkpoint(client, found.job, checkpoint)
-        return "checkpoint", folder / f"checkpoint-{point['step']:012d}", point
+        return "checkpoint", folder / f"checkpoint-{int(point['step']):012d}", point
     if checkpoint is not None:
         raise InvalidInput(
             "--checkpoint: a policy has one checkpoint", fix=f"Leave it out, or use {found.policy['name']}@VERSION."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from naosim.mujoco.batch import PERCEPTORS, MujocoBatch
 from naosim.mujoco.world import BALL_JOINT, Floats, set_gains, world_of
+from naosim.npz import read_npz
 from naosim.robots.booster import ROBOTS
 from naosim.robots.description import Robot
 from naosim.simulator import BALL, PLAIN, Scene
@@ -21,6 +21,10 @@ _PERCEPTOR_KEYS = dict(
     zip(PERCEPTORS, ("p_angle", "p_speed", "p_quat", "p_pos", "p_gyro", "p_acc"), strict=True),
 )
 _STATE_KEYS = ("qpos", "qvel", "qacc_warmstart", "sensordata")
+
+
+MAX_BYTES = 500_000_000
+"""Most bytes of a recording's arrays."""
 
 
 class TraceError(ValueError):
@@ -58,9 +62,8 @@ class Trace:
 def is_recording(path: Path) -> bool:
     """Return whether a file is a recording of rcssservermj rather than of rcssserver3d."""
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return "qacc_warmstart" in archive.files
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return "qacc_warmstart" in read_npz(Path(path), kinds="fiubU", max_bytes=MAX_BYTES, skip="message")
+    except (OSError, ValueError):
         return False
 
 
@@ -71,11 +74,10 @@ def load(path: Path) -> Trace:
         TraceError: if the file is missing, damaged or inconsistent.
     """
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files if not key.startswith("message")}
+        data = read_npz(Path(path), kinds="fiubU", max_bytes=MAX_BYTES, skip="message")
     except FileNotFoundError as error:
         raise TraceError(f"{path}: no such file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
     for key in ("meta", "command", "beam", "move", "time", *_STATE_KEYS, *_PERCEPTOR_KEYS.values()):
         if key not in data:
@@ -84,7 +86,7 @@ def load(path: Path) -> Trace:
         meta: dict[str, Any] = json.loads(str(data["meta"]))
         robot = next(robot for robot in ROBOTS if robot.data["model"] == meta["robot"])
         effectors = list(meta["effectors"])
-    except (ValueError, TypeError, KeyError, StopIteration) as error:
+    except (ValueError, TypeError, KeyError, StopIteration, RecursionError) as error:
         raise TraceError(f"{path}: field 'meta' is not usable ({error!r})") from error
     if effectors != [joint.effector for joint in robot.joints]:
         raise TraceError(f"{path}: field 'meta.effectors' is not in the order of {robot.name}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from naosim.npz import read_npz
 from naosim.robots import nao_model
 from naosim.simspark.batch import BODY_STATE, BatchSimulator, Floats
+
+MAX_BYTES = 500_000_000
+"""Most bytes of a recording's arrays; an hour of a robot is about half of it."""
 
 DIGIT = 1e-3
 """The recording server printed three decimals."""
@@ -59,11 +62,10 @@ def load(path: Path) -> Trace:
         TraceError: the file is missing, damaged or inconsistent.
     """
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
+        data = read_npz(Path(path), kinds="fiubU", max_bytes=MAX_BYTES)
     except FileNotFoundError as error:
         raise TraceError(f"{path}: no such file") from error
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, AttributeError, TypeError) as error:
+    except (OSError, ValueError) as error:
         raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
     perceptors = _PERCEPTORS | {name: key for name, key in _TOE_PERCEPTORS.items() if key in data}
     needed = ["command", "state", "enabled", "meta", *_PERCEPTORS.values()]
@@ -75,7 +77,7 @@ def load(path: Path) -> Trace:
         robot_type = int(meta.get("robot_type", 0))
         beam = tuple(float(x) for x in meta.get("beam", (0, 0, 0.4, 0)))
         model = nao_model.model(robot_type)
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise TraceError(f"{path}: field 'meta' is not usable ({error})") from error
     if len(beam) != 4 or not np.isfinite(beam).all():
         raise TraceError(f"{path}: field 'meta.beam' must be four finite numbers")

@@ -14,6 +14,7 @@ import numpy as np
 from naosim import robots
 from naosim.robots.description import Shape, ShapeKind
 from naosim.simulator import STEP_S
+from naospec.files import read_json
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -123,9 +124,7 @@ def load_replay(path: Path) -> Replay:
         ReplayError: if it is missing, damaged, or of another version.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ReplayError(f"{path}: larger than {_MAX_BYTES} bytes")
-        document = json.loads(path.read_bytes())
+        document = read_json(path, _MAX_BYTES)
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ReplayError(f"{path}: not a replay of format {FORMAT}")
         robot, frames = robots.get(str(document["robot"])), int(document["frames"])
@@ -146,7 +145,7 @@ def load_replay(path: Path) -> Replay:
         raise
     except KeyError as error:
         raise ReplayError(f"{path}: {error.args[0]}: missing") from None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, OverflowError) as error:
         raise ReplayError(f"{path}: unreadable: {error}") from error
     for name in ("positions", "rotations", "foot_forces"):
         if not np.isfinite(getattr(replay, name)).all():

@@ -16,9 +16,12 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, validation_words
+from naospec.files import read_bounded, read_json
 from naospec.json_text import json_text
+from naospec.sections import require_plain_names
 from pydantic import ValidationError
 
 from naosprint.analysis import figures
@@ -49,6 +52,7 @@ FILM_STEPS = 1250
 GIF_STEPS = 150
 """Length of the GIF, steps."""
 
+_MAX_BYTES = 500_000_000
 _REWARD = Chart("Reward", ("reward",))
 
 _REQUIRED = ("training", "evaluation", "checkpoint", "task", "episodes", "results", "headline", "tables")
@@ -75,14 +79,16 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
     """
     rows: dict[float, dict[str, float]] = {}
     try:
-        lines = path.read_text().splitlines()
-    except OSError as error:
+        whole, _, torn = read_bounded(path, _MAX_BYTES).decode().rpartition("\n")
+    except (OSError, ValueError) as error:
         raise ReportError(f"{path}: unreadable: {error}") from error
+    # a disk that was full, or a training that still writes, cuts the last line
+    lines = [*whole.splitlines(), *([torn] if torn.endswith("}") else [])]
     for number, line in enumerate(lines, start=1):
         try:
             row = {str(name): float(value) for name, value in json.loads(line).items()}
             rows[row["step"]] = row
-        except (ValueError, TypeError, AttributeError, KeyError) as error:
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise ReportError(f"{path}: line {number}: not a row of metrics: {error!r}") from error
     return [rows[step] for step in sorted(rows)]
 
@@ -158,20 +164,21 @@ def film_caption(replay: Replay, *, repeats: bool = True) -> str:
 def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dict[str, FloatArray]]:
     results, paths_file = directory / "evaluation.json", directory / "trajectories.npz"
     try:
-        summary: dict[str, Any] = json.loads(results.read_bytes())
+        summary: dict[str, Any] = read_json(results, _MAX_BYTES)
         if not isinstance(summary, dict) or summary.get("format") != FORMAT:
             raise ReportError(f"{results}: not an evaluation of format {FORMAT}")
         for name in _REQUIRED:
             if name not in summary:
                 raise ReportError(f"{results}: {name}: missing")
+        require_plain_names("tables", [table["name"] for table in summary["tables"]])
         spec = _episodes_spec(summary)
-        with np.load(paths_file, allow_pickle=False) as archive:
-            paths = {name: np.array(archive[name], dtype=np.float64) for name in archive.files}
+        arrays = read_npz(paths_file, max_bytes=_MAX_BYTES)
+        paths = {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}
     except ReportError:
         raise
     except ValidationError as error:
         raise ReportError(f"{results}: {validation_words(error.errors())}") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReportError(f"{directory}: no complete evaluation: {error}") from error
     return summary, spec, paths
 

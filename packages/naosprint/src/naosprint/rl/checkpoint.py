@@ -14,17 +14,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import shutil
-import zipfile
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
+from naosim.npz import read_npz
 from naospec import TrainingSpec, validation_words
+from naospec.files import open_regular, read_json
 from naospec.json_text import json_text
 from naospec.sections import PlainName
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -45,7 +45,6 @@ FORMAT = 2
 
 _MAX_MANIFEST_BYTES = 1_000_000
 _MAX_FILE_BYTES = 4_000_000_000
-_MAX_ARRAYS = 1000
 
 
 class CheckpointError(ValueError):
@@ -80,7 +79,7 @@ class Manifest(BaseModel):
     training_s: float = Field(ge=0.0)
     observations: tuple[PlainName, ...]
     actions: tuple[PlainName, ...]
-    versions: dict[str, str]
+    versions: dict[PlainName, Annotated[str, Field(max_length=100)]]
     files: dict[_FileName, FileEntry]
 
     @model_validator(mode="after")
@@ -190,15 +189,10 @@ def read_manifest(directory: Path) -> Manifest:
     """
     path = directory / MANIFEST
     try:
-        size = path.stat().st_size
-        if size > _MAX_MANIFEST_BYTES:
-            raise CheckpointError(f"{path}: {size} bytes are too many for a manifest")
-        raw = json.loads(path.read_bytes())
+        raw = read_json(path, _MAX_MANIFEST_BYTES)
     except FileNotFoundError:
         raise CheckpointError(f"{directory}: not a checkpoint ({MANIFEST} is missing)") from None
     except (OSError, ValueError) as error:
-        if isinstance(error, CheckpointError):
-            raise
         raise CheckpointError(f"{path}: unreadable: {error}") from error
     found = raw.get("format") if isinstance(raw, dict) else None
     if found != FORMAT:
@@ -226,10 +220,10 @@ def read_file(directory: Path, manifest: Manifest, name: str) -> dict[str, AnyAr
     if entry is None:
         raise CheckpointError(f"{directory}: the checkpoint has no {name}")
     try:
-        size = path.stat().st_size
-        if size != entry.size:
-            raise CheckpointError(f"{path}: {size} bytes, but the manifest has {entry.size}; the file is damaged")
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            if size != entry.size:
+                raise CheckpointError(f"{path}: {size} bytes, but the manifest has {entry.size}; the file is damaged")
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise CheckpointError(f"{path}: unreadable: {error}") from error
@@ -256,32 +250,10 @@ def read_arrays(path: Path) -> dict[str, AnyArray]:
     Raises:
         CheckpointError: if it is not such a file, contains objects, or announces more data than it has.
     """
-    arrays: dict[str, AnyArray] = {}
     try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if len(members) > _MAX_ARRAYS:
-                raise CheckpointError(f"{path}: {len(members)} arrays are too many")
-            for member in members:
-                if member.compress_type != zipfile.ZIP_STORED or not member.filename.endswith(".npy"):
-                    raise CheckpointError(f"{path}: {member.filename}: not an uncompressed array")
-                with archive.open(member) as stream:
-                    major_minor = np.lib.format.read_magic(stream)
-                    if major_minor != (1, 0):
-                        raise CheckpointError(f"{path}: {member.filename}: unknown array version {major_minor}")
-                    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-                    if dtype.hasobject or dtype.kind not in "fiub" or fortran:
-                        raise CheckpointError(f"{path}: {member.filename}: {dtype} is not a type of plain numbers")
-                    wanted = math.prod(shape) * dtype.itemsize
-                    if wanted > member.file_size:
-                        raise CheckpointError(f"{path}: {member.filename}: announces {wanted} bytes but has fewer")
-                    data = stream.read(wanted)
-                    arrays[member.filename.removesuffix(".npy")] = np.frombuffer(data, dtype).reshape(shape).copy()
-    except CheckpointError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        return read_npz(path)
+    except (OSError, ValueError) as error:
         raise CheckpointError(f"{path}: not a file of arrays: {error}") from error
-    return arrays
 
 
 def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[str, AnyArray]) -> None:
