@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -77,3 +78,38 @@ def test_an_internal_error_leaves_the_connection_usable(
         connection.close()
         with engine.begin() as session:
             session.execute(text("ALTER TABLE hidden RENAME TO webhooks"))
+
+
+def test_an_address_that_is_no_proxy_cannot_name_another(start_api: Callable[..., Any]) -> None:
+    api = start_api(api_rate_per_s=0.01, api_rate_burst=2)
+    headers = {"Authorization": "Bearer nao_unknown"}
+    with httpx.Client(base_url=api.url, headers=headers) as stranger:
+        answers = [
+            stranger.get("/jobs", headers={name: f"203.0.113.{number}"}).status_code
+            for number, name in enumerate(("X-Forwarded-For", "X-Forwarded-For", "X-Forwarded-For", "Forwarded"))
+        ]
+    assert answers == [401, 401, 429, 429]
+    behind = start_api(api_rate_per_s=0.01, api_rate_burst=2, api_trusted_proxies="127.0.0.1")
+    with httpx.Client(base_url=behind.url, headers=headers) as proxy:
+        for number in range(4):
+            assert proxy.get("/jobs", headers={"X-Forwarded-For": f"203.0.113.{number}"}).status_code == 401
+
+
+def test_the_api_bounds_connections_and_heads(start_api: Callable[..., Any]) -> None:
+    host, port = start_api(api_max_connections_per_address=2).url.removeprefix("http://").split(":")
+    head = b"GET /healthz HTTP/1.1\r\nHost: x\r\n"
+    held = [socket.create_connection((host, int(port)), timeout=20) for _ in range(2)]
+    for connection in held:
+        connection.sendall(head + b"\r\n")
+        assert b" 200 " in connection.recv(4096)
+    with socket.create_connection((host, int(port)), timeout=20) as one_more:
+        assert b" 503 " in one_more.recv(4096)
+    try:
+        for piece in (head, *([b"a: " + b"b" * 1000 + b"\r\n"] * 1_000)):
+            held[0].sendall(piece)
+        refused = held[0].recv(4096)
+    except ConnectionError:
+        refused = b""
+    assert refused[:12] in (b"", b"HTTP/1.1 400", b"HTTP/1.1 431")
+    for connection in held:
+        connection.close()

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from naosim.launchers import LauncherUnavailableError, SidecarLauncher, launcher_from_environment
 from naosim.launchers.docker import LABEL
 from naosim.mujoco.program import RCSSSERVERMJ
-from naosim.sidecars import Sidecars, create_app, own_container
+from naosim.sidecars import MOST_CONNECTIONS, Sidecars, configured, create_app, own_container
 from naosim.simspark.program import RCSSSERVER3D
 
 LAUNCHER, WORKER, STRANGER = "1" * 64, "2" * 64, "3" * 64
@@ -170,8 +170,7 @@ class Service:
         self.sidecars = Sidecars(APIClient(f"unix://{socket_path}", version="1.45"), IMAGES, LAUNCHER, most=MOST)
         listener = socket.create_server(("127.0.0.1", 0))
         self.port = listener.getsockname()[1]
-        config = uvicorn.Config(create_app(self.sidecars), log_level="warning", timeout_graceful_shutdown=1)
-        self.server = uvicorn.Server(config)
+        self.server = uvicorn.Server(configured(create_app(self.sidecars)))
         self.thread = threading.Thread(target=self.server.run, args=([listener],), daemon=True)
         self.thread.start()
         self.url = f"http://127.0.0.1:{self.port}"
@@ -493,3 +492,18 @@ def test_a_process_finds_the_container_that_it_runs_in(tmp_path: Path) -> None:
     mounts.write_text("700 690 254:0 / / rw,relatime - ext4 /dev/vda rw\n")
     assert own_container(mounts) is None
     assert own_container(tmp_path / "none") is None
+
+
+def test_a_caller_that_holds_connections_leaves_some_to_others(running: Service) -> None:
+    held = [socket.create_connection(("127.0.0.1", running.port), timeout=20) for _ in range(MOST_CONNECTIONS)]
+    try:
+        for connection in held:
+            connection.sendall(b"POST /servers HTTP/1.1\r\nHost: x\r\n")
+        with socket.create_connection(("127.0.0.1", running.port), timeout=20) as one_more:
+            assert b" 503 " in one_more.recv(4096)
+        with socket.create_connection(("127.0.0.1", running.port), 20, ("127.0.0.2", 0)) as other:
+            other.sendall(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n")
+            assert b" 204 " in other.recv(4096)
+    finally:
+        for connection in held:
+            connection.close()

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import psycopg
 from pydantic_core import from_json, to_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
-from sqlalchemy.exc import DBAPIError, InvalidatePoolError, OperationalError, SQLAlchemyError
-from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
@@ -87,18 +86,12 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         if connection.closed or _has_input(connection.fileno()):
             raise InvalidatePoolError("the server has cut the connection")
 
+    @event.listens_for(engine, "handle_error")
+    def drop_read_only(context: ExceptionContext) -> None:
+        # The driver counts it among internal errors; after a failover, a new connection reaches the new server.
+        context.is_disconnect |= isinstance(context.original_exception, psycopg.errors.ReadOnlySqlTransaction)
+
     return engine
-
-
-def is_unavailable(error: BaseException) -> bool:
-    """Return whether a failure of a statement is one of the server, not of the statement; the same may succeed later.
-
-    A server that has become read-only has been replaced by another.
-    """
-    if not isinstance(error, DBAPIError):
-        return isinstance(error, PoolTimeoutError)
-    read_only = isinstance(error.orig, psycopg.errors.ReadOnlySqlTransaction)
-    return error.connection_invalidated or isinstance(error, OperationalError) or read_only
 
 
 def _json(value: object) -> str:

@@ -37,6 +37,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
+from naosim.bounded_http import Bounds, bounded
 from naosim.launchers import ContainerSettings, LauncherUnavailableError, ServerProgram, most_servers
 from naosim.launchers.docker import (
     LABEL,
@@ -54,6 +55,8 @@ from naosim.simspark.program import RCSSSERVER3D
 logger = logging.getLogger(__name__)
 
 PORT = 2380
+MOST_CONNECTIONS = 128
+"""Connections of one address."""
 SWEEP_S = 10.0
 DEPLOYMENT, OWNER = "naosim.deployment", "naosim.owner.container"
 """Labels: the compose project of the launcher that made it, and the container that it was made for."""
@@ -366,6 +369,21 @@ def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
     return None
 
 
+def configured(app: Starlette, host: str = "127.0.0.1", port: int = 0) -> uvicorn.Config:
+    """Return the settings of the service's server; one caller cannot take all of its connections."""
+    return uvicorn.Config(
+        app,
+        host=host,
+        port=port,
+        log_level="warning",
+        access_log=False,
+        proxy_headers=False,
+        http=bounded(Bounds(head_s=5, body_s=5, head_bytes=16 << 10, per_address=MOST_CONNECTIONS)),
+        limit_concurrency=1024,
+        timeout_graceful_shutdown=1,
+    )
+
+
 def serve(images: Mapping[str, str], host: str, port: int) -> None:
     """Run the service until SIGTERM or SIGINT; all its servers are removed then.
 
@@ -394,16 +412,7 @@ def serve(images: Mapping[str, str], host: str, port: int) -> None:
 
     threading.Thread(target=sweep, name="sweep", daemon=True).start()
     try:
-        uvicorn.run(
-            create_app(sidecars),
-            host=host,
-            port=port,
-            log_level="warning",
-            access_log=False,
-            proxy_headers=False,
-            limit_concurrency=1024,
-            timeout_graceful_shutdown=1,
-        )
+        uvicorn.Server(configured(create_app(sidecars), host, port)).run()
     finally:
         ended.set()
         sidecars.close()

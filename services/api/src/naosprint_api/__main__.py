@@ -11,6 +11,7 @@ from types import FrameType
 
 import uvicorn
 from naojobs.settings import SETTINGS_ERRORS, settings_words
+from naosim.bounded_http import Bounds, bounded
 
 from naosprint_api.app import create_asgi
 from naosprint_api.service import Service
@@ -43,13 +44,16 @@ class Server(uvicorn.Server):
 def make_server(settings: ApiSettings) -> Server:
     """Return a server that is ready to run."""
     asgi, service = create_asgi(settings)
+    bounds = Bounds(per_address=settings.api_max_connections_per_address, trusted=settings.api_trusted_proxies)
     config = uvicorn.Config(
         asgi,
         host=settings.api_host,
         port=settings.api_port,
         access_log=False,
         log_config=None,
+        http=bounded(bounds),
         server_header=False,
+        proxy_headers=bool(settings.api_trusted_proxies),
         forwarded_allow_ips=settings.api_trusted_proxies,
         timeout_graceful_shutdown=_GRACE_S,
         timeout_keep_alive=30,

@@ -79,7 +79,7 @@ def create_app(service: Service) -> FastAPI:
         sharing.router,
         webhooks.router,
     )
-    problems.install(app, routers, service.engine.dispose)
+    problems.install(app, routers)
     for router in routers:
         app.include_router(router)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -11,11 +11,10 @@ from fastapi import APIRouter, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
-from naojobs.database import is_unavailable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
 from naojobs.store import MissingArtifactError, StoreError
 from pydantic import BaseModel, Field
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
@@ -125,11 +124,8 @@ def allowed_methods(routers: Sequence[APIRouter], path: str) -> set[str]:
     }
 
 
-def install(app: FastAPI, routers: Sequence[APIRouter], lost_database: Callable[[], None]) -> None:
-    """Make `app`, which has these routers, answer every error with a problem document.
-
-    `lost_database` is called when the database does not answer.
-    """
+def install(app: FastAPI, routers: Sequence[APIRouter]) -> None:
+    """Make `app`, which has these routers, answer every error with a problem document."""
 
     async def invalid(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
@@ -181,10 +177,9 @@ def install(app: FastAPI, routers: Sequence[APIRouter], lost_database: Callable[
         )
 
     async def database(_request: Request, error: Exception) -> JSONResponse:
-        if not is_unavailable(error):
+        if isinstance(error, DBAPIError) and not (error.connection_invalidated or isinstance(error, OperationalError)):
             raise error
         _log.error("the database failed: %s", error)
-        lost_database()  # connections to a server that another has replaced would stay in the pool
         return problem_response(503, "the database does not answer; try again later", headers={"Retry-After": "2"})
 
     async def unexpected(_request: Request, _error: Exception) -> JSONResponse:

@@ -16,8 +16,11 @@ class ApiSettings(ServiceSettings):
     api_host: str = Field("127.0.0.1", description="Address to listen on.")
     api_port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0: any free port.")
     api_trusted_proxies: str = Field(
-        "127.0.0.1",
-        description="Addresses whose X-Forwarded-* headers are trusted, separated by commas.",
+        "",
+        description="Addresses of proxies, whose X-Forwarded-* headers are trusted, separated by commas.",
+    )
+    api_max_connections_per_address: int = Field(
+        1024, ge=1, description="Connections that one address may have open at a time; trusted proxies have no limit."
     )
     api_max_body_bytes: int = Field(1 << 20, ge=1024, le=1 << 30, description="The largest request body, in bytes.")
     api_rate_per_s: float = Field(100.0, gt=0, description="Requests per second that one token may make on average.")
