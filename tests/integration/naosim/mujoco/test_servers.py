@@ -116,6 +116,22 @@ def test_a_server_and_an_embedded_world_report_the_same_ball() -> None:
     assert np.hypot(*(places[0][-1] - places[0][20])[:2]) > 0.2, "it bounced"
 
 
+def test_a_standby_server_gets_the_ball_of_its_episode() -> None:
+    with opened(T1, 1, standby_servers=True, scene=Scene(ball=True)) as server:
+        server.load_starts(Starts(T1.nominal[None], (-2.0, 0.0)))
+        row, ball = np.array([0]), server.truth.bodies["ball"]
+        for x in (0.0, 0.5, 1.0):
+            server.start(row, row, row)
+            server.place_ball(row, np.array([[x, 0.0, 0.11]]))
+            for _ in range(8):
+                server.step(T1.nominal[None])
+                assert ball.position[0] == pytest.approx([x, 0.0, 0.11], abs=0.03)
+            seen = [server.perceptors["ball"][0, 0]]
+            server.step(T1.nominal[None])
+            seen.append(server.perceptors["ball"][0, 0])
+            assert np.nanmax(seen) == pytest.approx(np.hypot(2.0 + x, 0.8), abs=0.2)
+
+
 def test_a_server_whose_ball_has_crossed_a_line_is_replaced() -> None:
     with opened(T1, 1, scene=Scene(ball=True), settle_steps=5) as server:
         server.load_starts(Starts(T1.nominal[None]))

@@ -192,3 +192,27 @@ def test_a_mirrored_robot_moves_as_its_mirror_image(robot: Robot) -> None:
         assert np.abs(image.qpos - expected_position).max() < 1e-9
         assert np.abs(image.qvel - expected_velocity).max() < 1e-9
     assert touched
+
+
+@BOTH
+def test_the_head_is_held_where_it_should_look(robot: Robot) -> None:
+    looking = robot.with_parameters({"head_pitch_rad": 0.6})
+    differs = looking.nominal != robot.nominal
+    assert [name for name, yes in zip(robot.joint_names, differs, strict=True) if yes] == ["head_pitch"]
+    assert looking.nominal[differs].tolist() == [0.6]
+    assert robot.with_parameters({}) == looking.with_parameters({}) == robot
+    with pytest.raises(ValidationError, match=r"less than or equal to 0\.85"):
+        robot.with_parameters({"head_pitch_rad": 1.0})
+
+
+@BOTH
+def test_the_camera_is_where_the_model_has_it(robot: Robot) -> None:
+    built, mujoco = world_of(robot), library()
+    data, first = built.new_data(), built.torso
+    data.qpos[first : first + 7] = (1.0, 2.0, 0.7, 1.0, 0.0, 0.0, 0.0)
+    data.qpos[first + 7 : first + 9] = (0.4, 0.5)
+    mujoco.mj_kinematics(built.model, data)
+    assert robot.camera is not None
+    (position,), (rotation,) = robot.camera.pose(np.array([0.4]), np.array([0.5]))
+    assert position + np.array([1.0, 2.0, 0.7]) == pytest.approx(data.site_xpos[built.camera], abs=1e-12)
+    assert rotation.ravel() == pytest.approx(data.site_xmat[built.camera], abs=1e-12)
