@@ -57,7 +57,7 @@ class Exchange(Protocol):
         """Read the answers, and renew others meanwhile; return how many servers have failed."""
 
     def admit(self, row: int) -> None:
-        """Let a server be renewed from now on, until it is detached."""
+        """Allow a server to be renewed from now on, until it is detached."""
 
     def set_silence(self, silence_s: float) -> None:
         """Set the time without a message after which a server is renewed."""

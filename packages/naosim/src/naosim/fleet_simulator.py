@@ -229,7 +229,7 @@ class FleetSimulator(Simulator):
 
     @contextmanager
     def keep_alive(self) -> Iterator[None]:
-        """Let the fleet keep the servers' robots while nothing is stepped."""
+        """Return a context in which the fleet keeps the servers' robots while nothing is stepped."""
         self.require_open()
         yield
         self._refresh(slice(0, self.n))
