@@ -401,8 +401,9 @@ SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 def machine() -> dict[str, Any]:
     """Return a description of the machine."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     model = next(
-        (line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        (line.split(":")[1].strip() for line in lines if "model name" in line),
         platform.processor(),
     )
     return {

@@ -193,7 +193,7 @@ def test_checkpoints_that_are_pruned_during_a_backup_are_in_it(
         save(step)
     sink.prune()
     sweep(place.sessions, place.store, age_s=0)
-    Path(f"{pause}.go").write_text("go\n")
+    Path(f"{pause}.go").write_text("go\n", encoding="utf-8")
     _, err = backup.communicate(timeout=120)
     assert backup.returncode == 0, err
     assert sweep(place.sessions, place.store, age_s=0) == []  # its job is busy: only a later sweep deletes the files

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import socket
+import urllib.request
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +10,7 @@ import pytest
 from naoctl.client import ApiError, Client, Event
 from naoctl.config import Target
 from naoctl.errors import CliError, ExitCode, Unreachable
+from naospec.proxies import exempt_loopback, is_loopback
 
 
 def no_sleep(seconds: float) -> None:
@@ -159,3 +162,60 @@ def test_a_stream_gives_up_when_nobody_comes_back() -> None:
         url = f"http://127.0.0.1:{probe.getsockname()[1]}"
     with Client(Target(url, None)) as client, pytest.raises(Unreachable):
         next(client.events("/stream", patience_s=0.0, sleep=no_sleep))
+
+
+@pytest.mark.parametrize("name", ["HTTP_PROXY", "ALL_PROXY", "http_proxy"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.0.0.2"])
+def test_this_machine_is_never_reached_through_a_proxy(
+    server: Any, monkeypatch: pytest.MonkeyPatch, name: str, host: str
+) -> None:
+    """The proxy would get the token, and cannot reach the service."""
+    server.on("GET", "/jobs")(lambda request: request.json({"items": []}))
+    with socket.create_server(("127.0.0.1", 0)) as proxy:
+        proxy.setblocking(False)
+        monkeypatch.setenv(name, f"http://127.0.0.1:{proxy.getsockname()[1]}")
+        url = server.url if host == "127.0.0.1" else f"http://{host}:{server.server_port}"
+        try:
+            with Client(Target(url, "nao_secret")) as client:
+                assert client.get("/jobs") == {"items": []}
+        except Unreachable:
+            assert host == "127.0.0.2"  # the server has one address
+        with pytest.raises(BlockingIOError):
+            proxy.accept()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ALL_PROXY", "socks5://127.0.0.1:1"),
+        ("HTTPS_PROXY", "ftp://127.0.0.1:1"),
+        ("HTTP_PROXY", "127.0.0.1:1:1"),
+        ("SSL_CERT_FILE", "/no/such/file"),
+    ],
+)
+def test_settings_of_the_environment_that_cannot_be_used_are_one_line(
+    monkeypatch: pytest.MonkeyPatch, server: Any, name: str, value: str
+) -> None:
+    """For other machines they are named; for this one they do not matter."""
+    monkeypatch.setenv(name, value)
+    try:
+        Client(Target("https://naosprint.invalid", "nao_secret"))
+    except CliError as error:
+        assert error.code is ExitCode.USAGE
+        assert "\n" not in str(error)
+        assert "HTTP_PROXY" in str(error)
+    server.on("GET", "/jobs")(lambda request: request.json({"items": []}))
+    with Client(Target(server.url, "nao_secret")) as client:
+        assert client.get("/jobs") == {"items": []}
+
+
+def test_child_processes_and_other_libraries_spare_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the user has exempted stays exempted."""
+    monkeypatch.setenv("no_proxy", "example.org, 127.0.0.1")
+    monkeypatch.delenv("NO_PROXY", raising=False)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")
+    exempt_loopback()
+    assert os.environ["NO_PROXY"] == os.environ["no_proxy"] == "example.org,127.0.0.1,localhost,::1"
+    assert urllib.request.proxy_bypass("localhost")
+    assert is_loopback("[::1]")
+    assert not is_loopback("127.0.0.1.example.org")

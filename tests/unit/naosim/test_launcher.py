@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+import os
+import re
+import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -11,6 +15,7 @@ from naosim.launchers import PortLease, ProcessLauncher, docker
 from naosim.launchers.docker import ContainerSettings, container_options, is_orphan, owner_labels
 from naosim.launchers.server import ServerProgram
 from naosim.simspark.program import RCSSSERVER3D, SERVER_SCRIPT
+from naospec.files import private_folder
 from naospec.processes import start_ticks
 
 
@@ -102,3 +107,63 @@ def test_bad_container_settings_are_named(arguments: dict[str, object], field: s
 def test_the_image_configures_the_server_as_the_launcher_does() -> None:
     script = Path(__file__).parents[3] / "services" / "simserver" / "docker" / "trainer.rb"
     assert script.read_text() == SERVER_SCRIPT
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a temporary folder of all users."""
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+def test_locks_of_ports_change_no_file_of_others(shared: Path, tmp_path: Path) -> None:
+    """A link in the place of a lock is neither followed nor emptied, and a link for the folder is refused."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious", encoding="utf-8")
+    locks = private_folder(shared / f"naosim-ports-{os.getuid()}")
+    for port in ("1", "3100"):
+        (locks / port).symlink_to(victim)
+    PortLease(2).release()
+    assert victim.read_text(encoding="utf-8") == "precious"
+    shutil.rmtree(locks)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "precious").write_text("precious", encoding="utf-8")
+    locks.symlink_to(elsewhere)
+    with pytest.raises(OSError, match="not a folder of this user alone"):
+        PortLease(2)
+    assert (elsewhere / "precious").read_text(encoding="utf-8") == "precious"
+
+
+def test_a_folder_that_others_may_write_to_is_refused(shared: Path) -> None:
+    """It may be full of files of theirs; in a folder of this user's own it is this user's affair."""
+    folder = private_folder(shared / "worker")
+    assert folder.stat().st_mode & 0o777 == 0o700
+    for mode in (0o777, 0o770, 0o1777):
+        folder.chmod(mode)
+        with pytest.raises(OSError, match="not a folder of this user alone"):
+            private_folder(folder)
+    shared.chmod(0o700)
+    assert private_folder(folder) == folder
+    if os.getuid() == 0:
+        shared.chmod(0o1777)
+        folder.chmod(0o700)
+        os.chown(folder, 12345, 12345)
+        with pytest.raises(OSError, match="not a folder of this user alone"):
+            private_folder(folder)
+
+
+def test_child_processes_do_not_import_from_the_current_folder() -> None:
+    """Every Python child process has -P or -I, so a numpy.py in the current folder is ignored."""
+    root = Path(__file__).parents[3]
+    sources = [path for part in ("packages", "services") for path in (root / part).glob("*/src/**/*.py")]
+    starts = {
+        path.relative_to(root): re.findall(r"sys\.executable,\s*(\S+?)[,\s]", path.read_text(encoding="utf-8"))
+        for path in sources
+    }
+    found = {path: flags for path, flags in starts.items() if flags}
+    assert len(found) >= 8
+    assert {flag for flags in found.values() for flag in flags} <= {'"-P"', '"-I"'}, found

@@ -56,9 +56,9 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
     arguments = ["report", str(tmp_path / "out"), str(tmp_path / "page"), "--metrics", str(work / "metrics.jsonl")]
     assert main([*arguments, "--no-film", "--title", "Run 1"]) == 0
     page = Path(capsys.readouterr().out.strip())
-    assert "<title>Run 1</title>" in page.read_text()
+    assert "<title>Run 1</title>" in page.read_text(encoding="utf-8")
     assert main([*arguments, "--no-film"]) == 0
-    assert "<title>sprint1</title>" in page.read_text()
+    assert "<title>sprint1</title>" in page.read_text(encoding="utf-8")
     capsys.readouterr()
 
     assert main(["export", path, str(tmp_path / "policy")]) == 0
@@ -134,3 +134,23 @@ def test_interrupt_saves_a_checkpoint(tmp_path: Path, number: signal.Signals) ->
     status, steps, path = output.split()
     assert status == "stopped"
     assert read_manifest(Path(path)).steps == int(steps)
+
+
+def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> None:
+    """In a locale of ISO-8859-1, or of ASCII, files are UTF-8 and the terminal shows what it can."""
+    environment = {**os.environ, "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONWARNDEFAULTENCODING": "1"}
+    environment.pop("PYTHONIOENCODING", None)
+    for locale in ("C", "en_US.ISO-8859-1"):
+        for words in (
+            ("evaluate", checkpoint, "--episodes", "2", "--n-envs", "2", "--output", tmp_path / locale / "evaluation"),
+            ("report", tmp_path / locale / "evaluation", tmp_path / locale / "out", "--no-film", "--title", "\u4e09 a"),
+            ("export", checkpoint, tmp_path / locale / "export", "--format", "c"),
+        ):
+            done = subprocess.run(
+                [sys.executable, "-P", "-m", "naosprint", *map(str, words)],
+                env={**environment, "LC_ALL": locale, "LANG": locale},
+                capture_output=True,
+                check=False,
+            )
+            assert done.returncode == 0, done.stderr.decode(errors="replace")
+        assert (tmp_path / locale / "out/report.html").read_text(encoding="utf-8")

@@ -138,7 +138,7 @@ def test_child_and_its_children_end_when_the_parent_is_killed(tmp_path: Path, re
     """The parent gets SIGKILL, so the child can only notice the closed pipe."""
     (tmp_path / "child.py").write_text(GUARDED)
     parent = subprocess.Popen([sys.executable, "-c", textwrap.dedent(PARENT), str(tmp_path)])
-    leader, inner = (int(pid) for pid in ready.read_text().split())
+    leader, inner = (int(pid) for pid in ready.read_text(encoding="utf-8").split())
     assert psutil.pid_exists(leader)
     parent.kill()
     parent.wait()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from typing import Annotated
 
 import typer
+from naospec.proxies import exempt_loopback
 
 from naoctl import __version__
 from naoctl.commands import (
@@ -92,6 +94,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the program and exit with its exit code."""
     words = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in words
+    exempt_loopback()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # what the terminal's character set has not
     try:
         code = build_app()(words, prog_name="naoctl", standalone_mode=False)
     except CliError as error:

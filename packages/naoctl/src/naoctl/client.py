@@ -12,10 +12,11 @@ from typing import Any, Self
 
 import httpx
 from httpx_sse import SSEError, connect_sse
+from naospec.proxies import is_loopback
 
 from naoctl import __version__
 from naoctl.config import Target
-from naoctl.errors import CliError, ExitCode, Unreachable, plain
+from naoctl.errors import CliError, ExitCode, InvalidInput, Unreachable, plain
 
 Json = dict[str, Any]
 
@@ -57,9 +58,21 @@ class Client:
         headers = {"User-Agent": f"naoctl/{__version__}", "Accept": "application/json"}
         if target.token:
             headers["Authorization"] = f"Bearer {target.token}"
-        self._http = httpx.Client(
-            base_url=target.url, headers=headers, timeout=TIMEOUT_S, transport=transport, follow_redirects=False
-        )
+        try:
+            self._http = httpx.Client(
+                base_url=target.url,
+                headers=headers,
+                timeout=TIMEOUT_S,
+                transport=transport,
+                follow_redirects=False,
+                # proxies and certificates of the environment are for other machines
+                trust_env=not is_loopback(httpx.URL(target.url).host),
+            )
+        except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
+            raise InvalidInput(
+                f"The proxy or certificate settings of the environment cannot be used: {error}",
+                fix="Correct HTTP_PROXY, HTTPS_PROXY, ALL_PROXY, SSL_CERT_FILE or SSL_CERT_DIR, or unset them.",
+            ) from None
 
     def __enter__(self) -> Self:
         return self

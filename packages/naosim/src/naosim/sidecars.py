@@ -364,7 +364,9 @@ def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
     """Return the id of the Docker container that this process runs in, None outside of one."""
     with contextlib.suppress(OSError):
         # the engine mounts the container's own /etc/hostname out of a folder that is named after the container
-        if found := re.search(r"/containers/([0-9a-f]{64})/hostname /etc/hostname ", mounts.read_text()):
+        if found := re.search(
+            r"/containers/([0-9a-f]{64})/hostname /etc/hostname ", mounts.read_text(encoding="utf-8")
+        ):
             return found[1]
     return None
 

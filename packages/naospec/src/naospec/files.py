@@ -26,6 +26,24 @@ def open_regular(path: Path) -> BufferedReader:
     return os.fdopen(descriptor, "rb")
 
 
+def private_folder(path: Path) -> Path:
+    """Make a folder that only its owner can use, or check one that is there, and return it.
+
+    Only below a folder that all users may write to, where somebody else may have taken its name, is it checked.
+
+    Raises:
+        OSError: if it is a link there, belongs to another user, or others may write to it.
+    """
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not path.parent.stat().st_mode & 0o002:
+        return path
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        reason = "not a folder of this user alone; remove it, or choose another folder"
+        raise OSError(errno.EPERM, reason, str(path))
+    return path
+
+
 def read_bounded(path: Path, max_bytes: int) -> bytes:
     """Return the content of a regular file.
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
+import os
 import signal
 import sys
 import threading
@@ -38,6 +40,9 @@ _REPLAY_FIELDS = ("task", "seed", "simulator", "start_noise_deg")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     quiet_openmp()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # what the terminal's character set has not
     options = _parser().parse_args(arguments)
     run: Callable[[argparse.Namespace], int] = options.run
     try:
@@ -288,7 +293,8 @@ def _report(options: argparse.Namespace) -> int:
         options.output,
         evaluation=options.evaluation,
         metrics=options.metrics,
-        title=options.title,
+        # what a locale cannot decode arrives as surrogates, which no file can hold
+        title=options.title and os.fsencode(options.title).decode("utf-8", "replace"),
         film=not options.no_film,
     )
     sys.stdout.write(f"{page}\n")

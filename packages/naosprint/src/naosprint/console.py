@@ -36,7 +36,7 @@ class ConsoleReporter:
 
     def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
-        self._file = (workdir / "metrics.jsonl").open("a", buffering=1)
+        self._file = (workdir / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
         self._spec = spec
         self._console = Console(stderr=True)
         self._progress = Progress(

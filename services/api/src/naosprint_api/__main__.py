@@ -12,6 +12,7 @@ from types import FrameType
 import uvicorn
 from naojobs.settings import SETTINGS_ERRORS, settings_words
 from naosim.bounded_http import Bounds, bounded
+from naospec.proxies import exempt_loopback
 
 from naosprint_api.app import create_asgi
 from naosprint_api.service import Service
@@ -76,6 +77,7 @@ def answer_evenly() -> None:
 
 def main() -> int:
     """Run until a signal ends it; return the exit code."""
+    exempt_loopback()
     logging.basicConfig(
         stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)-7s %(name)s: %(message)s"
     )

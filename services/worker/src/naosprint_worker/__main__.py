@@ -11,10 +11,12 @@ import sys
 from collections.abc import Sequence
 
 from naojobs.settings import SETTINGS_ERRORS, settings_words
+from naospec.proxies import exempt_loopback
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    exempt_loopback()
     parser = argparse.ArgumentParser(
         prog="naosprint-worker", description="Train sprint jobs. Settings come from the environment: NAOSPRINT_*."
     )

@@ -108,7 +108,7 @@ class Run:
     def _start(self, on_exit: Callable[[], None]) -> Child:
         settings = self._context.settings
         return Child(
-            [sys.executable, "-m", f"naosprint_worker.{self._program}", "--workdir", str(self._workdir)],
+            [sys.executable, "-P", "-m", f"naosprint_worker.{self._program}", "--workdir", str(self._workdir)],
             env={
                 **os.environ,
                 "PYTHONFAULTHANDLER": "1",

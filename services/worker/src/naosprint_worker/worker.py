@@ -17,6 +17,7 @@ from naojobs import lifecycle, registry, retention
 from naojobs.database import make_sessions
 from naojobs.models import Evaluation, Job, WorkKind
 from naojobs.store import ArtifactStore, StoreError
+from naospec.files import private_folder
 from naospec.processes import ProcessIdentity
 from sqlalchemy import Engine
 
@@ -75,6 +76,7 @@ class Worker:
     def start(self) -> None:
         """Register and start to claim work, without waiting for the broker."""
         settings = self._settings
+        private_folder(settings.worker_dir)
         _remove_left_folders(settings.worker_dir)
         self._context.folder.mkdir(parents=True, exist_ok=True)
         (self._context.folder / OWNER_FILE).write_text(str(ProcessIdentity.current()), encoding="utf-8")

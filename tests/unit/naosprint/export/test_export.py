@@ -155,6 +155,25 @@ def test_header_computes_what_the_checkpoint_does(robot: str, tmp_path: Path) ->
     assert expected.std() > 0.1
 
 
+def test_two_policies_in_one_source_file_are_an_error(tmp_path: Path) -> None:
+    """The second would be skipped silently; the same one twice is fine, as is each in a file of its own."""
+    policy, manifest = random_policy("nao-0")
+    other = replace(policy, mean=policy.mean + 1.0)
+    for name, each in (("first.h", policy), ("second.h", other)):
+        (tmp_path / name).write_text(build_header(each, manifest), encoding="utf-8")
+    (tmp_path / "main.c").write_text("int main(void) { return 0; }\n", encoding="utf-8")
+
+    def compiles(*headers: str) -> bool:
+        (tmp_path / "both.c").write_text("".join(f'#include "{name}"\n' for name in headers), encoding="utf-8")
+        done = subprocess.run(["cc", "-c", "both.c"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.returncode == 0 or "Another policy.h is included" not in done.stderr
+
+    assert compiles("first.h", "first.h")
+    assert compiles("second.h")
+    assert not compiles("first.h", "second.h")
+    assert not compiles("second.h", "first.h")
+
+
 def test_check_of_the_header_fails_for_another_policy(tmp_path: Path) -> None:
     """A weight that differs in the fourth digit is found."""
     policy, manifest = random_policy("nao-0")

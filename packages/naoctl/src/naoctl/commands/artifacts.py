@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -241,6 +242,8 @@ def write_report(folder: Path, *, title: str, film: bool = True) -> Path:
     Raises:
         CliError: when naosprint cannot run here or refuses.
     """
+    charset = sys.getfilesystemencoding()
+    title = title.encode(charset, "replace").decode(charset)
     arguments = [str(folder / "evaluation"), str(folder / "report"), "--title", title]
     if (folder / "metrics.jsonl").stat().st_size:
         arguments += ["--metrics", str(folder / "metrics.jsonl")]
@@ -308,7 +311,11 @@ def run_naosprint(*words: str) -> str:
         raise CliError(
             "PyTorch is not installed here", fix="Install naosprint[train], or run this where it is installed."
         )
-    done = subprocess.run([sys.executable, "-m", "naosprint", *words], check=False, capture_output=True, text=True)
+    command = [sys.executable, "-P", "-m", "naosprint", *words]
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(
+        command, check=False, capture_output=True, encoding="utf-8", errors="replace", env=environment
+    )
     if done.returncode:
         last = done.stderr.strip().splitlines()
         raise CliError(f"naosprint {words[0]} failed: {last[-1] if last else f'exit code {done.returncode}'}")

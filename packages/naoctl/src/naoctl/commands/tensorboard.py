@@ -74,7 +74,7 @@ def tensorboard(
                 context.say("Event files", str(folder))
             return
         options = ["--logdir", str(folder), "--host", "127.0.0.1", *(["--port", str(port)] if port is not None else [])]
-        program = subprocess.Popen([sys.executable, "-m", "tensorboard.main", *options, "--reload_interval", "2"])
+        program = subprocess.Popen([sys.executable, "-P", "-m", "tensorboard.main", *options, "--reload_interval", "2"])
         stack.callback(program.wait)
         stack.callback(program.terminate)
         try:

@@ -65,6 +65,7 @@ def start_detached(layout: Layout, options: Options, say: Say, *, tied: bool = F
     read_end, write_end = os.pipe()
     command = [
         sys.executable,
+        "-P",
         "-m",
         "naoctl",
         "up",

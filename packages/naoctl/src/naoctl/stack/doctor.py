@@ -141,7 +141,7 @@ def _engine() -> Finding:
     fix = "Build it again: `make install` in the checkout; a C++ compiler is needed."
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _ENGINE_TRIAL], check=False, capture_output=True, text=True, timeout=60
+            [sys.executable, "-P", "-c", _ENGINE_TRIAL], check=False, capture_output=True, text=True, timeout=60
         )
     except subprocess.TimeoutExpired:
         return Finding("Engine", "failed", "ten cycles took more than 60 s", fix)

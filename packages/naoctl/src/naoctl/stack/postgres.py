@@ -102,7 +102,7 @@ class Postgres:
         _check_socket_dir(self.socket_dir, self.account.uid if self.account else os.getuid())
         if self.is_made:
             return
-        with tempfile.NamedTemporaryFile("w", dir=self.socket_dir, prefix=".pw") as file:
+        with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=self.socket_dir, prefix=".pw") as file:
             file.write(self.password)
             file.flush()
             if self.account:
@@ -185,7 +185,7 @@ def find_programs(data: Path) -> Path:
     made_by = data / "PG_VERSION"
     if not made_by.exists() or not (data / ".finished").exists():
         return versions[max(versions)]
-    version = int(made_by.read_text().strip())
+    version = int(made_by.read_text(encoding="utf-8").strip())
     if version not in versions:
         raise StackError(
             f"The data in {data} is of Postgres {version}, installed are {', '.join(map(str, sorted(versions)))}",

@@ -222,13 +222,13 @@ class Supervisor:
         )
 
     def _api_program(self, environment: dict[str, str]) -> Program:
-        command = [sys.executable, "-m", "naosprint_api"]
+        command = [sys.executable, "-P", "-m", "naosprint_api"]
         return Program(
             "api", "API", command, environment, self.layout.log("api"), self._api_is_ready, stop_grace_s=15.0
         )
 
     def _worker_program(self, environment: dict[str, str]) -> Program:
-        command = [sys.executable, "-m", "naosprint_worker"]
+        command = [sys.executable, "-P", "-m", "naosprint_worker"]
         return Program(
             "worker",
             "Worker",
@@ -300,7 +300,7 @@ class Supervisor:
                 pause_s = min(pause_s * 1.5, 0.25)
 
     def _migrate(self, environment: dict[str, str]) -> None:
-        command = [sys.executable, "-m", "naojobs", "migrate", "--directory", str(find_migrations())]
+        command = [sys.executable, "-P", "-m", "naojobs", "migrate", "--directory", str(find_migrations())]
         self._run_tool(command, environment)
         self.say("Database", "up to date")
 
@@ -311,7 +311,7 @@ class Supervisor:
         if self.admin_token and self._ask("/workers").status_code != 401:
             return
         owner = _user_name()
-        command = [sys.executable, "-m", "naojobs", "token", "create", "--owner", owner, "--name", "naoctl up"]
+        command = [sys.executable, "-P", "-m", "naojobs", "token", "create", "--owner", owner, "--name", "naoctl up"]
         answer = json.loads(self._run_tool([*command, "--scope", "admin"], environment))
         self.admin_token = answer["token"]
         write_private(path, self.admin_token + "\n")

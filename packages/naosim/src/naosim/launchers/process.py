@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
+from naospec.files import private_folder
+
 from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
 _GUARD = Path(__file__).with_name("guard.py")
@@ -38,8 +40,7 @@ class PortLease:
     def __init__(self, count: int, host: str = "127.0.0.1") -> None:
         self.ports: list[int] = []
         self._locks: list[IO[str]] = []
-        folder = Path(tempfile.gettempdir()) / f"naosim-ports-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
+        folder = private_folder(Path(tempfile.gettempdir()) / f"naosim-ports-{os.getuid()}")
         for left in folder.iterdir():  # by owners that were killed
             if (lock := _lock(left)) is not None:
                 left.unlink(missing_ok=True)
@@ -72,7 +73,11 @@ class PortLease:
 
 def _lock(path: Path) -> IO[str] | None:
     """Return the locked file at `path`, made if need be; none if another process has it locked, or deletes it."""
-    file = path.open("w")
+    try:
+        # without O_TRUNC and links: nothing that lies here by accident or malice is changed
+        file = open(path, "a", opener=_open_no_link, encoding="utf-8")  # noqa: SIM115 - the caller closes it
+    except OSError:
+        return None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.path.samestat(os.fstat(file.fileno()), path.stat()):
@@ -81,6 +86,10 @@ def _lock(path: Path) -> IO[str] | None:
         pass
     file.close()
     return None
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW, 0o600)
 
 
 class ProcessLauncher:
@@ -119,7 +128,7 @@ class ProcessLauncher:
         home = Path(tempfile.mkdtemp(prefix="naosim-server-"))
         try:
             for name, content in self.program.files.items():
-                (home / name).write_text(content)
+                (home / name).write_text(content, encoding="utf-8")
             address = Address("127.0.0.1", *lease.ports)
             arguments = self.program.process_command(address.agent_port, address.monitor_port, str(home))
             environment = {key: os.environ[key] for key in _PASSED_VARIABLES if key in os.environ}
@@ -217,7 +226,7 @@ def _listeners(port: int) -> set[str]:
     """Return the sockets that listen on a port, as /proc/<pid>/fd names them."""
     found = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        with contextlib.suppress(OSError), open(table) as lines:
+        with contextlib.suppress(OSError), open(table, encoding="utf-8") as lines:
             for line in list(lines)[1:]:
                 fields = line.split()
                 if fields[3] == "0A" and int(fields[1].rsplit(":", 1)[1], 16) == port:

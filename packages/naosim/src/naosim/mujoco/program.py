@@ -39,7 +39,7 @@ def server_launcher() -> Launcher:
     if os.environ.get(PROGRAM_VARIABLE):
         return launcher_from_environment(PROGRAM_VARIABLE, RCSSSERVERMJ)
     if not missing_packages():
-        return ProcessLauncher(RCSSSERVERMJ, (sys.executable, "-m", "rcsssmj"))
+        return ProcessLauncher(RCSSSERVERMJ, (sys.executable, "-P", "-m", "rcsssmj"))
     missing = missing_server({})
     if missing:
         raise MujocoUnavailableError(missing)

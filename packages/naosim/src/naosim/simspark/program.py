@@ -42,7 +42,7 @@ _SERVER_DIGITS = (2, 3)
 
 def embedded_launcher(*arguments: str) -> ProcessLauncher:
     """Return a launcher of ``naosim serve`` with these arguments besides ports."""
-    return ProcessLauncher(RCSSSERVER3D, (sys.executable, "-m", "naosim", "serve", "--quiet", *arguments))
+    return ProcessLauncher(RCSSSERVER3D, (sys.executable, "-P", "-m", "naosim", "serve", "--quiet", *arguments))
 
 
 def server_launcher(digits: int | None = 2) -> Launcher:

@@ -107,7 +107,7 @@ class Evaluation:
         """Write ``evaluation.json``, ``trajectories.npz`` and the replay to ``directory`` and return their paths."""
         directory.mkdir(parents=True, exist_ok=True)
         results, paths = directory / "evaluation.json", directory / "trajectories.npz"
-        results.write_text(self.to_json())
+        results.write_text(self.to_json(), encoding="utf-8")
         self.trajectories.save(paths)
         return (results, paths, *self.replay.save(directory))
 

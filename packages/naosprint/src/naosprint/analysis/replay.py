@@ -104,7 +104,7 @@ class Replay:
     def save(self, directory: Path) -> tuple[Path, Path]:
         """Write ``replay.json`` and ``replay.npz`` to ``directory`` and return their paths."""
         text, arrays = directory / "replay.json", directory / "replay.npz"
-        text.write_text(self.to_json())
+        text.write_text(self.to_json(), encoding="utf-8")
         np.savez_compressed(
             arrays,
             robot=np.array(self.robot.name),

@@ -125,7 +125,7 @@ def write_report(
         write_mp4(replay, directory / "run.mp4", frames=film_frames(replay))
         write_gif(replay, directory / "run.gif", frames=range(begin, min(begin + GIF_STEPS, steps)))
     document = {"format": REPORT_FORMAT, "title": title, "evaluation": summary}
-    (directory / "report.json").write_text(json_text(document))
+    (directory / "report.json").write_text(json_text(document), encoding="utf-8")
     environment = Environment(
         loader=PackageLoader("naosprint.analysis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -140,7 +140,8 @@ def write_report(
             film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
             film_caption=film_caption(replay, repeats=spec.task_class.presentation.repeats),
             references=[reference.title for reference in spec.task_class.presentation.references],
-        )
+        ),
+        encoding="utf-8",
     )
     return page
 
@@ -257,7 +258,7 @@ def _save(figure: Figure, stem: Path) -> str:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue()
-    stem.with_suffix(".svg").write_text(text)
+    stem.with_suffix(".svg").write_text(text, encoding="utf-8")
     return text[text.index("<svg") :]
 
 
@@ -280,7 +281,7 @@ def _write_tables(
     """Write everything that the plots show as CSV files."""
 
     def write(name: str, header: Sequence[str], lines: Sequence[Sequence[Any]]) -> None:
-        with (directory / f"{name}.csv").open("w", newline="") as stream:
+        with (directory / f"{name}.csv").open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerows([_cell(value) for value in line] for line in (header, *lines))
 

@@ -66,7 +66,7 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | No
         texts |= {"policy.h": build_header(policy, manifest), "policy_check.c": build_check(policy)}
     for name, text in texts.items():
         written.append(directory / name)
-        written[-1].write_text(text)
+        written[-1].write_text(text, encoding="utf-8")
     if "skill" in formats:
         written += write_skill(policy, manifest, directory)
     return tuple(written)

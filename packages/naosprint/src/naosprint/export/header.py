@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import string
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,15 @@ TOLERANCE = 1e-6
 _VECTORS = 64
 _PLAIN_CHARACTERS = frozenset(string.ascii_letters + string.digits + " _.,:+-")
 _WIDTH = 8
+
+_GUARD = """\
+#ifndef NAOSPRINT_POLICY_{policy}
+#ifdef NAOSPRINT_POLICY_H
+#error "Another policy.h is included here already: include each policy in a source file of its own."
+#endif
+#define NAOSPRINT_POLICY_H
+#define NAOSPRINT_POLICY_{policy}
+"""
 
 _CODE = """\
 /* Compute the actions, in [-1, 1], of raw observations. */
@@ -95,12 +106,15 @@ int main(void)
 def build_header(policy: Policy, manifest: Manifest) -> str:
     """Return the text of ``policy.h``: weights, standardization, ranges of the joints, and functions."""
     arrays = policy_arrays(policy, manifest)
+    digest = hashlib.sha256(manifest.spec_sha256.encode())
+    for values in (policy.mean, policy.scale, *itertools.chain(*policy.layers)):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    policy_id = digest.hexdigest()[:16].upper()
     joints = len(arrays["joint_names"])
     widest = max(len(policy.mean), *(len(bias) for _, bias in policy.layers))
     lines = [
         f"/* Policy of {_text(str(arrays['robot']))}, {manifest.steps} steps of training. Exported by naosprint. */",
-        "#ifndef NAOSPRINT_POLICY_H",
-        "#define NAOSPRINT_POLICY_H",
+        *_GUARD.format(policy=policy_id).splitlines(),
         "",
         "#include <math.h>",
         "",

@@ -62,4 +62,4 @@ def motions(task: str, robot: str) -> Mapping[str, Motion]:
     file = resources.files("naosprint.tasks") / "motion_data" / f"{task}-{robot}.json"
     if not file.is_file():
         return {}
-    return {name: Motion(**content) for name, content in json.loads(file.read_text()).items()}
+    return {name: Motion(**content) for name, content in json.loads(file.read_text(encoding="utf-8")).items()}
