@@ -19,6 +19,7 @@ from naojobs.roles import RoleSettings, create_roles
 from naojobs.settings import SETTINGS_ERRORS, DatabaseSettings, ServiceSettings, settings_words
 from naojobs.store import ArtifactStore, StoreError
 from naojobs.tokens import Scope, create_token, list_tokens, revoke
+from naojobs.upgrades import check_upgrade
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -28,6 +29,7 @@ def _parser() -> argparse.ArgumentParser:
     migrate = commands.add_parser("migrate", help="migrate the database to a revision")
     migrate.add_argument("--revision", default="head", help="target revision (default: head)")
     migrate.add_argument("--down", action="store_true", help="downgrade to the revision")
+    migrate.add_argument("--force", action="store_true", help="migrate even if open work cannot be read afterwards")
     migrate.add_argument("--directory", type=Path, default=Path("migrations"), help="folder of the migrations")
 
     restore = commands.add_parser(
@@ -86,8 +88,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         create_roles(settings.libpq_url, settings.passwords)
         return 0
     if arguments.command == "migrate":
+        migrations = arguments.directory.resolve()
+        try:
+            check_upgrade(settings.sqlalchemy_url, migrations, force=arguments.force or arguments.down)
+        except JobError as error:
+            sys.stderr.write(f"{error}\n")
+            return 1
         change = downgrade if arguments.down else upgrade
-        change(settings.sqlalchemy_url, arguments.directory.resolve(), arguments.revision)
+        change(settings.sqlalchemy_url, migrations, arguments.revision)
         return 0
     if arguments.command == "restore":
         try:

@@ -14,7 +14,7 @@ from datetime import timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
 import naopolicies
-from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from pydantic import ValidationError
 from sqlalchemy import ColumnElement, Select, and_, func, or_, select, update
 from sqlalchemy.orm import Session
@@ -470,10 +470,10 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
     None is returned.
     """
     try:
-        read: type[TrainingSpec] | type[EvaluationSpec] = TrainingSpec if isinstance(work, Job) else EvaluationSpec
-        spec = read.model_validate(work.spec)
+        training = isinstance(work, Job)
+        spec = read_stored(TrainingSpec, work.spec) if training else read_stored(EvaluationSpec, work.spec)
         final = isinstance(work, Job) and work.evaluation
-        evaluation = EvaluationSpec.model_validate(final) if final else None
+        evaluation = read_stored(EvaluationSpec, final) if final else None
     except (ValidationError, plugins.BrokenPluginError) as error:
         words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
         reason = f"the specification does not fit this version: {words}"
@@ -757,7 +757,8 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
                 if work is not None:
                     reason, counts = f"lease of worker {work.lease_owner} expired", True
                     if session.scalar(select(restored).where(model.id == work.id)):
-                        reason, counts = "the database was restored", False
+                        what = "service was upgraded" if work.lease_generation is None else "database was restored"
+                        reason, counts = f"the {what}", False
                     elif session.scalar(
                         select(model.heartbeat_at < func.pg_postmaster_start_time()).where(model.id == work.id)
                     ):

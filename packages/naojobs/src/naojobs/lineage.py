@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import naopolicies
-from naospec import TrainingSpec, plugins
+from naospec import TrainingSpec, plugins, read_stored
 from pydantic import ValidationError
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
@@ -21,7 +21,7 @@ MAX_JOBS = 100
 def trained_by(job: Job) -> TrainingSpec | None:
     """Return the specification of a job; none if this version cannot read it."""
     try:
-        return TrainingSpec.model_validate(job.spec)
+        return read_stored(TrainingSpec, job.spec)
     except (ValidationError, plugins.BrokenPluginError):
         return None
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import naopolicies
+from naospec import stored
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
@@ -119,7 +120,7 @@ def register(
             number=policy.last_number,
             checkpoint_id=checkpoint.id,
             notes=wanted.notes,
-            spec=spec.model_dump(mode="json"),
+            spec=stored(spec),
             spec_sha256=spec.digest(),
             lineage=lineage_of(session, checkpoint),
             idempotency_key=idempotency_key,

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from typing import Any
 
-from naospec import EvaluationSpec
+from naospec import EvaluationSpec, stored
 from sqlalchemy import BigInteger, DateTime, Double, Integer, Text, bindparam, column, delete, func, insert, select
 from sqlalchemy.dialects.postgresql import JSONB, Insert
 from sqlalchemy.dialects.postgresql import insert as upsert
@@ -252,7 +252,7 @@ def record_evaluation(
             job_id=job.id,
             checkpoint_id=checkpoint_id,
             state=WorkState.SUCCEEDED,
-            spec=spec.model_dump(mode="json"),
+            spec=stored(spec),
             queue=spec.simulator or job.queue,
             **asdict(Requirements.of_evaluation(spec, job)),
             attempt=1,

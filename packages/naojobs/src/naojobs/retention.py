@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-from naospec import TrainingSpec
+from naospec import TrainingSpec, read_stored
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
@@ -54,7 +54,7 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
         ).all()
         candidates = rows[wanted.last :]
         if wanted.every is not None:
-            spec = TrainingSpec.model_validate(job.spec)  # an older version may have stored fewer settings
+            spec = read_stored(TrainingSpec, job.spec)  # an older version may have stored fewer settings
             stride = wanted.every * spec.runtime.checkpoint_interval_steps
             rollout = spec.rollout_steps
             # A checkpoint is saved with the first update at or after a multiple of the interval.

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
 from naospec.flat import nest
 from naospec.search import Objective, SearchSpec
 from pydantic import ValidationError
@@ -77,8 +77,8 @@ def submit_study(
                 owner=owner,
                 spec=search.model_dump(mode="json"),
                 job={
-                    "spec": job.spec.model_dump(mode="json"),
-                    "evaluation": job.evaluation.model_dump(mode="json") if job.evaluation else None,
+                    "spec": stored(job.spec),
+                    "evaluation": stored(job.evaluation) if job.evaluation else None,
                     "tags": list(job.tags),
                     "priority": job.priority,
                     "max_attempts": job.max_attempts,
@@ -158,8 +158,8 @@ def job_of(study: Study) -> JobRequest:
     content = study.job
     evaluation = content["evaluation"]
     return JobRequest(
-        spec=TrainingSpec.model_validate(content["spec"]),
-        evaluation=EvaluationSpec.model_validate(evaluation) if evaluation else None,
+        spec=read_stored(TrainingSpec, content["spec"]),
+        evaluation=read_stored(EvaluationSpec, evaluation) if evaluation else None,
         name=study.name,
         tags=content["tags"],
         priority=content["priority"],

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import naopolicies
-from naospec import EvaluationSpec, TrainingSpec, plugins, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
 from naospec.flat import nest
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -192,8 +192,8 @@ def add_job(
             name=free_name(session, Job, owner, request.display_name),
             owner=owner,
             tags=list(dict.fromkeys(request.tags)),
-            spec=request.spec.model_dump(mode="json"),
-            evaluation=request.evaluation.model_dump(mode="json") if request.evaluation else None,
+            spec=stored(request.spec),
+            evaluation=stored(request.evaluation) if request.evaluation else None,
             queue=request.spec.simulator.name,
             **asdict(Requirements.of_training(request.spec)),
             priority=request.priority,
@@ -319,7 +319,7 @@ def _check_parent(session: Session, request: JobRequest, owner: str, see_all: bo
     if parent is None or (parent.owner != owner and not see_all):
         raise InvalidError(f"no job {request.parent_job_id}; use the id of one of your jobs", "parent_job_id")
     try:
-        theirs = TrainingSpec.model_validate(parent.spec)
+        theirs = read_stored(TrainingSpec, parent.spec)
     except (ValidationError, plugins.BrokenPluginError):
         raise InvalidError(
             f"job {parent.id} was stored by a version whose specifications this one cannot read; use a newer job",
@@ -391,7 +391,7 @@ def request_evaluation(
             job_id=job_id,
             checkpoint_id=checkpoint.id,
             state=WorkState.QUEUED,
-            spec=spec.model_dump(mode="json"),
+            spec=stored(spec),
             queue=spec.simulator or job.queue,
             **asdict(Requirements.of_evaluation(spec, job)),
             priority=job.priority,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from naospec import plugins, presets, recipes
+from naospec import formats, plugins, presets, recipes
 from naospec.sections import Section
 from naospec.specification import (
     EvaluationSpec,
@@ -12,6 +12,8 @@ from naospec.specification import (
     TaskSettings,
     TrainingSpec,
     needs,
+    read_stored,
+    stored,
     validation_words,
 )
 
@@ -23,9 +25,12 @@ __all__ = [
     "Stage",
     "TaskSettings",
     "TrainingSpec",
+    "formats",
     "needs",
     "plugins",
     "presets",
+    "read_stored",
     "recipes",
+    "stored",
     "validation_words",
 ]

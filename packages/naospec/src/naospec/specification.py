@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from naospec import plugins, presets
+from naospec import formats, plugins, presets
 from naospec.flat import GROUPS, MOVED
 from naospec.sections import PluginSection, Section, as_mapping
 
@@ -272,8 +273,8 @@ class TrainingSpec(_Specification):
         """Fill in the preset's values; leave bad values to the fields' own validation."""
         if not isinstance(data, dict):
             return data
-        _refuse_flat_form(cls.__name__, data)
-        filled = dict(data)
+        filled = _of_this_format(formats.Kind.TRAINING, data)
+        _refuse_flat_form(cls.__name__, filled)
         for section, name in DEFAULTS.items():
             value = as_mapping(filled.get(section) if filled.get(section) is not None else {})
             filled[section] = {"name": name, **value} if isinstance(value, dict) else value
@@ -507,6 +508,11 @@ class EvaluationSpec(_Specification):
         description="Resamples behind each bootstrap interval.",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _convert(cls, data: Any) -> Any:
+        return _of_this_format(formats.Kind.EVALUATION, data) if isinstance(data, dict) else data
+
     @field_validator("simulator")
     @classmethod
     def _known_simulator(cls, value: str | None) -> str | None:
@@ -531,6 +537,25 @@ class EvaluationSpec(_Specification):
         else:
             content["simulator"] = {"name": self.simulator}
         return TrainingSpec.model_validate(content)
+
+
+Spec = TypeVar("Spec", bound=_Specification)
+
+
+def stored(spec: TrainingSpec | EvaluationSpec) -> dict[str, Any]:
+    """Return a specification as it is stored, for a version that may come later."""
+    kind = formats.Kind.TRAINING if isinstance(spec, TrainingSpec) else formats.Kind.EVALUATION
+    return formats.numbered(kind, spec.model_dump(mode="json"))
+
+
+def read_stored(model: type[Spec], document: Mapping[str, Any]) -> Spec:
+    """Return a specification that was stored, by this version or an older one. Raises ValidationError."""
+    return model.model_validate({"format": 1, **document})
+
+
+def _of_this_format(kind: formats.Kind, data: dict[str, Any]) -> dict[str, Any]:
+    """Return a copy of a specification; one that names no format has this version's."""
+    return formats.current(kind, data) if "format" in data else dict(data)
 
 
 def needs(spec: TrainingSpec) -> dict[str, Any]:

@@ -282,7 +282,7 @@ def test_missing_evaluation_is_explained(evaluation: Path, tmp_path: Path) -> No
     with pytest.raises(ReplayError, match=r"replay.json: unreadable"):
         write_report(tmp_path / "out", evaluation=tmp_path)
     (tmp_path / "evaluation.json").write_text("{}")
-    with pytest.raises(ReportError, match=r"evaluation.json: not an evaluation of format 2"):
+    with pytest.raises(ReportError, match=r"evaluation.json: format: expected the number of the evaluation"):
         write_report(tmp_path / "out", evaluation=tmp_path)
     (tmp_path / "evaluation.json").write_text('{"format": 2}')
     with pytest.raises(ReportError, match=r"evaluation.json: training: missing"):

@@ -118,7 +118,7 @@ def test_missing_checkpoint_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"format": 99}, "checkpoint format 99"),
+        ({"format": 99}, "format 99 of this checkpoint is of a newer version"),
         ({"steps": -1}, "steps"),
         ({"extra": 1}, "extra"),
         ({"spec_sha256": "0" * 64}, "does not match"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naosim.simulator import STEP_S
-from naospec import plugins
+from naospec import formats, plugins
 from naospec.json_text import json_text
 
 from naosprint.analysis.replay import Replay
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = formats.CURRENT[formats.Kind.RESULT]
 """Version of the evaluation's document."""
 
 REPLAY_CANDIDATES = 5

@@ -18,14 +18,13 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
-from naospec import TrainingSpec, validation_words
+from naospec import TrainingSpec, formats, validation_words
 from naospec.files import read_bounded, read_json
 from naospec.json_text import json_text
 from naospec.sections import require_plain_names
 from pydantic import ValidationError
 
 from naosprint.analysis import figures
-from naosprint.analysis.evaluation import FORMAT
 from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay, load_replay
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
@@ -166,8 +165,9 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
     results, paths_file = directory / "evaluation.json", directory / "trajectories.npz"
     try:
         summary: dict[str, Any] = read_json(results, _MAX_BYTES)
-        if not isinstance(summary, dict) or summary.get("format") != FORMAT:
-            raise ReportError(f"{results}: not an evaluation of format {FORMAT}")
+        if not isinstance(summary, dict):
+            raise ReportError(f"{results}: not an evaluation")
+        summary = formats.current(formats.Kind.RESULT, summary)
         for name in _REQUIRED:
             if name not in summary:
                 raise ReportError(f"{results}: {name}: missing")
@@ -177,6 +177,8 @@ def _read_evaluation(directory: Path) -> tuple[dict[str, Any], TrainingSpec, dic
         paths = {name: np.array(values, dtype=np.float64) for name, values in arrays.items()}
     except ReportError:
         raise
+    except formats.FormatError as error:
+        raise ReportError(f"{results}: {error}") from error
     except ValidationError as error:
         raise ReportError(f"{results}: {validation_words(error.errors())}") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from naosim.npz import read_npz
-from naospec import TrainingSpec, validation_words
+from naospec import TrainingSpec, formats, validation_words
 from naospec.files import open_regular, read_json
 from naospec.json_text import json_text
 from naospec.sections import PlainName
@@ -40,8 +40,8 @@ LEARNER = "learner.npz"
 ENVIRONMENT = "environment.npz"
 CANDIDATES = "candidates.npz"
 
-FORMAT = 2
-"""Version of the checkpoint format that this code writes and reads."""
+FORMAT = formats.CURRENT[formats.Kind.CHECKPOINT]
+"""Version of the checkpoint format that this code writes; it reads older ones, see `naospec.formats`."""
 
 _MAX_MANIFEST_BYTES = 1_000_000
 _MAX_FILE_BYTES = 4_000_000_000
@@ -194,11 +194,12 @@ def read_manifest(directory: Path) -> Manifest:
         raise CheckpointError(f"{directory}: not a checkpoint ({MANIFEST} is missing)") from None
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{path}: unreadable: {error}") from error
-    found = raw.get("format") if isinstance(raw, dict) else None
-    if found != FORMAT:
-        raise CheckpointError(f"{path}: checkpoint format {found!r}, but this version reads format {FORMAT}")
+    if not isinstance(raw, dict):
+        raise CheckpointError(f"{path}: not the manifest of a checkpoint")
     try:
-        manifest = Manifest.model_validate(raw)
+        manifest = Manifest.model_validate(formats.current(formats.Kind.CHECKPOINT, raw))
+    except formats.FormatError as error:
+        raise CheckpointError(f"{path}: {error}") from error
     except ValidationError as error:
         raise CheckpointError(f"{path}: {validation_words(error.errors())}") from error
     # of what was written, so that fields added since do not count

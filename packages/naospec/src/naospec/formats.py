@@ -1,0 +1,78 @@
+"""Formats of what is stored, by number, and how each is read from the one before.
+
+A change that older data does not fit raises the number here and adds a conversion from the number before, which may
+stay until the next release but one: every version reads what the version before has written. Where a value has no place
+in the new format, the conversion raises `FormatError` with a sentence; a migration then stops before it changes
+anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Any
+
+
+class Kind(StrEnum):
+    """Kind of stored document."""
+
+    TRAINING = "training specification"
+    EVALUATION = "evaluation specification"
+    #: `checkpoint.json` with the specification in it.
+    CHECKPOINT = "checkpoint"
+    #: `evaluation.json` with the specifications in it.
+    RESULT = "evaluation"
+
+
+class FormatError(ValueError):
+    """Document of a format that this version cannot read."""
+
+
+CURRENT: dict[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1, Kind.CHECKPOINT: 2, Kind.RESULT: 2}
+"""The formats that this version writes."""
+
+UNNUMBERED: Mapping[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1}
+"""Formats of stored documents without a number; all others have one."""
+
+Document = dict[str, Any]
+CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {}
+"""From each older format that can be read, the function that returns a document of the next one."""
+
+
+def current(kind: Kind, document: Mapping[str, Any]) -> Document:
+    """Return a document in the format that this version writes, with its number if the kind has one.
+
+    Raises:
+        FormatError: it is of a newer version, or too old.
+    """
+    content = dict(document)
+    unnumbered = UNNUMBERED.get(kind)
+    number = content.pop("format", unnumbered)
+    if not isinstance(number, int) or isinstance(number, bool):
+        raise FormatError(f"format: expected the number of the {kind}'s format, got {number!r}")
+    newest = CURRENT[kind]
+    if number > newest:
+        raise FormatError(
+            f"format {number} of this {kind} is of a newer version of naosprint; this one reads up to {newest}. "
+            "Upgrade naosprint."
+        )
+    while number < newest:
+        convert = CONVERSIONS.get((kind, number))
+        if convert is None:
+            raise FormatError(f"format {number} of this {kind} is too old: this version reads {_read(kind)}")
+        content, number = convert(content), number + 1
+    return content if unnumbered is not None else {"format": number, **content}
+
+
+def numbered(kind: Kind, document: Mapping[str, Any]) -> Document:
+    """Return a document of the current format as it is stored: with its number, unless that is what none means."""
+    if CURRENT[kind] == UNNUMBERED.get(kind):
+        return dict(document)
+    return {"format": CURRENT[kind], **document}
+
+
+def _read(kind: Kind) -> str:
+    oldest = newest = CURRENT[kind]
+    while (kind, oldest - 1) in CONVERSIONS:
+        oldest -= 1
+    return f"format {newest}" if oldest == newest else f"formats {oldest} to {newest}"

@@ -1,0 +1,82 @@
+"""Formats of stored documents, and what is read of other versions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from naospec import EvaluationSpec, TrainingSpec, formats, read_stored, stored
+from naospec.formats import Kind
+from pydantic import ValidationError
+
+ROOT = Path(__file__).parents[3]
+
+
+def raise_number(monkeypatch: pytest.MonkeyPatch, kind: Kind, convert: Any = None) -> None:
+    """Raise the number of a format, with a conversion from the one before."""
+    number = formats.CURRENT[kind]
+    monkeypatch.setitem(formats.CURRENT, kind, number + 1)
+    if convert is not None:
+        monkeypatch.setitem(formats.CONVERSIONS, (kind, number), convert)
+
+
+@pytest.mark.parametrize(("kind", "model"), [(Kind.TRAINING, TrainingSpec), (Kind.EVALUATION, EvaluationSpec)])
+def test_a_specification_of_the_format_before_is_converted(kind: Kind, model: Any, monkeypatch: Any) -> None:
+    before = {"chance": 7}
+    raise_number(monkeypatch, kind, lambda document: {"seed": document["chance"]})
+    assert read_stored(model, before).seed == 7
+    written = stored(model(seed=7))
+    assert (written["format"], written["seed"]) == (2, 7)
+    assert stored(read_stored(model, written)) == stored(model.model_validate(written)) == written
+    assert stored(model.model_validate({"format": 1, **before})) == written  # a file of the version before
+
+
+def test_a_specification_has_no_number_while_none_means_its_format() -> None:
+    assert "format" not in stored(TrainingSpec())
+    assert stored(TrainingSpec.model_validate({"format": 1, "seed": 7})) == stored(TrainingSpec(seed=7))
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_a_newer_format_is_one_sentence(kind: Kind) -> None:
+    number = formats.CURRENT[kind] + 1
+    with pytest.raises(formats.FormatError, match=rf"^format {number} of this {kind} is of a newer version.*Upgrade"):
+        formats.current(kind, {"format": number})
+
+
+def test_a_format_without_conversion_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(
+        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads format 2$"
+    ):
+        formats.current(Kind.CHECKPOINT, {"format": 1})
+    raise_number(monkeypatch, Kind.CHECKPOINT, dict)
+    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 3$"):
+        formats.current(Kind.CHECKPOINT, {"format": 1})
+
+
+@pytest.mark.parametrize("number", ["2", None, 2.5, True, [1]])
+def test_a_number_that_is_none_names_the_field(number: Any) -> None:
+    with pytest.raises(ValidationError, match="format: expected the number"):
+        TrainingSpec.model_validate({"format": number})
+
+
+def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from naosprint.rl.checkpoint import CheckpointError, read_manifest
+
+    policy = next((ROOT / "packages/naopolicies/src").rglob("checkpoint.json"))
+    document = json.loads(policy.read_text(encoding="utf-8"))
+    expected = read_manifest(policy.parent)
+    document["rounds"] = document.pop("updates")
+    (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
+
+    def convert(old: dict[str, Any]) -> dict[str, Any]:
+        return {**{name: value for name, value in old.items() if name != "rounds"}, "updates": old["rounds"]}
+
+    raise_number(monkeypatch, Kind.CHECKPOINT, convert)
+    assert read_manifest(tmp_path).model_dump() == {**expected.model_dump(), "format": 3}
+    monkeypatch.undo()
+    document["format"] = 3
+    (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(CheckpointError, match="newer version of naosprint"):
+        read_manifest(tmp_path)
