@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from typing import Any
 
 import httpx
 import pytest
 from naojobs.database import Sessions
-from naojobs.tokens import Scope, create_token, revoke
+from naojobs.errors import ConflictError
+from naojobs.tokens import Scope, create_token, get_token, revoke
 
 
 def test_a_token_from_its_making_to_its_end(admin: httpx.Client, api: Any) -> None:
@@ -101,3 +103,45 @@ def test_bad_wishes_are_refused_by_field(admin: httpx.Client, body: dict[str, An
 def test_an_unknown_token_cannot_be_revoked(admin: httpx.Client) -> None:
     assert admin.delete("/tokens/token_01m7y0bdkc59pc1szgpqz7ge55").status_code == 404
     assert admin.delete("/tokens/nao_secret").status_code == 422
+
+
+def test_what_a_token_made_is_revoked_with_it(
+    make_client: Callable[..., httpx.Client], sessions: Sessions, api: Any
+) -> None:
+    helen_id, helen_secret = create_token(sessions, name="", owner="helen", scopes=[Scope.SUBMIT])
+    with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {helen_secret}"}, timeout=20) as helen:
+        job = helen.post("/jobs", json={}).json()["id"]
+        child = helen.post("/tokens", json={"owner": "helen", "scopes": ["read"]}).json()
+        link = helen.post(f"/jobs/{job}/share").json()["token"]
+    assert child["parent_id"] == helen_id
+
+    def statuses() -> list[int]:
+        return [
+            httpx.get(f"{api.url}/jobs", headers={"Authorization": f"Bearer {secret}"}).status_code
+            for secret in (child["token"], link)
+        ]
+
+    assert statuses() == [200, 200]
+    assert httpx.get(f"{api.url}/workers", headers={"Authorization": f"Bearer {link}"}).json()["items"] == []
+    assert make_client("root", "admin").delete(f"/tokens/{helen_id}").status_code == 204
+    assert statuses() == [401, 401]
+    with pytest.raises(ConflictError):
+        create_token(sessions, name="", owner="helen", scopes=[Scope.READ], parent_id=helen_id)
+
+
+def test_what_a_token_made_expires_no_later(sessions: Sessions, api: Any) -> None:
+    hour = timedelta(hours=1)
+    made_id, secret = create_token(sessions, name="", owner="ivy", scopes=[Scope.SUBMIT], valid_for=hour)
+    limit = get_token(sessions, made_id).expires_at
+    with httpx.Client(base_url=api.url, headers={"Authorization": f"Bearer {secret}"}, timeout=20) as ivy:
+        job = ivy.post("/jobs", json={}).json()["id"]
+        body = {"owner": "ivy", "scopes": ["read"]}
+        expiries = [
+            ivy.post("/tokens", json=body).json()["expires_at"],
+            ivy.post("/tokens", json=body | {"expires_in_days": 30}).json()["expires_at"],
+            ivy.post(f"/jobs/{job}/share").json()["expires_at"],
+        ]
+        shorter = ivy.post("/tokens", json=body | {"expires_in_days": 0.01}).json()["expires_at"]
+    assert limit is not None
+    assert {datetime.fromisoformat(text) for text in expiries} == {limit}
+    assert datetime.fromisoformat(shorter) < limit

@@ -44,6 +44,17 @@ def test_public_addresses_may_be_reached(address: str) -> None:
         "64:ff9b::7f00:1",
         "2002:7f00:1::",
         "2001:0:7f00:1::",
+        "192.0.0.192",
+        "192.0.0.9",
+        "192.88.99.1",
+        "198.18.0.1",
+        "203.0.113.9",
+        "240.0.0.1",
+        "3fff::1",
+        "2001:db8::1",
+        "2001:20::1",
+        "5f00::1",
+        "100::1",
     ],
 )
 def test_all_others_may_not(address: str) -> None:
@@ -58,7 +69,19 @@ def test_an_operator_may_allow_networks() -> None:
 
 @pytest.mark.parametrize(
     ("host", "refused"),
-    [("127.0.0.1", True), ("[::1]", True), ("localhost", True), ("a.LOCALHOST.", True), ("example.org", False)],
+    [
+        ("127.0.0.1", True),
+        ("[::1]", True),
+        ("localhost", True),
+        ("a.LOCALHOST.", True),
+        ("example.org", False),
+        ("....", True),
+        ("a..b", True),
+        (".", True),
+        ("", True),
+        (".a", True),
+        ("a.", False),
+    ],
 )
 def test_hosts_that_are_refused_in_any_case(host: str, refused: bool) -> None:
     assert is_refused_literal(host, ()) is refused

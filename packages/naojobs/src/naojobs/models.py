@@ -536,6 +536,8 @@ class Token(Base):
     scopes: Mapped[list[str]]
     #: The only job that the token gives access to; null for all jobs of the owner.
     job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
+    #: The token that it was made with, and is revoked with; null for one that an administrator made.
+    parent_id: Mapped[str | None] = mapped_column(ForeignKey("tokens.id", ondelete="CASCADE"), index=True)
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]

@@ -14,7 +14,7 @@ from datetime import timedelta
 from sqlalchemy import ColumnElement, func, select, update
 
 from naojobs.database import Sessions
-from naojobs.errors import NotFoundError
+from naojobs.errors import ConflictError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.models import Token
 from naojobs.scopes import Scope
@@ -73,15 +73,27 @@ def create_token(
     scopes: Sequence[Scope],
     valid_for: timedelta | None = None,
     job_id: str | None = None,
+    parent_id: str | None = None,
 ) -> tuple[str, str]:
-    """Make a token, of one job if `job_id` is given; return its id and the secret, which cannot be read again."""
+    """Make a token, of one job if `job_id` is given; return its id and the secret, which cannot be read again.
+
+    One made with the token `parent_id` is revoked with it and expires no later. Raises ConflictError if that token is
+    not valid any more.
+    """
     if not scopes:
         raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
     if not owner or len(owner) > 200:
         raise ValueError("owner: give 1 to 200 characters")
     secret = _PREFIX + secrets.token_urlsafe(32)
     token_id = new_id("token")
+    expires_at = func.now() + valid_for if valid_for is not None else None
     with sessions.begin() as session:
+        if parent_id is not None:
+            # The lock lets a revocation wait, which then finds the new token.
+            parent = session.scalar(select(Token).where(Token.id == parent_id, *_VALID).with_for_update(read=True))
+            if parent is None:
+                raise ConflictError("the token has been revoked or has expired; use another one", "Authorization")
+            expires_at = func.least(expires_at, parent.expires_at) if parent.expires_at is not None else expires_at
         session.add(
             Token(
                 id=token_id,
@@ -90,7 +102,8 @@ def create_token(
                 sha256=_sha256(secret),
                 scopes=sorted(str(Scope(scope)) for scope in scopes),
                 job_id=job_id,
-                expires_at=func.now() + valid_for if valid_for is not None else None,
+                parent_id=parent_id,
+                expires_at=expires_at,
             ),
         )
     return token_id, secret
@@ -122,16 +135,18 @@ def is_valid(sessions: Sessions, token_id: str) -> bool:
 
 
 def revoke(sessions: Sessions, token_id: str) -> None:
-    """Revoke a token. Raises NotFoundError."""
+    """Revoke a token and all that were made with it. Raises NotFoundError."""
     with sessions.begin() as session:
-        found = session.scalar(
+        if session.scalar(select(Token.id).where(Token.id == token_id).with_for_update()) is None:
+            raise NotFoundError(f"no token {token_id}")
+        made = select(Token.id).where(Token.id == token_id).cte(recursive=True)
+        made = made.union_all(select(Token.id).join(made, Token.parent_id == made.c.id))
+        session.execute(
             update(Token)
-            .where(Token.id == token_id)
-            .values(revoked_at=func.coalesce(Token.revoked_at, func.now()))
-            .returning(Token.id),
+            .where(Token.id.in_(select(made.c.id)), Token.revoked_at.is_(None))
+            .values(revoked_at=func.now())
+            .execution_options(synchronize_session=False)
         )
-    if found is None:
-        raise NotFoundError(f"no token {token_id}")
 
 
 def revoke_shared(sessions: Sessions, job_id: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import ssl
 from collections.abc import Iterable, Mapping, Sequence
-from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address
+from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network, ip_address, ip_network
 from typing import Any, TypeAlias
 
 import anyio
@@ -15,6 +15,35 @@ Network: TypeAlias = IPv4Network | IPv6Network
 
 #: Addresses of hosts on the Internet; every other IPv6 address may stand for another one, such as a private one.
 _INTERNET_6 = IPv6Network("2000::/3")
+#: Networks with another purpose, by IANA's registries of special-purpose addresses: Python's own list differs between
+#: its patch releases.
+_SPECIAL: tuple[Network, ...] = tuple(
+    ip_network(text)
+    for text in (
+        "0.0.0.0/8",
+        "10.0.0.0/8",
+        "100.64.0.0/10",
+        "127.0.0.0/8",
+        "169.254.0.0/16",
+        "172.16.0.0/12",
+        "192.0.0.0/24",
+        "192.0.2.0/24",
+        "192.31.196.0/24",
+        "192.52.193.0/24",
+        "192.88.99.0/24",
+        "192.168.0.0/16",
+        "192.175.48.0/24",
+        "198.18.0.0/15",
+        "198.51.100.0/24",
+        "203.0.113.0/24",
+        "224.0.0.0/3",
+        "2001::/23",
+        "2001:db8::/32",
+        "2002::/16",
+        "2620:4f:8000::/48",
+        "3fff::/20",
+    )
+)
 
 
 class RefusedAddressError(Exception):
@@ -28,14 +57,20 @@ def may_reach(address: str, allowed: Sequence[Network] = ()) -> bool:
         ip = ip.ipv4_mapped or ip
     if any(ip in network for network in allowed):
         return True
-    if isinstance(ip, IPv6Address) and (ip not in _INTERNET_6 or ip.sixtofour or ip.teredo):
+    if isinstance(ip, IPv6Address) and ip not in _INTERNET_6:
         return False
-    return ip.is_global and not ip.is_multicast
+    return not any(ip in network for network in _SPECIAL)
 
 
 def is_refused_literal(host: str, allowed: Sequence[Network]) -> bool:
-    """Return whether the host of a URL is an IP address, or a name of this machine, that is refused in any case."""
-    name = host.strip("[]").rstrip(".").lower()
+    """Return whether the host of a URL is an IP address, or a name of this machine, that is refused in any case.
+
+    No name is one with an empty part, such as `..`.
+    """
+    name = host.strip("[]").lower()
+    name = name[:-1] if name.endswith(".") else name
+    if "" in name.split(".") and ":" not in name:
+        return True
     if name == "localhost" or name.endswith(".localhost"):
         name = "127.0.0.1"
     try:

@@ -508,6 +508,9 @@ class TokenPublic(_Public):
     owner: str
     scopes: list[Scope]
     job_id: str | None = Field(description="The only job that it gives access to; null for all jobs of the owner.")
+    parent_id: str | None = Field(
+        description="The token that it was made with and is revoked with; null if an administrator made it."
+    )
     created_at: datetime
     expires_at: datetime | None
     revoked_at: datetime | None

@@ -42,9 +42,12 @@ REPORT_POLICY = (
 _READ = responses(401, 403, 404, 422, 429, 503)
 
 
-@router.post("/jobs/{job_id}/share", status_code=201, responses={**_READ, **responses(413)})
+@router.post("/jobs/{job_id}/share", status_code=201, responses={**_READ, **responses(409, 413)})
 def share_job(job_id: JobId, principal: Submitter, service: ServiceDep, body: ShareCreate | None = None) -> SharePublic:
-    """Make a token that can read this job and nothing else, for a link to send to others."""
+    """Make a token that can read this job and nothing else, for a link to send to others.
+
+    It is revoked with the token that it was made with, and expires no later.
+    """
     job = queries.visible_job(service.reads, principal, job_id)
     days = (body or ShareCreate.model_validate({})).expires_in_days
     token_id, secret = create_token(
@@ -54,6 +57,7 @@ def share_job(job_id: JobId, principal: Submitter, service: ServiceDep, body: Sh
         scopes=[Scope.READ],
         valid_for=timedelta(days=days),
         job_id=job_id,
+        parent_id=principal.token_id,
     )
     _log.info("%s (%s) shared job %s by token %s", principal.owner, principal.token_id, job_id, token_id)
     token = get_token(service.reads, token_id)

@@ -112,8 +112,8 @@ def list_workers(
     ] = None,
 ) -> WorkerPage:
     """List the workers with their capabilities, and their leased jobs (one's own, unless the token is admin)."""
+    if principal.job_id is not None:
+        return WorkerPage(items=[], next_cursor=None)  # a link to a job shows no worker
     rows = registry.workers(service.reads, stale_s=service.settings.lease_s, limit=limit + 1, after=cursor)
     mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
-    if mine is not None and principal.job_id is not None:
-        mine &= {principal.job_id}
     return WorkerPage.of([worker_view(worker, mine) for worker in rows], limit)

@@ -22,11 +22,13 @@ _log = logging.getLogger(__name__)
 TokenId = Annotated[str, Path(pattern=PATTERN, description="Id of the token, never its secret.")]
 
 
-@router.post("/tokens", status_code=201, responses=responses(401, 403, 413, 422, 429, 503))
+@router.post("/tokens", status_code=201, responses=responses(401, 403, 409, 413, 422, 429, 503))
 def make_token(body: TokenCreate, principal: Submitter, service: ServiceDep) -> TokenMade:
     """Make a token. Its secret is only in this answer: the service stores only its SHA-256.
 
     With scope submit one can make tokens with scope read, which show all one's own jobs; all others need scope admin.
+    Such a token is revoked with the one that it was made with, and expires no later; those that an administrator makes
+    are independent.
     """
     if not principal.is_admin and (body.owner != principal.owner or set(body.scopes) != {Scope.READ}):
         require(Scope.ADMIN, principal, service)
@@ -37,6 +39,7 @@ def make_token(body: TokenCreate, principal: Submitter, service: ServiceDep) -> 
         owner=body.owner,
         scopes=body.scopes,
         valid_for=None if days is None else timedelta(days=days),
+        parent_id=None if principal.is_admin else principal.token_id,
     )
     _log.info("%s (%s) made token %s", principal.owner, principal.token_id, token_id)
     shown = TokenPublic.model_validate(get_token(service.reads, token_id))
@@ -53,7 +56,7 @@ def show_tokens(principal: Submitter, service: ServiceDep, limit: PageLimit = 50
 
 @router.delete("/tokens/{token_id}", status_code=204, responses=responses(401, 403, 404, 422, 429, 503))
 def revoke_token(token_id: TokenId, principal: Submitter, service: ServiceDep) -> None:
-    """Revoke a token; it stays in the list. Other users' tokens need scope admin."""
+    """Revoke a token and those that were made with it; they stay in the list. Other users' tokens need scope admin."""
     if not principal.is_admin and get_token(service.reads, token_id).owner != principal.owner:
         raise NotFoundError(f"no token {token_id}")
     revoke(service.sessions, token_id)
