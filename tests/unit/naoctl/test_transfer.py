@@ -148,3 +148,12 @@ def test_the_token_is_sent_to_the_service_alone(server: Any, client: Client, tmp
         with pytest.raises(CliError, match="not one of its own"):
             ask(url)
     assert server.received == []
+
+
+def test_a_store_that_cuts_is_told_from_a_service_that_is_away(server: Any, client: Client, tmp_path: Path) -> None:
+    """The service answers: starting it again would not help."""
+    serve(server, cut_after=[1000] * 5)
+    with pytest.raises(CliError, match=r"policy\.npz: the connection broke 5 times") as caught:
+        fetch(client, remote(), tmp_path, sleep=lambda seconds: None)
+    assert caught.value.code is ExitCode.UNREACHABLE
+    assert "naoctl up" not in str(caught.value)

@@ -85,8 +85,14 @@ def fetch(
             _continue(client, remote, part, report)
             break
         except httpx.TransportError as error:
-            if attempt == ATTEMPTS:
+            if attempt == ATTEMPTS and isinstance(error, httpx.ConnectError | httpx.ConnectTimeout):
                 raise unreachable(client.target.url, error) from None
+            if attempt == ATTEMPTS:
+                raise CliError(
+                    f"{remote.name}: the connection broke {ATTEMPTS} times ({error or type(error).__name__})",
+                    fix="Run the same command again, which resumes; if it repeats, the service's store is in trouble.",
+                    code=ExitCode.UNREACHABLE,
+                ) from None
             sleep(min(0.5 * 2**attempt, 5.0))
     actual = file_sha256(part)
     if actual != remote.sha256:

@@ -26,6 +26,13 @@ def listed_text(spec: TrainingSpec, row: Mapping[str, float]) -> list[str]:
     return [f"{metric.title.lower()} {format_value(metric, row[metric.name])}" for metric in listed]
 
 
+def _remove_torn_line(path: Path) -> None:
+    """Remove a last line that a full disk has cut, so that the next row begins a line of its own."""
+    if path.exists():
+        with path.open("r+b") as stream:
+            stream.truncate(stream.read().rfind(b"\n") + 1)
+
+
 class ConsoleReporter:
     """Progress bar with the latest metrics, which also go to ``metrics.jsonl`` in ``workdir``.
 
@@ -36,6 +43,7 @@ class ConsoleReporter:
 
     def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
+        _remove_torn_line(workdir / "metrics.jsonl")
         self._file = (workdir / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
         self._spec = spec
         self._console = Console(stderr=True)

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from naosim.fields import RCSSSERVER3D, RCSSSERVERMJ, Field
-from naospec import EvaluationSpec
+from naospec import EvaluationSpec, TrainingSpec
 from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
@@ -31,6 +32,7 @@ from naosprint.analysis.report import (
 )
 from naosprint.analysis.results import by_name, interval_text, value_text
 from naosprint.analysis.scene import Camera, robot_collection
+from naosprint.console import ConsoleReporter
 from naosprint.tasks.metrics import Chart, Metric, Reference
 from PIL import Image
 
@@ -333,3 +335,16 @@ def test_a_torn_last_line_of_metrics_is_left_out(metrics: Path) -> None:
     with metrics.open("a", encoding="utf-8") as stream:
         stream.write('{"step": 768, "spe')
     assert read_metrics(metrics) == rows
+
+
+@pytest.mark.parametrize("torn", ["", '{"step": 768, "spe', '{"step": 768}'])
+def test_a_resumed_training_repairs_metrics_that_were_cut(
+    metrics: Path, torn: str, make_spec: Callable[..., TrainingSpec]
+) -> None:
+    """The next row begins a line of its own."""
+    rows = read_metrics(metrics)
+    with metrics.open("a", encoding="utf-8") as stream:
+        stream.write(torn)
+    with ConsoleReporter(metrics.parent, make_spec()) as reporter:
+        reporter.metrics({"step": 1024.0, "steps_per_s": 1.0})
+    assert read_metrics(metrics) == [*rows, {"step": 1024.0, "steps_per_s": 1.0}]

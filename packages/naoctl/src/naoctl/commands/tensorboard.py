@@ -102,7 +102,8 @@ def write_events(client: Client, job: dict[str, Any], folder: Path) -> None:
                 continue
             row = update.data
             step, wall_s = int(row["step"]), began_s + float(row.get("time_s", 0.0))
-            if step <= last:  # a later attempt replaces what came after its checkpoint
+            # a later attempt replaces what came after its checkpoint; the first row, what an earlier run left there
+            if step <= last or last < 0:
                 restart(wall_s, step)
             last = step
             add(wall_s, step, {name: value for name, value in row.items() if name not in ("step", "attempt")})
