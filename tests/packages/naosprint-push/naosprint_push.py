@@ -50,7 +50,7 @@ class PushBall(Task):
 
     def place(self, rows):
         """Place the ball at rest before one of the feet; every episode draws its place."""
-        ahead, side = uniform(self.seed, rows, self._draws[rows], 2).T
+        ahead, side = uniform(self.seed, self.world.streams[rows], self._draws[rows], 2).T
         self._draws[rows] += 1
         ball = self.world.position(rows).copy()
         ball[:, 0] += self.parameters.ball_ahead_m + 0.1 * ahead

@@ -421,14 +421,29 @@ class Simulator(ABC):
         """
         raise ValueError(f"push_mps: {type(self).__name__} cannot push robots; set it to 0")
 
-    def vary(self, mass_variation: float, frictions: Floats, gravities: Floats, rng: np.random.Generator) -> None:
+    def draw_by_episode(self, rows: Ints, episodes: Ints) -> None:
+        """Take the random numbers of robots from the episodes that they are about to begin, not from the robots.
+
+        Simulators without random numbers of their own have nothing to do.
+        """
+        del rows, episodes
+
+    def vary(
+        self,
+        mass_variation: float,
+        frictions: Floats,
+        gravities: Floats,
+        rng: np.random.Generator,
+        rows: Ints | None = None,
+    ) -> None:
         """Change the robots' bodies and worlds from now on.
 
         Args:
             mass_variation: largest fraction by which the mass of a body differs.
-            frictions: (n,) factors of the friction between robot and ground.
-            gravities: (n,) factors of gravity.
+            frictions: (k,) factors of the friction between robot and ground.
+            gravities: (k,) factors of gravity.
             rng: draws the masses.
+            rows: (k,) robots; default all.
 
         Raises:
             ValueError: if the simulator has fixed bodies and a fixed world.

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import naopolicies
 import numpy as np
 import pytest
 from naosim import robots
@@ -212,6 +213,29 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
     long = evaluate(checkpoint, EvaluationSpec(episodes=8, n_envs=4, task="sprint2")).trajectories
     columns = short.x.shape[1]
     np.testing.assert_allclose(short.x[:4], long.x[:4, :columns], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("policy", "task", "deterministic"),
+    [
+        ("t1-run", {"name": "velocity", "push_mps": 0.5, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1}, True),
+        ("t1-run", {"name": "velocity", "mass_variation": 0.2, "friction_min": 0.7, "gravity_min": 0.9}, True),
+        ("sprint", {"name": "sprint1", "sensor_noise": 1.0}, False),
+    ],
+    ids=["pushes, noise and commands", "masses, friction and gravity", "exploration of a NAO"],
+)
+def test_the_number_of_environments_changes_no_result(policy: str, task: dict[str, Any], deterministic: bool) -> None:
+    """Random numbers follow from seed and episode, not from the robot that happens to run it."""
+
+    def paths(n_envs: int, seed: int = 3) -> list[bytes]:
+        spec = EvaluationSpec(
+            episodes=4, n_envs=n_envs, seed=seed, trajectories=4, task=task, deterministic=deterministic
+        )
+        found = evaluate(naopolicies.folder(policy), spec).trajectories
+        return [found.x.tobytes(), found.y.tobytes(), found.height.tobytes()]
+
+    assert paths(4) == paths(1) == paths(3)
+    assert paths(4) != paths(4, seed=4)
 
 
 def test_replay_is_the_middle_one_of_the_first_episodes(checkpoint: Path) -> None:

@@ -271,10 +271,18 @@ class MujocoSimulator(Simulator):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 
-    def vary(self, mass_variation: float, frictions: Floats, gravities: Floats, rng: np.random.Generator) -> None:
-        """Give every robot bodies of other masses, other friction and other gravity."""
+    def vary(
+        self,
+        mass_variation: float,
+        frictions: Floats,
+        gravities: Floats,
+        rng: np.random.Generator,
+        rows: Ints | None = None,
+    ) -> None:
+        """Give robots bodies of other masses, other friction and other gravity."""
         self.require_open()
-        for row, (friction, gravity) in enumerate(zip(frictions.tolist(), gravities.tolist(), strict=True)):
+        numbers = range(self.n) if rows is None else rows.tolist()
+        for row, friction, gravity in zip(numbers, frictions.tolist(), gravities.tolist(), strict=True):
             self.batch.set_world(row, self.world.varied(mass_variation, friction, gravity, rng))
 
     # worlds can diverge

@@ -107,6 +107,11 @@ class EmbeddedSimulator(Simulator):
         if self._vision is not None:
             self._vision.begin(rows)
 
+    def draw_by_episode(self, rows: Ints, episodes: Ints) -> None:
+        """Take the noise of what robots see from their episodes."""
+        if self._vision is not None:
+            self._vision.draw_by_episode(rows, episodes)
+
     def bodies(self) -> Floats:
         """Return (n, B, 7) poses of ``robot.shapes``: position in metres and quaternion w, x, y, z, world frame."""
         self.require_open()

@@ -54,7 +54,14 @@ class LandmarkVision:
         self.counters: Ints = np.zeros((n, 2), dtype=np.int64)
         # robots of servers that were started at different times do not see in the same cycle
         self.counters[:, 0] = np.arange(n) % protocol.VISION_INTERVAL
+        self._streams = np.arange(n)
         self._digits = digits
+
+    def draw_by_episode(self, rows: Ints, episodes: Ints) -> None:
+        """Take the noise of robots from these episodes; their next run is the episode's first."""
+        self._streams[rows] = episodes
+        self.counters[rows, 0] = episodes % protocol.VISION_INTERVAL
+        self.counters[rows, 1] = 0
 
     def begin(self, rows: Ints) -> None:
         """Begin a run of the robots ``rows``: nothing is seen yet."""
@@ -76,8 +83,9 @@ class LandmarkVision:
             heads: (k, 7) poses of their heads: position in metres and quaternion w, x, y, z, world frame.
         """
         k = len(rows)
-        cycles = self._normal(rows, self.counters[rows, 0], _OFFSET_DRAW).reshape(k, len(_POSITIONS), 3)
-        offsets = self._uniform(rows, -1 - self.counters[rows, 1], 3)
+        streams = self._streams[rows]
+        cycles = self._normal(streams, self.counters[rows, 0], _OFFSET_DRAW).reshape(k, len(_POSITIONS), 3)
+        offsets = self._uniform(streams, -1 - self.counters[rows, 1], 3)
         relative = np.einsum("lki,kij->klj", _POSITIONS[:, None] - heads[:, :3], rotations(heads[:, 3:7]))
         relative += (OFFSET_M * (2.0 * offsets - 1.0))[:, None]
         x, y, z = np.moveaxis(relative, -1, 0)

@@ -19,6 +19,7 @@ from naosprint.analysis.replay import Replay
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.randomness import Normals
 from naosprint.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -122,7 +123,8 @@ def evaluate(
 ) -> Evaluation:
     """Run the policy of a checkpoint and return the results.
 
-    The same checkpoint and specification give the same results with an embedded simulator: on every x86-64 processor
+    The same checkpoint and specification give the same results with an embedded simulator, whatever the number of
+    environments, since random numbers follow from seed and episode: on every x86-64 processor
     for a NAO, on the same machine for a Booster and for a NAO with onboard sensing. At most as many servers are started
     as the machine's cores can run, and an episode whose server fails is run again on a new one.
 
@@ -149,7 +151,8 @@ def evaluate(
         _require_fit(environment, manifest.observations)
         starts = environment.task.starts(spec.episodes, spec.seed, setting.task.start_noise_deg)
         environment.load_starts(starts)
-        rng = None if spec.deterministic else np.random.default_rng([0xAC7, spec.seed])
+        world = environment.world
+        rng = None if spec.deterministic else Normals(spec.seed + 0xAC7, world.streams, world.steps)
         with one_blas_thread():
             recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng)
             recorder.run(progress, stop)
@@ -191,7 +194,7 @@ class _Recorder:
     """The episodes of an evaluation, each run by the next free environment."""
 
     def __init__(
-        self, environment: Environment, policy: Policy, episodes: int, n_starts: int, rng: np.random.Generator | None
+        self, environment: Environment, policy: Policy, episodes: int, n_starts: int, rng: Normals | None
     ) -> None:
         self.environment = environment
         self.policy = policy
@@ -264,7 +267,8 @@ class _Recorder:
         )
 
     def _begin(self, rows: IntArray) -> None:
-        self.environment.restart(rows, self._episode[rows] % self.n_starts)
+        episodes = self._episode[rows]
+        self.environment.restart(rows, episodes % self.n_starts, episodes=episodes)
         self._record(rows)
 
     def _record(self, rows: IntArray) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from naosprint.arrays import AnyArray, Float32Array, FloatArray
+    from naosprint.tasks.randomness import Normals
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Policy:
         scaled = (observations - self.mean) * self.scale
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32, order="C")
 
-    def act(self, observations: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
+    def act(self, observations: FloatArray, rng: np.random.Generator | Normals | None = None) -> FloatArray:
         """Return (n, A) actions in [-1, 1] for (n, D) raw observations: the mean, or a draw if given a generator."""
         actions = self._forward(self.standardize(observations))
         if rng is not None:

@@ -72,6 +72,8 @@ class World:
         robot: their description.
         actuation: how actions become joint targets.
         steps: (n,) steps of each robot's episode so far.
+        streams: (n,) whose random numbers each robot gets: its own in a training, those of its episode in an
+            evaluation, whose results then do not depend on the number of robots.
         actions: (n, A) actions of the latest step, in [-1, 1]; zero at the start of an episode.
         previous_actions: (n, A) those of the step before.
     """
@@ -82,6 +84,7 @@ class World:
         self.robot: Robot = simulator.robot
         self.actuation = Actuation(simulator.robot)
         self.steps: IntArray = np.zeros(self.n, dtype=np.int64)
+        self.streams: IntArray = np.arange(self.n)
         self.actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
         self.previous_actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
 

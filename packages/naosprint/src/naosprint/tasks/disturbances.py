@@ -12,6 +12,8 @@ from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from naosprint.tasks.randomness import normal, uniform
+
 if TYPE_CHECKING:
     from naosim.simulator import Simulator
 
@@ -119,6 +121,7 @@ class Disturbances:
         settings: what to disturb, and how much.
         simulator: the robots; their masses, friction and gravity are drawn now.
         seed: seed of all draws.
+        streams: (n,) whose random numbers each robot gets, see ``World.streams``; by default its own.
 
     Attributes:
         arrays: what the next step depends on; part of checkpoints.
@@ -127,10 +130,13 @@ class Disturbances:
         ValueError: if the simulator cannot do it; the message names the setting.
     """
 
-    def __init__(self, settings: DisturbanceSettings, simulator: Simulator, seed: int) -> None:
+    def __init__(
+        self, settings: DisturbanceSettings, simulator: Simulator, seed: int, streams: IntArray | None = None
+    ) -> None:
         self._settings = settings
         self._simulator = simulator
         self._seed = seed
+        self._streams = np.arange(simulator.n) if streams is None else streams
         n, joints = simulator.n, len(simulator.robot.joints)
         self._count: IntArray = np.zeros(n, dtype=np.int64)
         self._waiting: FloatArray = np.zeros((settings.extra_delay, n, joints))
@@ -144,12 +150,26 @@ class Disturbances:
             self.arrays["count"] = self._count
         if settings.extra_delay:
             self.arrays["waiting"] = self._waiting
-        if settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1):
+        self._varies = bool(
+            settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
+        )
+        if self._varies:
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
             simulator.vary(settings.mass_variation, frictions, np.linspace(settings.gravity_min, 1.0, n), rng)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
+
+    def draw_by_episode(self, rows: IntArray, episodes: IntArray) -> None:
+        """Give robots the random numbers of these episodes, whichever robot runs them."""
+        settings = self._settings
+        self._count[rows] = 0
+        if self._varies:
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+                rng = np.random.default_rng([_STREAM, self._seed, episode])
+                friction = rng.uniform(settings.friction_min, settings.friction_max, 1)
+                gravity = rng.uniform(settings.gravity_min, 1.0, 1)
+                self._simulator.vary(settings.mass_variation, friction, gravity, rng, np.array([row]))
 
     def begin(self, rows: IntArray) -> None:
         """Discard the commands of earlier episodes of the robots ``rows``."""
@@ -171,16 +191,13 @@ class Disturbances:
         if not (settings.push_mps or self._noise):
             return
         self._count[rows] += 1
-        # counters instead of a generator's state; the first word counts the blocks of one step
-        counter = [0, int(self._count[rows.start]), rows.start, 0]
-        rng = np.random.Generator(np.random.Philox(key=[_STREAM, self._seed], counter=counter))
-        k = rows.stop - rows.start
+        streams, counts = self._streams[rows], self._count[rows]
         if settings.push_mps:
-            pushed = rng.random(k) < 1.0 / settings.push_steps
-            direction = rng.uniform(-np.pi, np.pi, k)
-            size = settings.push_mps * rng.random(k) * pushed
+            chance, turn, part = uniform(self._seed + _STREAM, streams, counts, 3).T
+            pushed = chance < 1.0 / settings.push_steps
+            direction, size = np.pi * (2.0 * turn - 1.0), settings.push_mps * part * pushed
             if pushed.any():
                 self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
-        for name, deviation in self._noise.items():
+        for number, (name, deviation) in enumerate(self._noise.items(), 1):
             values = self._simulator.perceptors[name][rows]
-            values += deviation * rng.standard_normal(values.shape)
+            values += deviation * normal(self._seed + _STREAM + number, streams, counts, values.shape[1])

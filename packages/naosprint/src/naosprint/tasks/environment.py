@@ -73,7 +73,8 @@ class Environment:
         settings = (
             parameters if isinstance(parameters, DisturbanceSettings) else DisturbanceSettings(name=task_class.name)
         )
-        self.disturbances = Disturbances(settings, simulator, seed)
+        self.disturbances = Disturbances(settings, simulator, seed, self.world.streams)
+        self._new = {name: array.copy() for name, array in self.task.arrays.items()}
         self.rewards: FloatArray = np.zeros(n)
         self.simulator_s = 0.0
         self.terminated: BoolArray = np.zeros(n, dtype=np.bool_)
@@ -156,17 +157,31 @@ class Environment:
                     f"the torso's height is {float(self.world.position(rows)[:, 2].min()):.3f} m in the start pose"
                 )
 
-    def restart(self, rows: IntArray, starts: IntArray, following: IntArray | None = None) -> None:
+    def restart(
+        self,
+        rows: IntArray,
+        starts: IntArray,
+        following: IntArray | None = None,
+        episodes: IntArray | None = None,
+    ) -> None:
         """Begin a new episode with the robots ``rows`` from the starts ``starts``; the others do not change.
 
         Args:
             rows: (k,) robots.
             starts: (k,) starts.
             following: (k,) the starts of the episodes after these, if they are known already.
+            episodes: (k,) numbers of the episodes in an evaluation: random numbers then follow from seed and episode.
+                Those of a training follow from seed and robot.
         """
         if not len(rows):
             return
         world = self.world
+        if episodes is not None:
+            world.streams[rows] = episodes
+            for name, array in self.task.arrays.items():
+                array[rows] = self._new[name][rows]
+            self.disturbances.draw_by_episode(rows, episodes)
+            self.simulator.draw_by_episode(rows, episodes)
         self.simulator.start(rows, starts, following)
         self.task.place(rows)
         self.disturbances.begin(rows)

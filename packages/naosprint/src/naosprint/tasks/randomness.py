@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from naosprint.arrays import FloatArray, IntArray
+    from naosprint.arrays import Float32Array, FloatArray, IntArray
 
 
 def hashed(seed: int, *keys: IntArray) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
@@ -29,6 +29,38 @@ def hashed(seed: int, *keys: IntArray) -> np.ndarray[tuple[int], np.dtype[np.uin
 
 
 def uniform(seed: int, rows: IntArray, draws: IntArray, count: int) -> FloatArray:
-    """Return (k, count) numbers from [0, 1), those of robot ``rows[i]`` in its ``draws[i]``-th draw."""
+    """Return (k, count) numbers from [0, 1), those of stream ``rows[i]`` in its ``draws[i]``-th draw.
+
+    The stream is the number of the robot in a training, and of the episode in an evaluation: see ``World.streams``.
+    """
     columns = [hashed(seed, rows, draws, np.full(len(rows), column)) for column in range(count)]
     return np.stack(columns, axis=1).astype(np.float64) / 2.0**64
+
+
+def normal(seed: int, streams: IntArray, draws: IntArray, count: int) -> FloatArray:
+    """Return (k, count) normally distributed numbers, those of stream ``streams[i]`` in its ``draws[i]``-th draw.
+
+    Each is the sum of twelve uniform numbers, so that it has the same bits on every processor and is at most 6.
+    """
+    k, column = len(streams), np.arange(3 * count)
+    keys = (np.repeat(streams, 3 * count), np.repeat(draws, 3 * count), np.tile(column, k))
+    parts = hashed(seed, *keys).view(np.uint16).reshape(k, count, 12)
+    sums: FloatArray = parts.sum(axis=2, dtype=np.float64)
+    return (sums + 6.0) / 2.0**16 - 6.0
+
+
+class Normals:
+    """Normal numbers of an evaluation's exploration, by seed and episode: what a policy draws from.
+
+    Args:
+        seed: the evaluation's seed.
+        streams: (n,) episode of each robot, which the caller updates.
+        steps: (n,) steps of each robot's episode.
+    """
+
+    def __init__(self, seed: int, streams: IntArray, steps: IntArray) -> None:
+        self._seed, self._streams, self._steps = seed, streams, steps
+
+    def standard_normal(self, size: tuple[int, ...], dtype: type[np.float32] = np.float32) -> Float32Array:
+        """Return (n, A) numbers, a row for each robot, for the present step."""
+        return normal(self._seed, self._streams, self._steps, size[1]).astype(dtype)

@@ -387,7 +387,7 @@ class Velocity(Task):
     def _draw(self, rows: IntArray) -> None:
         """Draw new commands."""
         settings = self.parameters
-        draws = uniform(self.seed, rows, self._draws[rows], 5)
+        draws = uniform(self.seed, self.world.streams[rows], self._draws[rows], 5)
         self._draws[rows] += 1
         low, high = settings.forward_min_mps, settings.forward_max_mps
         command = np.stack(
@@ -432,7 +432,7 @@ class Velocity(Task):
         self._advance_m[rows] += forward
         everyone = np.arange(self.n)[rows]
         # the same chance in every step, so that a policy cannot foresee a change
-        chance = uniform(self.seed + 1, everyone, world.steps[rows] + 100_003 * self._draws[rows], 1)[:, 0]
+        chance = uniform(self.seed + 1, world.streams[rows], world.steps[rows] + 100_003 * self._draws[rows], 1)[:, 0]
         fresh = everyone[chance < 1.0 / self.parameters.command_steps]
         if len(fresh):
             self._draw(fresh)
