@@ -251,12 +251,12 @@ def test_a_stream_ends_with_its_token(
         assert soon(lambda: client.get(path).status_code == 401)
 
 
-def test_places_are_taken_before_they_are_used_and_a_token_has_some_of_them(
+def test_places_are_taken_before_they_are_used_and_an_owner_has_some_of_them(
     start_api: Callable[..., Any], make_token: Callable[..., str], run_job: Callable[..., Lease]
 ) -> None:
     """Many who come at the same moment get no more places than there are."""
     path = f"/jobs/{run_job('rush').job_id}/stream"
-    url = start_api(api_max_followers=5, api_max_followers_per_token=3).url
+    url = start_api(api_max_followers=5, api_max_followers_per_owner=3).url
 
     def come(secret: str) -> int:
         with httpx.stream("GET", url + path, headers={"Authorization": f"Bearer {secret}"}, timeout=30) as response:
@@ -268,9 +268,10 @@ def test_places_are_taken_before_they_are_used_and_a_token_has_some_of_them(
 
     done = threading.Barrier(16)
     for _ in range(2):  # the second time shows that they are given back
-        secrets = [make_token("rush", "read") for _ in range(2)] * 8
+        owners = (("rush", "read"), ("root", "admin"), ("rush", "submit"), ("root", "admin")) * 4
+        secrets = [make_token(*owner) for owner in owners]
         with ThreadPoolExecutor(16) as pool:
             came = list(pool.map(come, secrets))
         assert (came.count(200), came.count(503)) == (5, 11)
-        of_token = [sum(status == 200 for status in came[first::2]) for first in (0, 1)]
-        assert max(of_token) == 3
+        of_owner = [sum(status == 200 for status in came[first::2]) for first in (0, 1)]
+        assert max(of_owner) == 3

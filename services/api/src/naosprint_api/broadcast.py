@@ -32,7 +32,7 @@ class Broadcaster:
     def __init__(self, url: str) -> None:
         self._url = url
         self._subscriptions: dict[Subscription, str | None] = {}
-        #: Places taken by each token.
+        #: Places taken by each owner, whose tokens may be many.
         self._places: Counter[str] = Counter()
         self._task: asyncio.Task[None] | None = None
         self._listening = False
@@ -61,15 +61,15 @@ class Broadcaster:
         return len(self._subscriptions)
 
     @contextmanager
-    def place(self, token_id: str, *, most: int, most_of_token: int) -> Iterator[bool]:
+    def place(self, owner: str, *, most: int, most_of_owner: int) -> Iterator[bool]:
         """Take a place for a stream; yield whether there was one."""
-        free = self._places.total() < most and self._places[token_id] < most_of_token and not self.closing
-        self._places[token_id] += free
+        free = self._places.total() < most and self._places[owner] < most_of_owner and not self.closing
+        self._places[owner] += free
         try:
             yield free
         finally:
-            self._places[token_id] -= free
-            self._places += Counter()  # forget tokens without a place
+            self._places[owner] -= free
+            self._places += Counter()  # forget owners without a place
 
     @contextmanager
     def subscribe(self, job_id: str | None = None) -> Iterator[Subscription]:

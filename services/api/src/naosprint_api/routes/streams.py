@@ -96,7 +96,7 @@ async def place(principal: Follower, service: ServiceDep) -> AsyncIterator[Pass]
     """Take a place for a stream until it has ended; refuse a follower when there are too many."""
     settings = service.settings
     with service.broadcaster.place(
-        principal.token_id, most=settings.api_max_followers, most_of_token=settings.api_max_followers_per_token
+        principal.owner, most=settings.api_max_followers, most_of_owner=settings.api_max_followers_per_owner
     ) as free:
         if not free:
             service.telemetry.refused.labels("followers").inc()
