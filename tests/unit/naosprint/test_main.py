@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -154,3 +155,13 @@ def test_another_charset_changes_no_file(checkpoint: Path, tmp_path: Path) -> No
             )
             assert done.returncode == 0, done.stderr.decode(errors="replace")
         assert (tmp_path / locale / "out/report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_of_another_training_is_refused(
+    checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Metrics and checkpoints of both would mix."""
+    shutil.copytree(checkpoint, tmp_path / "work" / checkpoint.name)
+    assert main(["train", str(tmp_path / "work"), "--seed", "7"]) == 1
+    assert "has checkpoints of another specification" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "work").iterdir()] == [checkpoint.name]

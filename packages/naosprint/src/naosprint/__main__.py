@@ -228,6 +228,8 @@ def _train(options: argparse.Namespace) -> int:
         base = read_manifest(options.resume).spec.model_dump(mode="json")
     spec = TrainingSpec.model_validate(nest(given, base))
     initial_policy = None if policy is None else naopolicies.resolve(policy)
+    if options.resume is None:
+        _require_own_folder(options.workdir, spec)
     stop = _stop_on_signals()
 
     from naosprint.console import ConsoleReporter
@@ -256,6 +258,15 @@ def _train(options: argparse.Namespace) -> int:
     if processes.rank == 0:
         sys.stdout.write(f"{result.status} {result.steps} {result.checkpoint}\n")
     return 0
+
+
+def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
+    """Refuse a folder with checkpoints of another training; metrics and checkpoints of both would mix."""
+    from naosprint.rl.checkpoint import read_manifest
+
+    for folder in sorted(workdir.glob("step-*"))[-1:]:
+        if read_manifest(folder).spec_sha256 != spec.digest():
+            raise ValueError(f"{workdir}: has checkpoints of another specification ({folder.name}); use another folder")
 
 
 def _evaluate(options: argparse.Namespace) -> int:
