@@ -85,7 +85,7 @@ readme:  ## type what the README says into a fresh clone (about 10 minutes)
 	$(PYTHON) docs/check_documents.py
 
 docs: $(INSTALLED)  ## the documentation's site, in build/site
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/naosim bench

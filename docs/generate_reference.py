@@ -264,7 +264,8 @@ def _type(part: dict[str, Any]) -> str:
         return " or ".join(_type(choice) for choice in part["anyOf"])
     if "$ref" in part:
         name = part["$ref"].rsplit("/", 1)[1]
-        return f"[{name}](#{name.lower()})"
+        sections = {"Stage": "stages", "RuntimeSettings": "runtime"}  # which have headings of their own
+        return f"[{name}](specification.md#{sections[name]})" if name in sections else f"[{name}](#{name.lower()})"
     if "const" in part:
         return _value(part["const"])
     if "enum" in part:
