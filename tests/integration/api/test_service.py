@@ -86,9 +86,12 @@ def test_a_hostile_body_with_a_token_costs_little(client: httpx.Client, body: by
 
 
 @pytest.mark.parametrize("path", ["/spec/schema", "/openapi.json", "/ui/index.html", "/", "/tasks", "/healthz"])
-def test_requests_without_a_token_are_counted_everywhere(start_api: Callable[..., Any], path: str) -> None:
+@pytest.mark.parametrize("headers", [{}, {"Authorization": "Bearer nao_unknown"}], ids=["none", "unknown"])
+def test_requests_without_a_token_are_counted_everywhere(
+    start_api: Callable[..., Any], path: str, headers: dict[str, str]
+) -> None:
     api = start_api(api_rate_per_s=0.01, api_rate_burst=3)
-    with httpx.Client(base_url=api.url) as anonymous:
+    with httpx.Client(base_url=api.url, headers=headers) as anonymous:
         codes = [anonymous.get(path).status_code for _ in range(5)]
     assert codes == [200, 200, 200, 429, 429]
 

@@ -120,13 +120,15 @@ def _caller(request: Request) -> str:
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 
 
-async def admit(request: Request, service: Service) -> None:
-    """Count a request without a token, and authenticate one that may have a body, before anything is read or done.
+async def admit(request: Request, service: Service, *, public: bool = True) -> None:
+    """Count a request without a token, or to a public route, and authenticate one that may have a body.
+
+    That comes before anything is read or done.
 
     Raises ProblemError: a limit is exceeded, or the token of a request with a body is missing or not valid.
     """
     credentials = await _bearer(request)
-    if credentials is None:
+    if credentials is None or (public and request.method not in BODY_METHODS):
         _limit(service, f"address {_caller(request)}")
         request.state.counted = True
     if request.method in BODY_METHODS:
@@ -188,10 +190,11 @@ class CountedRoute(APIRoute):
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the route's function behind :func:`admit`."""
         handle = super().get_route_handler()
+        public = 401 not in self.responses
 
         async def admitted(request: Request) -> Response:
             try:
-                await admit(request, service_of(request))
+                await admit(request, service_of(request), public=public)
             except ProblemError:
                 # many clients read the answer only when they have sent everything
                 with move_on_after(DRAIN_S):
