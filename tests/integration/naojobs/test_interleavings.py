@@ -47,9 +47,13 @@ def ending(how: str, intent: Intent) -> Ending:
         "crowded": Intent.CROWDED,
         "time_limit": Intent.TIME_LIMIT,
     }
-    away = Outcome(SERVICE_UNAVAILABLE, "the store did not answer") if how == "unavailable" else None
-    code = codes.get(how, ExitCode.TRANSIENT if away else -9)
-    return Ending(max(intent, intents.get(how, intent)), code, away, False, 0, False, "")
+    outcome = None
+    if how == "unavailable":
+        outcome = Outcome(ExitCode.TRANSIENT, SERVICE_UNAVAILABLE, "the store did not answer")
+    elif how in codes:
+        outcome = Outcome(codes[how], how, f"the training {how}")
+    code = -9 if outcome is None else outcome.code
+    return Ending(max(intent, intents.get(how, intent)), code, outcome, False, 0, False, "")
 
 
 class Attempt:

@@ -315,7 +315,11 @@ def test_the_database_and_the_table_agree_on_the_states_of_an_evaluation(
 ) -> None:
     values = {"state": state, "owner": "w" if state in LEASED else None, "id": evaluation.id}
     with sessions.begin() as session:
-        session.execute(text("UPDATE evaluations SET state = :state, lease_owner = :owner WHERE id = :id"), values)
+        # the result is there, without which no evaluation has succeeded
+        result = "summary = '{}', key = 'k', manifest = '{}'"
+        session.execute(
+            text(f"UPDATE evaluations SET state = :state, lease_owner = :owner, {result} WHERE id = :id"), values
+        )
     try:
         after = lifecycle.request_cancel(sessions, Evaluation, evaluation.id).state
     except ConflictError:

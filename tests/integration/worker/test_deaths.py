@@ -12,12 +12,14 @@ from pathlib import Path
 
 import psutil
 import pytest
-from naojobs import lifecycle, registry
+from naojobs import lifecycle, registry, submission
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
+from naospec import EvaluationSpec
 from naospec.processes import ProcessIdentity
 from naosprint_worker.orphans import FOLDER_VARIABLE, OWNER_VARIABLE
-from sqlalchemy import select
+from sqlalchemy import select, update
+from sqlalchemy.exc import IntegrityError
 
 from .conftest import ROLLOUT, Service, WorkerProcess
 
@@ -235,3 +237,56 @@ def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Ser
     assert service.job(job_id).attempt == 2
     assert worker.process.poll() is None
     assert other.process.poll() is None
+
+
+#: A library that ends the process when it writes or reads a certain file, as anything in a process can.
+ENDS_THE_PROCESS = """
+import os, sys
+
+def hook(event, arguments):
+    if event == "open" and str(arguments[0]).endswith(os.environ["END_AT"]) and "naosprint" in sys.modules:
+        {end}
+
+sys.addaudithook(hook)
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [
+        ("os._exit(0)", "exit code 0 before it had reported its end"),
+        ("os._exit(76)", "exit code 76"),
+    ],
+)
+def test_no_exit_status_of_others_counts_as_success(service: Service, tmp_path: Path, end: str, words: str) -> None:
+    (tmp_path / "sitecustomize.py").write_text(ENDS_THE_PROCESS.format(end=end), encoding="utf-8")
+    service.start_worker(PYTHONPATH=str(tmp_path), END_AT="learner.npz")
+    job_id = service.submit(evaluate=False, max_attempts=1)
+    job = service.until_state(job_id, WorkState.FAILED)
+    assert words in str(job.error)
+    assert not service.checkpoints(job_id)
+
+
+def test_an_evaluator_that_is_ended_has_not_evaluated(service: Service, tmp_path: Path) -> None:
+    trained = service.start_worker()
+    job_id = service.submit(evaluate=False, total_steps=ROLLOUT)
+    service.until_state(job_id, WorkState.SUCCEEDED)
+    trained.terminate()
+    (tmp_path / "sitecustomize.py").write_text(ENDS_THE_PROCESS.format(end="os._exit(0)"), encoding="utf-8")
+    service.start_worker(PYTHONPATH=str(tmp_path), END_AT="evaluation.json")
+    evaluation = submission.request_evaluation(service.sessions, job_id, spec=EvaluationSpec(episodes=2, n_envs=2))
+    with service.sessions.begin() as session:
+        session.get_one(Evaluation, evaluation.id).max_attempts = 1
+    service.wake_up(evaluation.id)
+
+    def failed() -> str | None:
+        with service.sessions() as session:
+            row = session.get_one(Evaluation, evaluation.id)
+            assert row.state is not WorkState.SUCCEEDED
+            return row.error if row.state is WorkState.FAILED else None
+
+    assert "before it had reported its end" in str(service.until(failed, what="for the evaluation to fail"))
+    with pytest.raises(IntegrityError, match="succeeded_has_result"), service.sessions.begin() as session:
+        session.execute(
+            update(Evaluation).where(Evaluation.id == evaluation.id).values(state=WorkState.SUCCEEDED, error=None)
+        )

@@ -41,11 +41,14 @@ from sqlalchemy.exc import OperationalError
         (ServerLostError("21 servers were lost"), ExitCode.TRANSIENT, "system"),
         (MemoryError(), ExitCode.TRANSIENT, "system"),
         (ValueError("n_envs: too many"), ExitCode.PERMANENT, "error"),
+        (SystemExit(0), ExitCode.PERMANENT, "exit"),
+        (SystemExit(75), ExitCode.PERMANENT, "exit"),
+        (SystemExit("done"), ExitCode.PERMANENT, "exit"),
     ],
 )
-def test_judgement(error: Exception, code: ExitCode, kind: str, tmp_path: Path) -> None:
-    got, outcome = classify(error, tmp_path)
-    assert (got, outcome.kind) == (code, kind)
+def test_judgement(error: BaseException, code: ExitCode, kind: str, tmp_path: Path) -> None:
+    outcome = classify(error, tmp_path)
+    assert (outcome.code, outcome.kind) == (code, kind)
     assert code is ExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
 
 
@@ -53,7 +56,7 @@ def test_judgement_keeps_the_traceback(tmp_path: Path) -> None:
     try:
         raise ValueError("n_envs: too many")
     except ValueError as error:
-        _, outcome = classify(error, tmp_path)
+        outcome = classify(error, tmp_path)
     assert "test_judgement_keeps_the_traceback" in outcome.traceback
 
 
@@ -64,8 +67,8 @@ def test_full_disk_behind_another_error_is_found(tmp_path: Path) -> None:
         except OSError as error:
             raise CheckpointError("cannot be written") from error
     except CheckpointError as error:
-        code, outcome = classify(error, tmp_path / "attempt")
-    assert (code, outcome.kind) == (ExitCode.DISK_FULL, "disk_full")
+        outcome = classify(error, tmp_path / "attempt")
+    assert (outcome.code, outcome.kind) == (ExitCode.DISK_FULL, "disk_full")
     assert f"the worker's folder {tmp_path}" in outcome.message
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from naosprint_worker.outcome import OUTCOME_FILE, Outcome, describe_exit, last_lines
+from naosprint_worker.outcome import OUTCOME_FILE, ExitCode, Outcome, describe_exit, last_lines
 
 
 def test_outcome_survives_the_round_trip(tmp_path: Path) -> None:
-    outcome = Outcome("diverged", "loss is not finite at step 4096 — ö", "Traceback …")
+    outcome = Outcome(ExitCode.PERMANENT, "diverged", "loss is not finite at step 4096 — ö", "Traceback …")
     outcome.write(tmp_path)
     assert Outcome.read(tmp_path) == outcome
     assert [path.name for path in tmp_path.iterdir()] == [OUTCOME_FILE]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"kind": "a"}', "\x00"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "{}", '{"kind": "a"}', '{"code": 3, "kind": "a", "message": "b"}', "\x00"]
+)
 def test_a_damaged_outcome_counts_as_none(tmp_path: Path, text: str) -> None:
     (tmp_path / OUTCOME_FILE).write_text(text)
     assert Outcome.read(tmp_path) is None

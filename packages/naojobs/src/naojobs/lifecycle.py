@@ -614,6 +614,37 @@ def transition(
     return source
 
 
+def succeed(sessions: Sessions, lease: Lease) -> str | None:
+    """Change leased work to succeeded if all that it has to leave is stored; else return what is missing.
+
+    Raises LeaseLostError, and ConflictError if the table of transitions does not allow it.
+    """
+    with sessions.begin() as session:
+        work = hold(session, lease)
+        missing = _missing(session, work)
+        if missing is None:
+            _settle(session, work, WorkState.SUCCEEDED, message="done")
+    return missing
+
+
+def _missing(session: Session, work: Job | Evaluation) -> str | None:
+    """Return in words what locked work lacks to have succeeded; none if nothing."""
+    if isinstance(work, Evaluation):
+        complete = work.summary is not None and work.key is not None and work.manifest is not None
+        return None if complete else "its result is not stored"
+    if work.progress_step < work.total_steps:
+        return f"it stands at step {work.progress_step:,} of {work.total_steps:,}"
+    last = newest_checkpoint(session, work.id)
+    if last is None or last.step < work.total_steps:
+        return f"its checkpoint of step {work.total_steps:,} is not stored"
+    evaluated = select(Evaluation.id).where(
+        Evaluation.checkpoint_id == last.id, Evaluation.state == WorkState.SUCCEEDED
+    )
+    if work.evaluation and session.scalar(evaluated.limit(1)) is None:
+        return "its evaluation is not stored"
+    return None
+
+
 def _settle(
     session: Session,
     work: Job | Evaluation,

@@ -279,7 +279,15 @@ class Evaluation(Work, Base):
     #: Bytes of its files.
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
 
-    __table_args__ = (*_work_checks(EVALUATION_STATES), _waiting_index("evaluations"), _lease_index("evaluations"))
+    __table_args__ = (
+        *_work_checks(EVALUATION_STATES),
+        CheckConstraint(
+            "state <> 'succeeded' OR (summary IS NOT NULL AND key IS NOT NULL AND manifest IS NOT NULL)",
+            name="succeeded_has_result",
+        ),
+        _waiting_index("evaluations"),
+        _lease_index("evaluations"),
+    )
 
 
 class StudyState(StrEnum):

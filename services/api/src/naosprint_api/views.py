@@ -58,7 +58,7 @@ def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
 def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -> EvaluationPublic:
     """Return an evaluation with the addresses of its files, and the reason why no worker can take it."""
     succeeded = evaluation.state is WorkState.SUCCEEDED
-    manifest = Manifest.model_validate(evaluation.manifest) if succeeded else None
+    manifest = Manifest.model_validate(evaluation.manifest) if succeeded and evaluation.manifest else None
     root = f"/evaluations/{evaluation.id}"
     return EvaluationPublic.model_validate(
         {

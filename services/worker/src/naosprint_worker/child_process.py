@@ -150,7 +150,7 @@ class Services:
 
 
 def run_child(
-    work: Callable[[Services], ExitCode], argv: Sequence[str] | None = None, *, oom_score: int = TRAINER_OOM_SCORE
+    work: Callable[[Services], Outcome], argv: Sequence[str] | None = None, *, oom_score: int = TRAINER_OOM_SCORE
 ) -> int:
     """Do ``work`` protected and connected; return the exit status and leave an `Outcome` in the working folder.
 
@@ -171,32 +171,35 @@ def run_child(
     engine = open_engine(settings, pool_size=2, application_name="naosprint-child")
     try:
         store = ArtifactStore.from_settings(settings)
-        return int(work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir))))
-    except Exception as error:
-        code, outcome = classify(error, workdir)
+        outcome = work(Services(settings, make_sessions(engine), store, workdir, stop, Progress(workdir)))
+    except BaseException as error:
+        outcome = classify(error, workdir)
         logger.error("%s: %s", outcome.kind, outcome.message, exc_info=error)
-        outcome.leave(workdir)
-        return int(code)
     finally:
         engine.dispose()
+    outcome.leave(workdir)
+    return int(outcome.code)
 
 
-def classify(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
-    """Return the exit code and the outcome of an error that ended the work in ``workdir``."""
+def classify(error: BaseException, workdir: Path) -> Outcome:
+    """Return the outcome of an error that ended the work in ``workdir``."""
     from naosprint import CheckpointError, TrainingDivergedError  # loads PyTorch, which is loaded by now anyway
 
     text = "".join(traceback.format_exception(error))
+    if not isinstance(error, Exception):
+        message = f"a task, learner or library ended the process: {describe(error)}"
+        return Outcome(ExitCode.PERMANENT, "exit", message, text)
     if isinstance(error, StopRequestedError):
-        return ExitCode.STOPPED, Outcome("stopped", "stopped on request")
+        return Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
     if isinstance(error, LeaseLostError):
-        return ExitCode.FENCED, Outcome("lease_lost", describe(error))
+        return Outcome(ExitCode.FENCED, "lease_lost", describe(error))
     if _tells_of_full_disk(error, workdir):
         message = f"no space left on the disk of the worker's folder {workdir.parent}: {describe(error)}"
-        return ExitCode.DISK_FULL, Outcome("disk_full", message, text)
+        return Outcome(ExitCode.DISK_FULL, "disk_full", message, text)
     if isinstance(error, TrainingDivergedError):
-        return ExitCode.PERMANENT, Outcome("diverged", describe(error), text)
+        return Outcome(ExitCode.PERMANENT, "diverged", describe(error), text)
     if isinstance(error, CheckpointError | CheckpointsUnusableError | CorruptArtifactError | MissingArtifactError):
-        return ExitCode.PERMANENT, Outcome("checkpoint", describe(error), text)
+        return Outcome(ExitCode.PERMANENT, "checkpoint", describe(error), text)
     away: tuple[type[Exception], ...] = (
         PatienceExhaustedError,
         StoreError,
@@ -205,10 +208,10 @@ def classify(error: Exception, workdir: Path) -> tuple[ExitCode, Outcome]:
         *DATABASE_ERRORS,
     )
     if isinstance(error, away):
-        return ExitCode.TRANSIENT, Outcome(SERVICE_UNAVAILABLE, describe(error), text)
+        return Outcome(ExitCode.TRANSIENT, SERVICE_UNAVAILABLE, describe(error), text)
     if isinstance(error, OSError | MemoryError | ServerLostError):
-        return ExitCode.TRANSIENT, Outcome("system", describe(error), text)
-    return ExitCode.PERMANENT, Outcome("error", describe(error), text)
+        return Outcome(ExitCode.TRANSIENT, "system", describe(error), text)
+    return Outcome(ExitCode.PERMANENT, "error", describe(error), text)
 
 
 def _tells_of_full_disk(error: BaseException, workdir: Path) -> bool:

@@ -18,22 +18,22 @@ from naosprint_worker.assignment import EvaluationAssignment
 from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
-from naosprint_worker.outcome import ExitCode
+from naosprint_worker.outcome import ExitCode, Outcome
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 
 
-def work(services: Services) -> ExitCode:
+def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
     claim = EvaluationAssignment.read(services.workdir).claim
     try:
         return _evaluate(services, claim)
     except StopRequestedError:
         services.requeue_if_orphaned(claim.lease)
-        return ExitCode.STOPPED
+        return Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
 
 
-def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
+def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
     lease, patience_s = claim.lease, services.settings.worker_patience_s
     checkpoint, result = services.workdir / "checkpoint", services.workdir / "evaluation"
     with services.stop.interruptible():
@@ -54,7 +54,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> ExitCode:
         services,
         lambda: records.record_result(services.sessions, lease, summary=summary, key=key, manifest=manifest),
     )
-    return ExitCode.FINISHED
+    return Outcome(ExitCode.FINISHED, "finished", "the evaluator finished")
 
 
 def _database(services: Services, call: Callable[[], object]) -> None:

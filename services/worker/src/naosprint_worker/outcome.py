@@ -1,4 +1,4 @@
-"""Outcome of a child process: its exit status and, if it could write one, its own report."""
+"""Outcome of a child process: its own report, without which no exit status counts as success."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ SERVICE_UNAVAILABLE = "service_unavailable"
 
 
 class ExitCode(enum.IntEnum):
-    """Exit statuses of a child (numbers from sysexits.h where one fits)."""
+    """Ways in which a child reports its end, and its exit statuses (numbers from sysexits.h where one fits).
+
+    A status alone is no report: any library can end the process with one.
+    """
 
     FINISHED = 0
     #: It cannot succeed by being tried again: bad input, diverged training, a defect.
@@ -37,6 +40,7 @@ class ExitCode(enum.IntEnum):
 class Outcome:
     """A child's own report of how it ended."""
 
+    code: ExitCode
     kind: str
     message: str
     traceback: str = ""
@@ -66,7 +70,8 @@ class Outcome:
         """Return the report in ``workdir``, or None if the child died before writing one."""
         try:
             data = json.loads((workdir / OUTCOME_FILE).read_text(encoding="utf-8"))
-            return cls(kind=str(data["kind"]), message=str(data["message"]), traceback=str(data.get("traceback", "")))
+            code, kind, message = ExitCode(data["code"]), str(data["kind"]), str(data["message"])
+            return cls(code, kind, message, str(data.get("traceback", "")))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -129,13 +129,16 @@ class Run:
         """Set the state according to how the child ended."""
         text = describe_ending(self._program, ending)
         logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
-        without_checkpoint = self.kind is WorkKind.JOB and ending.returncode != ExitCode.STOPPED
+        without_checkpoint = self.kind is WorkKind.JOB and ending.reported is not ExitCode.STOPPED
         where = f" without a last checkpoint ({text})" if without_checkpoint else ""
-        if ending.intent is Intent.LEASE_LOST or ending.returncode == ExitCode.FENCED:
+        if ending.intent is Intent.LEASE_LOST or ending.reported is ExitCode.FENCED:
             return
-        if ending.returncode == ExitCode.FINISHED:
-            self._transition(WorkState.SUCCEEDED, "done")
-        elif ending.intent is Intent.CANCEL:
+        if ending.reported is ExitCode.FINISHED:
+            missing = lifecycle.succeed(self._context.sessions, self._lease)
+            if missing is None:
+                return
+            text = f"the {self._program} reported its end, but {missing}"
+        if ending.intent is Intent.CANCEL:
             self._transition(WorkState.CANCELLED, f"cancelled as requested{where}")
         elif ending.intent is Intent.CROWDED and self._share is not None and self._share.crowded:
             self._give_way()
@@ -147,7 +150,7 @@ class Run:
             self._give_back(WorkState.PAUSED, f"paused as requested{where}")
         elif ending.intent is Intent.SHUTDOWN:
             self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
-        elif ending.returncode == ExitCode.PERMANENT:
+        elif ending.reported is ExitCode.PERMANENT:
             self._fail(ending, text)
         elif ending.intent is Intent.STALLED:
             self._log_ending(ending)
@@ -237,7 +240,7 @@ def describe_ending(who: str, ending: Ending) -> str:
     if ending.returncode == ExitCode.DISK_FULL:
         return f"the {who} found no space left on the disk of the worker's folder"
     if ending.returncode == 0:
-        return f"the {who} finished"
+        text += " before it had reported its end"
     if ending.oom:
         return f"{text}: probably out of memory, {held}"
     if ending.returncode == -9:

@@ -72,6 +72,11 @@ class Ending:
     oom: bool
     last_output: str
 
+    @property
+    def reported(self) -> ExitCode | None:
+        """How our own code ended it; None if something else ended the process."""
+        return self.outcome.code if self.outcome is not None else None
+
 
 class Supervisor:
     """Supervisor of a child that works under a lease.
@@ -134,12 +139,14 @@ class Supervisor:
             raise
         returncode = child.wait()
         assert returncode is not None
-        if self._intent is Intent.NONE and self._shutdown and returncode == ExitCode.STOPPED:
+        outcome = Outcome.read(self._workdir)
+        stopped = outcome is not None and outcome.code is ExitCode.STOPPED
+        if self._intent is Intent.NONE and self._shutdown and stopped:
             self._intent = Intent.SHUTDOWN  # the signal that ended the worker has reached the child, too
         return Ending(
             intent=self._intent,
             returncode=returncode,
-            outcome=Outcome.read(self._workdir),
+            outcome=outcome,
             overstayed=self._overstayed,
             peak_bytes=self._peak_bytes,
             oom=_oom_kills() > oom_before,

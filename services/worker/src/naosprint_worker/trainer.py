@@ -81,20 +81,20 @@ class Attempt:
             stop=services.step,
         )
 
-    def run(self) -> ExitCode:
+    def run(self) -> Outcome:
         """Complete the job; return how it ended."""
         try:
-            code = self._run()
+            outcome = self._run()
         except StopRequestedError:
-            code = ExitCode.STOPPED
+            outcome = Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
         finally:
             self._recorder.abandon()
             self._spool.close()
-        if code is ExitCode.STOPPED:
+        if outcome.code is ExitCode.STOPPED:
             self._services.requeue_if_orphaned(self._lease)
-        return code
+        return outcome
 
-    def _run(self) -> ExitCode:
+    def _run(self) -> Outcome:
         from naosprint import CheckpointError  # loads NumPy, which has to wait for `quiet_openmp`
 
         refused: dict[str, Exception] = {}
@@ -109,7 +109,7 @@ class Attempt:
                 self._recorder.not_stored(self._steps[self._resumed_from])
                 self._note_unusable(self._resumed_from, error)
 
-    def _train(self, refused: Mapping[str, Exception]) -> ExitCode:
+    def _train(self, refused: Mapping[str, Exception]) -> Outcome:
         """Train from the newest checkpoint that is not ``refused``, and evaluate."""
         services, spec, lease = self._services, self._assignment.spec, self._lease
         with services.stop.interruptible():
@@ -156,9 +156,9 @@ class Attempt:
             self._evaluate(result, checkpoint_id, evaluation)
         with services.stop.interruptible():
             self._recorder.close()
-        return ExitCode.FINISHED
+        return Outcome(ExitCode.FINISHED, "finished", "the trainer finished")
 
-    def _stopped(self, step: int) -> ExitCode:
+    def _stopped(self, step: int) -> Outcome:
         """Record what is possible within the grace period; the rest stays for the next attempt."""
         services = self._services
         settings = services.settings
@@ -171,8 +171,7 @@ class Attempt:
             mib = self._spool.size / MIB
             message += f"; {mib:.1f} MiB of checkpoints wait on the worker's disk"
             logger.warning("the store does not answer: %s", message)
-        Outcome("stopped", message).leave(services.workdir)
-        return ExitCode.STOPPED
+        return Outcome(ExitCode.STOPPED, "stopped", message)
 
     def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
@@ -323,7 +322,7 @@ class Attempt:
         return retry(call, what=what, transient=DATABASE_ERRORS, patience_s=patience_s)
 
 
-def work(services: Services) -> ExitCode:
+def work(services: Services) -> Outcome:
     """Run the assignment in the working folder."""
     return Attempt(services, TrainingAssignment.read(services.workdir)).run()
 
