@@ -92,7 +92,7 @@ PATHS = (
 
 def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) -> dict[str, str]:
     """Write the jobs and their rows; return identifiers by name."""
-    has = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    has = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     registry.beat(sessions, "worker-1", host="host", pid=1, queues=["embedded"], capabilities=has, version="1")
     evaluated = EvaluationSpec.model_validate(EVALUATION)
     request = JobRequest(_spec(SPEC), evaluated, name="first", tags=["regression", "a=b"], priority=7)

@@ -365,7 +365,7 @@ def test_workers_show_only_ones_own_jobs(
     run_job: Callable[..., Lease],
 ) -> None:
     lease = run_job()
-    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
     for who, sees in ((client, True), (admin, True), (make_client("mallory", "read"), False)):
         (worker,) = who.get("/workers").json()["items"]
@@ -403,7 +403,7 @@ def test_a_queued_job_tells_why_no_worker_can_take_it(
         return reason
 
     assert soon(lambda: reason() == "no worker is running")
-    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     registry.beat(sessions, "w", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
     assert soon(lambda: reason() == "no worker has task 'sprint2' version 1")
     (listed,) = [job for job in client.get("/jobs").json()["items"] if job["id"] == job_id]

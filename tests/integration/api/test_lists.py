@@ -32,7 +32,7 @@ def filled(sessions: sessionmaker[Session]) -> None:
             host="host",
             pid=number,
             queues=["embedded"],
-            capabilities=Capabilities({}, [], []),
+            capabilities=Capabilities({}, [], [], ["ppo"]),
             version="1",
         )
 

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
 
-ALL = Capabilities({"sprint1": 1, "sprint2": 1}, ["nao-0", "nao-1"], ["embedded", "server"])
+ALL = Capabilities({"sprint1": 1, "sprint2": 1}, ["nao-0", "nao-1"], ["embedded", "server"], ["ppo"])
 QUEUES = ("embedded", "server")
 
 
@@ -54,11 +54,12 @@ def claimed(sessions: Sessions, capabilities: Capabilities = ALL, **options: Any
 @pytest.mark.parametrize(
     "less",
     [
-        Capabilities({"sprint1": 1}, ["nao-1"], ["embedded"]),
-        Capabilities({"sprint2": 2}, ["nao-1"], ["embedded"]),
-        Capabilities({"sprint2": 1}, ["nao-0"], ["embedded"]),
-        Capabilities({"sprint2": 1}, ["nao-1"], ["server"]),
-        Capabilities({}, [], []),
+        Capabilities({"sprint1": 1}, ["nao-1"], ["embedded"], ["ppo"]),
+        Capabilities({"sprint2": 2}, ["nao-1"], ["embedded"], ["ppo"]),
+        Capabilities({"sprint2": 1}, ["nao-0"], ["embedded"], ["ppo"]),
+        Capabilities({"sprint2": 1}, ["nao-1"], ["server"], ["ppo"]),
+        Capabilities({"sprint2": 1}, ["nao-1"], ["embedded"], ["sac"]),
+        Capabilities({}, [], [], []),
     ],
 )
 def test_a_worker_that_lacks_something_leaves_the_job_to_others(
@@ -69,7 +70,7 @@ def test_a_worker_that_lacks_something_leaves_the_job_to_others(
     assert claimed(sessions, less) is None
     other = submit(task="sprint1") if "sprint1" in less.tasks and "nao-0" in less.robots else None
     assert claimed(sessions, less) == other
-    assert claimed(sessions, Capabilities({"sprint2": 1}, ["nao-1"], ["embedded"])) == job_id
+    assert claimed(sessions, Capabilities({"sprint2": 1}, ["nao-1"], ["embedded"], ["ppo"])) == job_id
 
 
 def test_a_job_of_another_task_version_waits_for_a_worker_that_has_it(
@@ -79,7 +80,7 @@ def test_a_job_of_another_task_version_waits_for_a_worker_that_has_it(
     with sessions.begin() as session:
         session.execute(update(Job).values(task_version=2))
     assert claimed(sessions) is None
-    assert claimed(sessions, Capabilities({"sprint1": 2}, ["nao-0"], ["embedded"])) == job_id
+    assert claimed(sessions, Capabilities({"sprint1": 2}, ["nao-0"], ["embedded"], ["ppo"])) == job_id
 
 
 def test_work_is_claimed_by_priority_and_waiting_time_in_the_queues_of_a_worker(
@@ -97,7 +98,9 @@ def test_evaluations_are_claimed_beside_jobs(sessions: Sessions, submit: Callabl
     waiting = submit()
     spec = EvaluationSpec(task="sprint2")
     evaluation = submission.request_evaluation(sessions, trained.lease.job_id, spec=spec).id
-    assert claimed(sessions, Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"]), models=[Evaluation]) is None
+    assert (
+        claimed(sessions, Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"]), models=[Evaluation]) is None
+    )
     assert claimed(sessions, models=[Evaluation]) == evaluation
     assert claimed(sessions, models=[Evaluation]) is None
     assert claimed(sessions) == waiting
@@ -127,7 +130,7 @@ def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, sub
             )
 
     def beat(worker: str, *capabilities: Any, queues: tuple[str, ...] = ("server",)) -> None:
-        has = Capabilities(*capabilities)
+        has = Capabilities(*capabilities[:3], capabilities[3] if len(capabilities) > 3 else ["ppo"])
         registry.beat(sessions, worker, host="h", pid=1, queues=queues, capabilities=has, version="1")
 
     assert reason() == "no worker is running"
@@ -137,6 +140,8 @@ def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, sub
     assert reason() == "no worker has simulator 'server'"
     beat("a", {"sprint1": 1}, ["nao-0"], ["server"])
     assert reason() == "no worker has robot 'nao-1'"
+    beat("a", {"sprint2": 1}, ["nao-1"], ["server"], ["sac"])
+    assert reason() == "no worker has algorithm 'ppo'"
     beat("a", {"sprint1": 1}, ["nao-1"], ["server"])
     assert reason() == "no worker has task 'sprint2' version 1"
     beat("a", {"sprint2": 2}, ["nao-1"], ["server"])

@@ -154,7 +154,7 @@ class World:
 @pytest.fixture
 def context(service_settings: ServiceSettings, sessions: Sessions, tmp_path: Path) -> Context:
     """A worker's context."""
-    everything = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    everything = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     settings = WorkerSettings.model_validate(service_settings.model_dump())
     return Context(settings, sessions, "worker", everything, tmp_path, MemoryBudget(1 << 40))
 

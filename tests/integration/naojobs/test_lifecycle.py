@@ -586,7 +586,7 @@ def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, s
     child = submit(parent_job_id=parent.id, priority=9)
     lifecycle.request_cancel(sessions, Job, parent.id)
     other = submit(priority=9)
-    have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"])
+    have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     claim = lifecycle.claim_next(sessions, "w", queues=["embedded"], capabilities=have, models=[Job])
     assert claim is not None
     assert claim.lease.id == other.id

@@ -24,7 +24,7 @@ Sessions = sessionmaker[Session]
 HOST: dict[str, Any] = {
     "host": "h",
     "queues": ["embedded"],
-    "capabilities": Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"]),
+    "capabilities": Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"]),
 }
 
 

@@ -21,7 +21,7 @@ from naosim.mujoco.program import RCSSSERVERMJ
 from naospec import TrainingSpec
 from naosprint.export import policy_arrays
 from naosprint.rl.checkpoint import Manifest
-from naosprint.rl.policy import Policy
+from naosprint.rl.policy import NetworkPolicy
 from naosprint.tasks.environment import open_environment
 
 EXAMPLES = Path(__file__).parents[3] / "packages/naosprint/examples"
@@ -52,7 +52,7 @@ def serving(program: ServerProgram) -> Iterator[Address]:
         server.stop()
 
 
-def exported(robot: str, folder: Path, spread: float, task: str = "sprint1") -> tuple[Policy, Path]:
+def exported(robot: str, folder: Path, spread: float, task: str = "sprint1") -> tuple[NetworkPolicy, Path]:
     """Export an untrained policy, which falls sooner with a wider spread of its weights."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": task})
     environment = open_environment(spec, 1, threads=1)
@@ -64,7 +64,7 @@ def exported(robot: str, folder: Path, spread: float, task: str = "sprint1") -> 
         (rng.normal(0.0, spread, (after, before)).astype(np.float32), rng.normal(0.0, spread, after).astype(np.float32))
         for before, after in pairwise(sizes)
     )
-    policy = Policy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
+    policy = NetworkPolicy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
     manifest = Manifest.model_construct(
         spec=spec, spec_sha256=spec.digest(), steps=0, stage=0, observations=names, actions=actions
     )

@@ -79,8 +79,7 @@ def test_the_same_seed_has_the_same_result_resumed_or_not(team: Team, tmp_path: 
     first, second = ours["environment.npz"], ours["process-1.npz"]
     assert len(first["environment.steps"]) == 4, "each process has its share of the environments"
     assert not np.array_equal(first["environment.observer.observations"], second["environment.observer.observations"])
-    for name in ("observation_mean", "return_count"):
-        np.testing.assert_array_equal(first[f"normalizer.{name}"], second[f"normalizer.{name}"])
+    assert not np.array_equal(ours["learner.npz"]["normalizer.returns"], second["normalizer.returns"])
     alone = team.run(tmp_path / "alone", "--total-steps", "1024", "--resume", half, size=1)
     assert verify_checkpoint(alone).processes == 1
     assert verify_checkpoint(alone).steps == 1024

@@ -17,17 +17,18 @@ from naojobs.states import WorkState
 
 @dataclass(frozen=True, slots=True)
 class Requirements:
-    """Task with its version, robot and simulator that a worker must have to run something."""
+    """Task with its version, robot, simulator and algorithm that a worker must have to run something."""
 
     task: str
     task_version: int
     robot: str
     simulator: str
+    algorithm: str
 
     @classmethod
     def of_training(cls, spec: TrainingSpec) -> Requirements:
         """Return the requirements of a training."""
-        return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name)
+        return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name, spec.algorithm.name)
 
     @classmethod
     def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
@@ -35,16 +36,17 @@ class Requirements:
         task, version = job.task, job.task_version
         if spec.task is not None and spec.task.name != job.task:
             task, version = spec.task.name, plugins.load(plugins.TASKS, spec.task.name).version
-        return cls(task, version, job.robot, spec.simulator or job.simulator)
+        return cls(task, version, job.robot, spec.simulator or job.simulator, job.algorithm)
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """Tasks with their versions, robots and simulators that a worker has."""
+    """Tasks with their versions, robots, simulators and algorithms that a worker has."""
 
     tasks: Mapping[str, int]
     robots: Sequence[str]
     simulators: Sequence[str]
+    algorithms: Sequence[str]
 
     def meets(self, work: Work) -> bool:
         """Return whether a worker with these capabilities can run `work`."""
@@ -52,6 +54,7 @@ class Capabilities:
             self.tasks.get(work.task) == work.task_version
             and work.robot in self.robots
             and work.simulator in self.simulators
+            and work.algorithm in self.algorithms
         )
 
     def condition(self, model: type[Job] | type[Evaluation]) -> ColumnElement[bool]:
@@ -60,6 +63,7 @@ class Capabilities:
             tuple_(model.task, model.task_version).in_(list(self.tasks.items())),
             model.robot.in_(self.robots),
             model.simulator.in_(self.simulators),
+            model.algorithm.in_(self.algorithms),
         )
 
 
@@ -103,13 +107,18 @@ def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
         return f"no worker has simulator {work.simulator!r}"
     if not any(work.robot in worker.robots for worker in workers):
         return f"no worker has robot {work.robot!r}"
+    if not any(work.algorithm in worker.algorithms for worker in workers):
+        return f"no worker has algorithm {work.algorithm!r}"
     task = f"task {work.task!r} version {work.task_version}"
     versions = sorted({worker.tasks[work.task] for worker in workers if work.task in worker.tasks})
     if work.task_version not in versions:
         others = f" (workers have version {', '.join(map(str, versions))})" if versions else ""
         return f"no worker has {task}{others}"
-    return f"no single worker has {task}, robot {work.robot!r} and simulator {work.simulator!r}"
+    return (
+        f"no single worker has {task}, robot {work.robot!r}, simulator {work.simulator!r} and algorithm "
+        f"{work.algorithm!r}"
+    )
 
 
 def _capabilities(worker: Worker) -> Capabilities:
-    return Capabilities(worker.tasks, worker.robots, worker.simulators)
+    return Capabilities(worker.tasks, worker.robots, worker.simulators, worker.algorithms)

@@ -99,11 +99,12 @@ class Work:
     queue: Mapped[str] = mapped_column(String(40))
     #: 0 to 9; work with a higher priority is claimed first.
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
-    #: Name and version of the task, names of the robot and of the simulator that a worker must have.
+    #: Name and version of the task, names of robot, simulator and algorithm that a worker must have.
     task: Mapped[str] = mapped_column(String(100))
     task_version: Mapped[int] = mapped_column(Integer)
     robot: Mapped[str] = mapped_column(String(100))
     simulator: Mapped[str] = mapped_column(String(100))
+    algorithm: Mapped[str] = mapped_column(String(100))
     state: Mapped[WorkState] = mapped_column(
         Enum(WorkState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
@@ -486,10 +487,11 @@ class Worker(Base):
     host: Mapped[str] = mapped_column(String(200))
     pid: Mapped[int] = mapped_column(Integer)
     queues: Mapped[list[str]]
-    #: Tasks with their versions, robots and simulators that it has.
+    #: Tasks with their versions, robots, simulators and algorithms that it has.
     tasks: Mapped[dict[str, int]] = mapped_column(JSONB, server_default=text("'{}'"))
     robots: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     simulators: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
+    algorithms: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     version: Mapped[str] = mapped_column(String(40))
     #: Free space on the disk of its working folders.
     disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)

@@ -596,6 +596,7 @@ class WorkerPublic(_Public):
     tasks: dict[str, int] = Field(description="Version by name of each task that it can run.")
     robots: list[str]
     simulators: list[str]
+    algorithms: list[str]
     version: str
     disk_free_bytes: int | None = Field(description="Free space on the disk of its working folders.")
     started_at: datetime

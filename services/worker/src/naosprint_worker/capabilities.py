@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
+from typing import Any
 
 from naojobs.capabilities import Capabilities
 from naospec import plugins
@@ -15,23 +16,22 @@ logger = logging.getLogger(__name__)
 
 
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
-    """Return the installed tasks, the simulators that the settings allow, and the robots that one of them can run."""
+    """Return installed tasks and algorithms, simulators that the settings allow, and robots that one of them runs."""
     return Capabilities(
-        tasks=_versions(),
+        tasks={name: int(task.version) for name, task in _loaded(plugins.TASKS)},
         robots=list(_robots(settings)),
         simulators=list(settings.worker_queues),
+        algorithms=[name for name, _ in _loaded(plugins.LEARNERS)],
     )
 
 
-def _versions() -> dict[str, int]:
-    """Return the version of each installed task by name; one that cannot be loaded is left out."""
-    versions = {}
-    for name in plugins.names(plugins.TASKS):
+def _loaded(group: str) -> Iterator[tuple[str, Any]]:
+    """Yield what a group offers with its name; what cannot be loaded is left out."""
+    for name in plugins.names(group):
         try:
-            versions[name] = int(plugins.load(plugins.TASKS, name).version)
+            yield name, plugins.load(group, name)
         except plugins.BrokenPluginError as error:
-            logger.warning("task left out: %s", error)
-    return versions
+            logger.warning("left out: %s", error)
 
 
 def _robots(settings: WorkerSettings) -> Iterator[str]:

@@ -18,7 +18,7 @@ from naosim.simulator import Starts
 from naospec import TrainingSpec
 from naosprint.export import describe, policy_arrays
 from naosprint.rl.checkpoint import Manifest
-from naosprint.rl.policy import Policy
+from naosprint.rl.policy import NetworkPolicy
 from naosprint.tasks.environment import Environment, open_environment
 
 AGENT = Path(__file__).parents[4] / "packages/naosprint/examples/run_policy_t1.py"
@@ -34,7 +34,7 @@ def load_agent() -> ModuleType:
     return module
 
 
-def untrained(spec: TrainingSpec, environment: Environment, seed: int = 0) -> tuple[Policy, Manifest]:
+def untrained(spec: TrainingSpec, environment: Environment, seed: int = 0) -> tuple[NetworkPolicy, Manifest]:
     """Return a policy of random weights, some of whose actions are beyond the limits, and its manifest."""
     rng = np.random.default_rng(seed)
     names, actions = environment.observer.names, environment.actuation.names
@@ -47,7 +47,7 @@ def untrained(spec: TrainingSpec, environment: Environment, seed: int = 0) -> tu
     manifest = Manifest.model_construct(
         spec=spec, spec_sha256=spec.digest(), stage=0, steps=0, observations=names, actions=actions
     )
-    return Policy(mean, scale, 10.0, layers, np.zeros(len(actions), np.float32)), manifest
+    return NetworkPolicy(mean, scale, 10.0, layers, np.zeros(len(actions), np.float32)), manifest
 
 
 def message(environment: Environment, row: int) -> str:

@@ -29,7 +29,7 @@ from naosprint.export import build_check, build_header, describe, export_policy,
 from naosprint.export.header import exact_actions
 from naosprint.export.nao import kinematics
 from naosprint.rl.checkpoint import CheckpointError, Manifest
-from naosprint.rl.policy import Policy, load_policy
+from naosprint.rl.policy import NetworkPolicy, load_policy
 from naosprint.rl.reporter import NullReporter
 from naosprint.tasks.environment import open_environment
 
@@ -112,7 +112,7 @@ def test_exported_tables_are_the_robots_actuation(robot: str) -> None:
         spec=spec, spec_sha256=spec.digest(), stage=0, steps=0, observations=names, actions=actuation.names
     )
     layers = ((np.zeros((actuation.n_actions, 3), np.float32), np.zeros(actuation.n_actions, np.float32)),)
-    policy = Policy(np.zeros(3), np.ones(3), np.inf, layers, np.zeros(actuation.n_actions, np.float32))
+    policy = NetworkPolicy(np.zeros(3), np.ones(3), np.inf, layers, np.zeros(actuation.n_actions, np.float32))
     arrays = policy_arrays(policy, manifest)
     rng = np.random.default_rng(0)
     for action in rng.uniform(-1.5, 1.5, (20, actuation.n_actions)):
@@ -268,7 +268,7 @@ int main(void)
 """
 
 
-def random_policy(robot: str) -> tuple[Policy, Manifest]:
+def random_policy(robot: str) -> tuple[NetworkPolicy, Manifest]:
     """Return a policy with random weights, two hidden layers and standardized observations."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": {"name": "sprint1"}})
     actuation = Actuation(robots.get(robot))
@@ -283,7 +283,7 @@ def random_policy(robot: str) -> tuple[Policy, Manifest]:
         for a, b in itertools.pairwise(sizes)
     )
     mean, scale = rng.standard_normal(len(names)), np.exp(rng.standard_normal(len(names)))
-    return Policy(mean, scale, 5.0, layers, np.zeros(actuation.n_actions, np.float32)), manifest
+    return NetworkPolicy(mean, scale, 5.0, layers, np.zeros(actuation.n_actions, np.float32)), manifest
 
 
 def test_damaged_checkpoint_is_refused(tmp_path: Path) -> None:

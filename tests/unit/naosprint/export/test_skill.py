@@ -21,11 +21,11 @@ from naospec import TrainingSpec
 from naosprint.export import export_policy
 from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.checkpoint import Manifest
-from naosprint.rl.policy import Policy, load_policy
+from naosprint.rl.policy import NetworkPolicy, load_policy
 from naosprint.tasks.environment import open_environment
 
 
-def random_policy(robot: dict[str, Any], task: str) -> tuple[Policy, Manifest]:
+def random_policy(robot: dict[str, Any], task: str) -> tuple[NetworkPolicy, Manifest]:
     """Return a policy of random weights for a task."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": task})
     environment = open_environment(spec, 1, threads=1)
@@ -36,7 +36,7 @@ def random_policy(robot: dict[str, Any], task: str) -> tuple[Policy, Manifest]:
         (rng.normal(0.0, 0.05, (after, before)).astype(np.float32), rng.normal(0.0, 0.05, after).astype(np.float32))
         for before, after in pairwise((len(names), 16, len(actions)))
     )
-    policy = Policy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
+    policy = NetworkPolicy(np.zeros(len(names)), np.ones(len(names)), 10.0, layers, np.zeros(len(actions), np.float32))
     return policy, Manifest.model_construct(
         spec=spec, spec_sha256=spec.digest(), steps=0, stage=0, observations=names, actions=actions
     )
@@ -126,7 +126,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     return load
 
 
-def begin(policy: str) -> tuple[Any, Policy]:
+def begin(policy: str) -> tuple[Any, NetworkPolicy]:
     """Return an environment at the start of an episode, and the policy."""
     loaded, manifest = load_policy(naopolicies.folder(policy))
     environment = open_environment(manifest.spec, 1, threads=1)

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from naospec import TrainingSpec
 from naosprint.rl.checkpoint import LEARNER, POLICY, read_file
-from naosprint.rl.policy import load_policy
+from naosprint.rl.policy import NetworkPolicy, load_policy
 from naosprint.rl.ppo import PPO
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.rl.runner import train
@@ -24,10 +25,11 @@ def test_policy_agrees_with_torch(checkpoint: Path) -> None:
     learner = PPO(manifest.spec, environment)
     learner.begin()
     arrays = read_file(checkpoint, manifest, POLICY)
-    learner.load_policy_state({name: array for name, array in arrays.items() if not name.startswith("observation_")})
-    environment.normalizer.load_statistics({**environment.normalizer.state(), **arrays})
+    learner.load_policy_state(arrays)
     raw = np.concatenate([inner.step(np.random.default_rng(i).uniform(-1, 1, (8, 20))) for i in range(20)])
-    mean = learner.act(environment.normalizer.observations(raw))
+    seen = torch.from_numpy(learner.normalizer.observations(raw))
+    with torch.no_grad():
+        mean = learner.policy.get_distribution(seen).mode().numpy()
     np.testing.assert_allclose(policy.act(raw), np.clip(mean, -1, 1), atol=2e-6)
     latest = read_file(checkpoint, manifest, LEARNER)["latest.action_net.weight"]
     assert not np.array_equal(latest, arrays["action_net.weight"]), "the policy is the average of the weights"
@@ -39,6 +41,8 @@ def test_draws_have_the_policys_spread(checkpoint: Path) -> None:
     policy, _ = load_policy(checkpoint)
     raw = np.zeros((20_000, 89))
     drawn, mean = policy.act(raw, np.random.default_rng(0)), policy.act(raw)
+    assert isinstance(policy, NetworkPolicy)
+    assert policy.log_std is not None
     spread = np.exp(policy.log_std)
     inner = np.abs(mean[0]) < 0.2
     assert inner.any()
@@ -54,6 +58,7 @@ def test_unnormalized_policy_acts_on_raw_numbers(
     spec = make_spec(normalize_observations=False, total_steps=256)
     policy, _ = load_policy(train(spec, workdir=tmp_path, reporter=recorder).checkpoint)
     raw = np.full((1, 89), 1234.5)
+    assert isinstance(policy, NetworkPolicy)
     assert np.array_equal(policy.standardize(raw), raw.astype(np.float32))
 
 

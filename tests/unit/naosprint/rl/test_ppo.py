@@ -131,15 +131,17 @@ def test_time_limit_bootstraps_the_value_of_what_would_have_followed(
     open_learner: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reward at a time limit includes the discounted value of the last observation; at an end it does not."""
-    learner = open_learner(n_steps=16, normalize_rewards=False)
+    learner = open_learner(n_steps=16, normalize_rewards=False, normalize_observations=False)
     environment = learner.environment
     environment.environment.task.max_steps = 5
     seen: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     step_wait = environment.step_wait
 
-    def watch(group: slice, out: np.ndarray) -> object:
-        transition = step_wait(group, out)
-        seen.append((transition.rewards.copy(), transition.bootstrapped, transition.last_observations))
+    def watch(group: slice) -> object:
+        transition = step_wait(group)
+        follows = ~transition.failed
+        last = learner.normalizer.observations(transition.last_observations[follows])
+        seen.append((transition.rewards.copy(), transition.ended[follows], last))
         return transition
 
     monkeypatch.setattr(environment, "step_wait", watch)
@@ -263,7 +265,7 @@ def test_the_discount_changes_at_its_step_everywhere(open_learner: Open) -> None
     for wanted in (0.9, 0.9, 0.5, 0.5):
         assert learner.collect()
         buffer = learner.rollout
-        assert learner.environment.normalizer.gamma == wanted
+        assert learner.normalizer.gamma == wanted
         after = buffer.episode_starts[-1] == 0
         delta = buffer.rewards[-2] + wanted * buffer.values[-1] - buffer.values[-2]
         expected = delta + wanted * learner.settings.gae_lambda * buffer.advantages[-1]
@@ -436,8 +438,7 @@ def test_loss_that_is_not_finite_is_reported(open_learner: Open) -> None:
 def test_observation_that_is_not_finite_is_named(open_learner: Open) -> None:
     """The message names the observation and the environment."""
     learner = open_learner()
-    env = learner.environment
-    env.normalizer.observation_moments.mean[43] = np.nan
+    learner.normalizer.observation_moments.mean[43] = np.nan
     with pytest.raises(TrainingDivergedError, match="'height' of environment 0"):
         assert learner.collect()
 

@@ -1,4 +1,4 @@
-"""Environments for learners: restarts, normalization, metrics."""
+"""Environments for learners: restarts, raw observations and rewards, metrics."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def advance(env: TrainingEnvironment, actions: np.ndarray) -> Transition:
 
 def test_episode_metrics_are_those_of_the_episode(open_env: Open) -> None:
     """Mean length and return over the window, counted by hand."""
-    env = open_env(normalize_rewards=False, start_episode_fraction=0.0)
+    env = open_env(start_episode_fraction=0.0)
     env.reset()
     rng = np.random.default_rng(1)
     length, total = np.zeros(8), np.zeros(8)
@@ -85,12 +85,12 @@ def test_task_metrics_are_those_of_the_runs(open_env: Open) -> None:
 
 def test_finished_robots_start_over_at_once(open_env: Open) -> None:
     """The observation after an end is the first of a new episode."""
-    env = open_env(normalize_observations=False)
+    env = open_env()
     env.reset()
     rng = np.random.default_rng(2)
     for _ in range(150):
         transition = advance(env, rng.uniform(-1, 1, (8, 20)))
-        steps = transition.observations[:, 0]
+        steps = env.observations[:, 0]
         assert np.array_equal(steps == 0, transition.dones)
 
 
@@ -99,10 +99,9 @@ def test_returned_arrays_are_the_callers(open_env: Open) -> None:
     env = open_env()
     env.reset()
     first = advance(env, np.zeros((8, 20)))
-    observations, rewards, dones = first.observations.copy(), first.rewards.copy(), first.dones.copy()
+    rewards, dones = first.rewards.copy(), first.dones.copy()
     for _ in range(60):
         advance(env, np.random.default_rng(0).uniform(-1, 1, (8, 20)))
-    assert np.array_equal(first.observations, observations)
     assert np.array_equal(first.rewards, rewards)
     assert np.array_equal(first.dones, dones)
 
@@ -119,19 +118,16 @@ def test_state_carries_over(open_env: Open) -> None:
     for _ in range(100):
         actions = rng.uniform(-1, 1, (8, 20))
         ours, theirs = advance(first, actions), advance(second, actions)
-        assert np.array_equal(ours.observations, theirs.observations)
+        assert np.array_equal(first.observations, second.observations)
         assert np.array_equal(ours.rewards, theirs.rewards)
     assert first.window.means() == second.window.means()
 
 
-@pytest.mark.parametrize("bootstrap", [True, False])
-def test_end_that_is_no_failure_is_bootstrapped_if_set(
-    open_env: Open, bootstrap: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At the finish line the last observation is returned to estimate the next value; after a fall it is not."""
+def test_ends_are_told_apart(open_env: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fall is a failure, the finish line is none; both come with the episode's last observations."""
     # a finish line so near that the first stumbles cross it
     monkeypatch.setattr(Sprint1, "finish_x_m", -13.95)
-    env = open_env(bootstrap_at_end=bootstrap, start_episode_fraction=0.0)
+    env = open_env(start_episode_fraction=0.0)
     env.reset()
     ended: dict[str, list[int]] = {}
     measure = env.environment.task.measure
@@ -147,9 +143,12 @@ def test_end_that_is_no_failure_is_bootstrapped_if_set(
     for _ in range(200):
         ended.update(fallen=[], arrived=[])
         transition = advance(env, rng.uniform(-1, 1, (8, 20)))
-        assert transition.bootstrapped.tolist() == (ended["arrived"] if bootstrap else [])
-        assert len(transition.last_observations) == len(transition.bootstrapped)
-        assert set(np.flatnonzero(transition.dones)) == {*ended["arrived"], *ended["fallen"]}
+        assert transition.ended.tolist() == np.flatnonzero(transition.dones).tolist()
+        assert set(transition.ended) == {*ended["arrived"], *ended["fallen"]}
+        assert transition.ended[~transition.failed].tolist() == ended["arrived"]
+        assert not transition.truncated.any()
+        assert len(transition.last_observations) == len(transition.ended)
+        assert (transition.last_observations[:, 0] > 0).all(), "steps since the start: of the episode that ended"
         arrivals, falls = arrivals + len(ended["arrived"]), falls + len(ended["fallen"])
     assert arrivals > 0
     assert falls > 0

@@ -19,7 +19,7 @@ from naosprint.export.description import describe
 from naosprint.export.graph import build_onnx
 from naosprint.export.header import build_check, build_header
 from naosprint.export.skill import TARGETS, write_skill
-from naosprint.rl.policy import load_policy
+from naosprint.rl.policy import NetworkPolicy, load_policy
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,9 +42,14 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | No
     Raises:
         CheckpointError: if the checkpoint is damaged.
         OSError: if onnx is needed and not installed.
-        ValueError: if a skill is requested and there is none for the robot.
+        ValueError: if the policy is not a network, or a skill is requested and there is none for the robot.
     """
     policy, manifest = load_policy(checkpoint)
+    if not isinstance(policy, NetworkPolicy):
+        raise ValueError(
+            f"algorithm {manifest.stage_spec.algorithm.name}: its policies are {type(policy).__name__}, and only a "
+            "naosprint.rl.policy.NetworkPolicy can be exported"
+        )
     if formats is None:
         family = manifest.stage_spec.robot_description.family
         formats = [name for name in FORMATS if name != "skill" or family in TARGETS]

@@ -13,19 +13,19 @@ from naosprint.export import booster, nao
 if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
-    from naosprint.rl.policy import Policy
+    from naosprint.rl.policy import NetworkPolicy
 
 FORMAT = 3
 """Version of the exported files."""
 
 
-def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
+def policy_arrays(policy: NetworkPolicy, manifest: Manifest) -> dict[str, AnyArray]:
     """Return everything that an agent needs, by name.
 
     With A actions, J joints and the observations x of the policy, in radians and in the simulator's order and signs::
 
         z = clip((x - mean) * scale, -clip, clip)
-        z = tanh(weights_0 @ z + bias_0), ..., weights_last @ z + bias_last
+        z = activations[i](weights_i @ z + bias_i) for each layer i: tanh, relu or linear
         targets = clip(middle_rad + reach_rad @ clip(z, -1, 1), low_rad, high_rad)
 
     ``joint_view`` (A, J) turns joint angles into those of the policy. :mod:`naosprint.export.nao` and
@@ -43,6 +43,7 @@ def policy_arrays(policy: Policy, manifest: Manifest) -> dict[str, AnyArray]:
         "scale": policy.scale,
         "clip": np.array(policy.clip),
         "layers": np.array(len(policy.layers)),
+        "activations": np.array(policy.activations),
         "observation_names": np.array(manifest.observations),
         "action_names": np.array(manifest.actions),
         "joint_names": np.array(robot.joint_names),

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
 
     from naosprint.rl.checkpoint import Manifest
-    from naosprint.rl.policy import Policy
+    from naosprint.rl.policy import NetworkPolicy
 
 
-def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
+def describe(policy: NetworkPolicy, manifest: Manifest) -> dict[str, Any]:
     """Return the content of ``policy.json``: angles in degrees in the policy convention."""
     robot = manifest.stage_spec.robot_description
     actuation = Actuation(robot)
@@ -46,9 +46,10 @@ def describe(policy: Policy, manifest: Manifest) -> dict[str, Any]:
         "controller": _controller(robot),
         "network": {
             "input": ["N", len(policy.mean)],
-            "output": ["N", len(policy.log_std)],
+            "output": ["N", policy.n_actions],
             "hidden": [len(bias) for _, bias in policy.layers[:-1]],
-            "activation": "tanh",
+            "activation": policy.activation,
+            "output_activation": policy.activations[-1],
         },
     }
 

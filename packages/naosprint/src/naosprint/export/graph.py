@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from onnx import ModelProto
 
     from naosprint.arrays import AnyArray
-    from naosprint.rl.policy import Policy
+    from naosprint.rl.policy import NetworkPolicy
 
 OPSET = 17
 """Operator set of the ONNX file; every runtime since 2022 supports it."""
@@ -18,7 +18,7 @@ OPSET = 17
 _IR_VERSION = 8
 
 
-def build_onnx(policy: Policy) -> ModelProto:
+def build_onnx(policy: NetworkPolicy) -> ModelProto:
     """Build the ONNX graph of a policy.
 
     Its input ``observations`` is (N, D) float32, raw; its output ``actions`` (N, A) float32 in [-1, 1].
@@ -43,15 +43,15 @@ def build_onnx(policy: Policy) -> ModelProto:
         hidden = "standardized"
     for i, (weights, bias) in enumerate(policy.layers):
         constants[f"weights_{i}"], constants[f"bias_{i}"] = weights, bias
-        last = i == len(policy.layers) - 1
-        name = "mean_actions" if last else f"linear_{i}"
+        function = policy.activations[i]
+        name = "mean_actions" if function == "linear" else f"linear_{i}"
         nodes.append(helper.make_node("Gemm", [hidden, f"weights_{i}", f"bias_{i}"], [name], transB=1))
         hidden = name
-        if not last:
-            nodes.append(helper.make_node("Tanh", [name], [f"tanh_{i}"]))
-            hidden = f"tanh_{i}"
+        if function != "linear":
+            hidden = f"{function}_{i}"
+            nodes.append(helper.make_node({"tanh": "Tanh", "relu": "Relu"}[function], [name], [hidden]))
     nodes.append(helper.make_node("Clip", [hidden, "low", "high"], ["actions"]))
-    width, n_actions = len(policy.mean), len(policy.log_std)
+    width, n_actions = len(policy.mean), policy.n_actions
     graph = helper.make_graph(
         nodes,
         "policy",

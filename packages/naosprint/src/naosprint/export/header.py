@@ -14,7 +14,7 @@ from naosprint.export.arrays import policy_arrays
 if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
-    from naosprint.rl.policy import Policy
+    from naosprint.rl.policy import NetworkPolicy
 
 TOLERANCE = 1e-6
 """Largest difference of an action between the header and the checkpoint."""
@@ -62,11 +62,14 @@ static inline void policy_targets(const double actions[POLICY_ACTIONS], double t
 }
 """
 
-_LAYER = "    policy_layer(policy_weights_{i}, policy_bias_{i}, {rows}, {columns}, {last}, in, out);\n    {swap}"
+_LAYER = "    policy_layer(policy_weights_{i}, policy_bias_{i}, {rows}, {columns}, {function}, in, out);\n    {swap}"
 _SWAP = "swap = in, in = out, out = swap;"
 
+_FUNCTIONS = ("linear", "relu", "tanh")
+"""Functions after a layer, by their numbers in the header."""
+
 _LINEAR = """\
-static inline void policy_layer(const float *weights, const float *bias, int rows, int columns, int last,
+static inline void policy_layer(const float *weights, const float *bias, int rows, int columns, int function,
                                 const double *in, double *out)
 {
     int row, column;
@@ -74,7 +77,7 @@ static inline void policy_layer(const float *weights, const float *bias, int row
         double sum = bias[row];
         for (column = 0; column < columns; column++)
             sum += (double)weights[row * columns + column] * in[column];
-        out[row] = last ? sum : tanh(sum);
+        out[row] = function == 2 ? tanh(sum) : function == 1 ? fmax(sum, 0.0) : sum;
     }
 }
 """
@@ -103,7 +106,7 @@ int main(void)
 """
 
 
-def build_header(policy: Policy, manifest: Manifest) -> str:
+def build_header(policy: NetworkPolicy, manifest: Manifest) -> str:
     """Return the text of ``policy.h``: weights, standardization, ranges of the joints, and functions."""
     arrays = policy_arrays(policy, manifest)
     digest = hashlib.sha256(manifest.spec_sha256.encode())
@@ -119,7 +122,7 @@ def build_header(policy: Policy, manifest: Manifest) -> str:
         "#include <math.h>",
         "",
         f"#define POLICY_OBSERVATIONS {len(policy.mean)}",
-        f"#define POLICY_ACTIONS {len(policy.log_std)}",
+        f"#define POLICY_ACTIONS {policy.n_actions}",
         f"#define POLICY_JOINTS {joints}",
         f"#define POLICY_WIDEST {widest}",
         f"#define POLICY_CYCLE_S {float(arrays['cycle_s'])!r}",
@@ -140,12 +143,12 @@ def build_header(policy: Policy, manifest: Manifest) -> str:
     for i, (weights, bias) in enumerate(policy.layers):
         lines += [_array(f"policy_weights_{i}", weights), _array(f"policy_bias_{i}", bias)]
         rows, columns = weights.shape
-        last = int(i == len(policy.layers) - 1)
-        calls.append(_LAYER.format(i=i, rows=rows, columns=columns, last=last, swap=_SWAP))
+        function = _FUNCTIONS.index(policy.activations[i])
+        calls.append(_LAYER.format(i=i, rows=rows, columns=columns, function=function, swap=_SWAP))
     return "\n".join([*lines, _LINEAR, _CODE % {"layers": "\n".join(calls)}, "#endif", ""])
 
 
-def build_check(policy: Policy) -> str:
+def build_check(policy: NetworkPolicy) -> str:
     """Return the text of ``policy_check.c``, a program that compares ``policy.h`` with values of the checkpoint."""
     observations = parity_observations(policy)
     expected = exact_actions(policy, observations)
@@ -157,20 +160,21 @@ def build_check(policy: Policy) -> str:
     }
 
 
-def parity_observations(policy: Policy) -> FloatArray:
+def parity_observations(policy: NetworkPolicy) -> FloatArray:
     """Return (n, D) observations spread as widely as the policy has seen them, and beyond."""
     rng = np.random.default_rng(0)
     spread = 2.0 * rng.standard_normal((_VECTORS, len(policy.mean)))
     return np.asarray(policy.mean + spread / np.minimum(policy.scale, 1e3))
 
 
-def exact_actions(policy: Policy, observations: FloatArray) -> FloatArray:
+def exact_actions(policy: NetworkPolicy, observations: FloatArray) -> FloatArray:
     """Return (n, A) actions computed from the checkpoint's weights in double precision."""
     hidden = np.clip((observations - policy.mean) * policy.scale, -policy.clip, policy.clip)
-    for i, (weights, bias) in enumerate(policy.layers):
+    for (weights, bias), function in zip(policy.layers, policy.activations, strict=True):
         hidden = hidden @ weights.T.astype(np.float64) + bias.astype(np.float64)
-        hidden = np.tanh(hidden) if i < len(policy.layers) - 1 else np.clip(hidden, -1.0, 1.0)
-    return np.asarray(hidden)
+        if function != "linear":
+            hidden = np.tanh(hidden) if function == "tanh" else np.maximum(hidden, 0.0)
+    return np.clip(hidden, -1.0, 1.0)
 
 
 def _names(name: str, values: tuple[str, ...] | list[str]) -> str:

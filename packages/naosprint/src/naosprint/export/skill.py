@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
-    from naosprint.rl.policy import Policy
+    from naosprint.rl.policy import NetworkPolicy
     from naosprint.tasks.base import World
     from naosprint.tasks.environment import Environment
 
@@ -85,7 +85,7 @@ TARGETS = {
 """Team code by the family of robots that it plays with."""
 
 
-def write_skill(policy: Policy, manifest: Manifest, directory: Path) -> list[Path]:
+def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path) -> list[Path]:
     """Write a policy as a skill to a folder below ``directory`` and return the paths of its files.
 
     Raises:
@@ -106,7 +106,7 @@ def write_skill(policy: Policy, manifest: Manifest, directory: Path) -> list[Pat
     return written
 
 
-def record(policy: Policy, manifest: Manifest, target: _Target) -> dict[str, AnyArray]:
+def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[str, AnyArray]:
     """Run an episode in the embedded simulator; return what the robot perceived, observed and did by name.
 
     Every array has a row per cycle; the episode ends early if the robot falls.

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from naosprint.rl.learner import Learner, LearnerKind
 from naosprint.rl.settings import CHARTS, METRICS, PPOSettings
 
 if TYPE_CHECKING:
-    from naospec import TrainingSpec
+    from collections.abc import Mapping, Sequence
 
+    from naospec import LearnerSettings, TrainingSpec
+
+    from naosprint.arrays import AnyArray
+    from naosprint.rl.policy import Policy
     from naosprint.rl.rollout import TrainingEnvironment
 
 
@@ -28,6 +32,19 @@ class PPOKind(LearnerKind):
         from naosprint.rl.ppo import PPO  # loads PyTorch
 
         return PPO(spec, environment)
+
+    def load_policy(
+        self,
+        state: Mapping[str, AnyArray],
+        settings: LearnerSettings,
+        *,
+        observations: Sequence[str],
+        actions: Sequence[str],
+    ) -> Policy:
+        """Return the actor with the observations' statistics."""
+        from naosprint.rl.policy import actor_of  # loads compiled code
+
+        return actor_of(state, cast("PPOSettings", settings), len(observations), len(actions))
 
 
 PPO = PPOKind()

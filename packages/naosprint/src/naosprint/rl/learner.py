@@ -10,11 +10,12 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from naospec import LearnerSettings, TrainingSpec
 
-    from naosprint.arrays import AnyArray, Float32Array
+    from naosprint.arrays import AnyArray
+    from naosprint.rl.policy import Policy
     from naosprint.rl.rollout import TrainingEnvironment
     from naosprint.tasks.metrics import Chart, Metric
 
@@ -26,21 +27,21 @@ class TrainingDivergedError(RuntimeError):
 class Learner(ABC):
     """A policy and the algorithm that trains it.
 
+    The environments yield raw observations and rewards; what the learner normalizes is part of its own state.
+
     Attributes:
         steps: environment steps collected so far.
         updates: updates so far.
+        own_state: names of the arrays of :meth:`state` that differ among the processes of one training.
     """
 
     steps: int
     updates: int
+    own_state: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def begin(self) -> None:
         """Begin the first episodes."""
-
-    @abstractmethod
-    def act(self, observations: Float32Array) -> Float32Array:
-        """Return the (n, A) mean actions for (n, D) normalized observations."""
 
     @abstractmethod
     def collect(self, stop: Callable[[], bool] = lambda: False) -> bool:
@@ -66,19 +67,49 @@ class Learner(ABC):
 
     @abstractmethod
     def policy_state(self) -> dict[str, AnyArray]:
-        """Return the arrays that acting needs, by name."""
+        """Return the arrays that acting and another training need; :meth:`LearnerKind.load_policy` reads them."""
 
     @abstractmethod
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
         """Continue with the policy of another training; everything else is new."""
+
+    def adapt_policy(
+        self,
+        state: Mapping[str, AnyArray],
+        *,
+        observations: tuple[Sequence[str], Sequence[str]],
+        actions: tuple[Sequence[str], Sequence[str]],
+    ) -> Mapping[str, AnyArray]:
+        """Return the policy of another training rearranged for this one's observations and actions.
+
+        Args:
+            state: what :meth:`policy_state` returned there.
+            observations: names of the observations, of the other training and of this one.
+            actions: the same for the actions.
+
+        Raises:
+            ValueError: if the algorithm cannot do this, as is the case by default.
+        """
+        del state
+        differing = sorted({*observations[0], *actions[0]} ^ {*observations[1], *actions[1]})
+        names = ", ".join(differing[:8]) or "the same in another order"
+        raise ValueError(
+            f"its policy has other observations or actions ({names}), to which this algorithm cannot adapt it; "
+            "use the same robot and task"
+        )
 
     @abstractmethod
     def state(self) -> dict[str, AnyArray]:
         """Return everything else that the next update depends on, except the environments."""
 
     @abstractmethod
-    def load_state(self, state: Mapping[str, AnyArray], observations: Float32Array) -> None:
-        """Restore what :meth:`state` returned; ``observations`` are those to act on next."""
+    def load_state(self, state: Mapping[str, AnyArray], *, new_episodes: bool) -> None:
+        """Restore what :meth:`state` returned.
+
+        Args:
+            state: the arrays.
+            new_episodes: whether all environments are at the start of an episode, instead of where they were then.
+        """
 
 
 class LearnerKind(ABC):
@@ -103,6 +134,27 @@ class LearnerKind(ABC):
     @abstractmethod
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:
         """Return a new learner for these environments."""
+
+    @abstractmethod
+    def load_policy(
+        self,
+        state: Mapping[str, AnyArray],
+        settings: LearnerSettings,
+        *,
+        observations: Sequence[str],
+        actions: Sequence[str],
+    ) -> Policy:
+        """Return a trained policy.
+
+        Args:
+            state: what :meth:`Learner.policy_state` returned; read from a file, so not to be trusted.
+            settings: the algorithm's settings.
+            observations: names of the observations.
+            actions: names of the actions.
+
+        Raises:
+            ValueError: naming the first array that does not fit. A missing one may raise KeyError.
+        """
 
     def describe(self) -> dict[str, Any]:
         """Return a description of the algorithm for user interfaces, as a JSON object."""

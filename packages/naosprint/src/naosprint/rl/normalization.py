@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 EPSILON = 1e-8
 """Added to variances before their root is taken."""
 
+STATISTICS = ("observation_mean", "observation_variance", "observation_count")
+"""Names of a normalizer's arrays that acting needs."""
+
 REWARD_CLIP = 10.0
 """Largest magnitude of a normalized reward."""
 

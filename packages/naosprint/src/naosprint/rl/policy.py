@@ -3,46 +3,92 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, reduce
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from naosim.robots.actuation import Actuation
+from naospec import plugins
 
 from naosprint.rl.checkpoint import MANIFEST, POLICY, CheckpointError, Manifest, read_file, read_manifest
 from naosprint.rl.forward import Forward
 from naosprint.rl.normalization import EPSILON
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from naosprint.arrays import AnyArray, Float32Array, FloatArray
+    from naosprint.rl.learner import LearnerKind
+    from naosprint.rl.settings import PPOSettings
     from naosprint.tasks.randomness import Normals
+
+Real = TypeVar("Real", bound="np.floating[Any]")
+
+
+class Policy(ABC):
+    """Function from raw observations to actions, as a learner gives it back."""
+
+    @abstractmethod
+    def act(self, observations: FloatArray, rng: np.random.Generator | Normals | None = None) -> FloatArray:
+        """Return (n, A) actions in [-1, 1] for (n, D) raw observations: the best ones, or draws if given a generator.
+
+        Each row depends on its own observations only.
+
+        Raises:
+            ValueError: if the policy has no distribution to draw from.
+        """
 
 
 @dataclass(frozen=True)
-class Policy:
-    """Function from raw observations to actions: standardize, clip, tanh layers, linear layer.
+class NetworkPolicy(Policy):
+    """Policy that every format of export supports: standardize, clip, hidden layers, linear layer.
 
     Attributes:
         mean: (D,) subtracted from observations.
         scale: (D,) observations are multiplied by it then.
         clip: largest magnitude of a standardized observation; infinite where they are not standardized.
-        layers: weights (out, in) and bias (out,) of each layer; tanh follows each but the last.
-        log_std: (A,) logarithm of the standard deviation with which training explored.
+        layers: weights (out, in) and bias (out,) of each layer.
+        log_std: (A,) logarithm of the standard deviation with which training explored; None: no draws.
+        activation: what follows each layer but the last.
+        squashed: whether tanh follows the last layer; otherwise its outputs are clipped.
     """
 
     mean: FloatArray
     scale: FloatArray
     clip: float
     layers: tuple[tuple[Float32Array, Float32Array], ...]
-    log_std: Float32Array
+    log_std: Float32Array | None = None
+    activation: Literal["tanh", "relu"] = "tanh"
+    squashed: bool = False
+
+    @property
+    def n_actions(self) -> int:
+        """Number of actions."""
+        return len(self.layers[-1][1])
+
+    @property
+    def activations(self) -> tuple[str, ...]:
+        """What follows each layer: ``tanh``, ``relu`` or ``linear``."""
+        return (self.activation,) * (len(self.layers) - 1) + ("tanh" if self.squashed else "linear",)
 
     @cached_property
-    def _forward(self) -> Forward:
-        return Forward(self.layers)
+    def _forward(self) -> Callable[[Float32Array], Float32Array]:
+        if self.activation == "tanh" and not self.squashed:
+            return Forward(self.layers)
+        # the kernel applies tanh between two layers; an identity after a layer makes it the last function
+        parts: list[Callable[[Float32Array], Float32Array]] = []
+        for (weights, bias), function in zip(self.layers, self.activations, strict=True):
+            n = len(bias)
+            identity = [(np.eye(n, dtype=np.float32), np.zeros(n, np.float32))] if function == "tanh" else []
+            parts.append(Forward([(weights, bias), *identity]))
+            if function == "relu":
+                parts.append(lambda values: np.maximum(values, np.float32(0.0)))
+        return lambda values: reduce(lambda inner, part: part(inner), parts, values)
 
     def standardize(self, observations: FloatArray) -> Float32Array:
         """Return (n, D) raw observations as the network sees them."""
@@ -53,6 +99,8 @@ class Policy:
         """Return (n, A) actions in [-1, 1] for (n, D) raw observations: the mean, or a draw if given a generator."""
         actions = self._forward(self.standardize(observations))
         if rng is not None:
+            if self.log_std is None:
+                raise ValueError("deterministic: this policy has no distribution to draw from; use deterministic=true")
             # NumPy's own exponential differs between instruction sets.
             spread = np.array([math.exp(value) for value in self.log_std], np.float32)
             actions = actions + spread * rng.standard_normal(actions.shape, dtype=np.float32)
@@ -68,37 +116,49 @@ def load_policy(directory: Path) -> tuple[Policy, Manifest]:
     """
     manifest = read_manifest(directory)
     arrays = read_file(directory, manifest, POLICY)
+    settings = manifest.stage_spec.algorithm
+    kind: LearnerKind = plugins.load(plugins.LEARNERS, settings.name)
     try:
-        policy = _build(arrays, manifest)
+        policy = kind.load_policy(arrays, settings, observations=manifest.observations, actions=manifest.actions)
     except KeyError as error:
         raise CheckpointError(f"{directory / POLICY}: array {error.args[0]!r} is missing") from None
+    except ValueError as error:
+        raise CheckpointError(f"{directory / POLICY}: {error}") from error
     robot = manifest.stage_spec.robot_description
     if manifest.actions != Actuation(robot).names:
         raise CheckpointError(f"{directory / MANIFEST}: actions: not the joints of robot {robot.name}")
     return policy, manifest
 
 
-def _build(arrays: Mapping[str, AnyArray], manifest: Manifest) -> Policy:
-    spec = manifest.stage_spec
-    sizes = (len(manifest.observations), *spec.algorithm.hidden_sizes, len(manifest.actions))
+def take(state: Mapping[str, AnyArray], name: str, shape: Sequence[int], kind: type[Real]) -> NDArray[Real]:
+    """Return an array of a policy's state after checking it.
 
-    def take(name: str, shape: tuple[int, ...], kind: type[np.floating]) -> AnyArray:
-        array = arrays[name]
-        if array.shape != shape or array.dtype != kind or not np.isfinite(array.astype(np.float64)).all():
-            raise CheckpointError(f"{POLICY}: array {name!r} is not {list(shape)} finite numbers")
-        return array
+    Raises:
+        KeyError: if it is missing.
+        ValueError: if it has another shape or type, or numbers that are not finite.
+    """
+    array = state[name]
+    if array.shape != tuple(shape) or array.dtype != kind or not np.isfinite(array.astype(np.float64)).all():
+        raise ValueError(f"array {name!r} is not {list(shape)} finite numbers")
+    return array.astype(kind)
 
+
+def actor_of(
+    state: Mapping[str, AnyArray], settings: PPOSettings, n_observations: int, n_actions: int
+) -> NetworkPolicy:
+    """Return the actor of PPO's networks, whose arrays have stable-baselines3's names."""
+    sizes = (n_observations, *settings.hidden_sizes, n_actions)
     layers = []
     for i in range(len(sizes) - 1):
         last = i == len(sizes) - 2
         name = "action_net" if last else f"mlp_extractor.policy_net.{2 * i}"
-        weights = take(f"{name}.weight", (sizes[i + 1], sizes[i]), np.float32).astype(np.float32)
-        layers.append((weights, take(f"{name}.bias", (sizes[i + 1],), np.float32).astype(np.float32)))
-    log_std = take("log_std", (sizes[-1],), np.float32).astype(np.float32)
-    if spec.algorithm.normalize_observations:
-        mean = take("observation_mean", sizes[:1], np.float64).astype(np.float64)
-        variance = take("observation_variance", sizes[:1], np.float64).astype(np.float64)
-        scale, clip = 1.0 / np.sqrt(np.maximum(variance, 0.0) + EPSILON), spec.algorithm.observation_clip
+        weights = take(state, f"{name}.weight", (sizes[i + 1], sizes[i]), np.float32)
+        layers.append((weights, take(state, f"{name}.bias", (sizes[i + 1],), np.float32)))
+    log_std = take(state, "log_std", (n_actions,), np.float32)
+    if settings.normalize_observations:
+        mean = take(state, "observation_mean", sizes[:1], np.float64)
+        variance = take(state, "observation_variance", sizes[:1], np.float64)
+        scale, clip = 1.0 / np.sqrt(np.maximum(variance, 0.0) + EPSILON), settings.observation_clip
     else:
-        mean, scale, clip = np.zeros(sizes[0]), np.ones(sizes[0]), np.inf
-    return Policy(mean, scale, clip, tuple(layers), log_std)
+        mean, scale, clip = np.zeros(n_observations), np.ones(n_observations), np.inf
+    return NetworkPolicy(mean, scale, clip, tuple(layers), log_std)

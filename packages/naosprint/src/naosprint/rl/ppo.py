@@ -26,7 +26,9 @@ from naosprint.rl.forward import Forward
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
+from naosprint.rl.normalization import STATISTICS, Normalizer
 from naosprint.rl.symmetry import Symmetry, tie_weights
+from naosprint.rl.warm_start import adapt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -103,6 +105,8 @@ class PPO(Learner):
         environment: its environments.
     """
 
+    own_state = ("generator", "episode_starts", "normalizer.returns")
+
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
         settings = spec.algorithm
         self.spec = spec
@@ -132,6 +136,17 @@ class PPO(Learner):
                 "use 0"
             )
         self._imitation = TorchGradients(self.policy, settings)
+        inner = environment.environment
+        self.normalizer = Normalizer(
+            environment.n,
+            environment.n_observations,
+            observations=settings.normalize_observations,
+            observation_clip=settings.observation_clip,
+            rewards=settings.normalize_rewards,
+            gamma=settings.gamma,
+            mirror=inner.observer.mirror if settings.symmetric_policy else None,
+            threads=inner.simulator.threads_address,
+        )
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
         self.generator = torch.Generator()
         self.generator.manual_seed(self.processes.share(spec).seed)
@@ -150,20 +165,16 @@ class PPO(Learner):
     def begin(self) -> None:
         """Begin the first episodes."""
         self.environment.reset()
+        self.normalizer.update_observations(self.environment.observations)
         self._starts = np.ones(self.environment.n, dtype=np.bool_)
-
-    def act(self, observations: Float32Array) -> Float32Array:
-        """Return the (n, A) mean actions for (n, D) normalized observations."""
-        self._actor.pack()
-        return self._actor(observations)
 
     # --- collection ---------------------------------------------------------------------------------------------------
 
     def collect(self, stop: Callable[[], bool] = lambda: False) -> bool:
         """Collect one rollout; see :meth:`Learner.collect`."""
-        environment, rollout, policy = self.environment, self.rollout, self.policy
+        environment, rollout, policy, normalizer = self.environment, self.rollout, self.policy, self.normalizer
         n, n_steps = environment.n, self.settings.n_steps
-        gamma = environment.normalizer.gamma = schedules.discount(self.spec, self.steps)
+        gamma = normalizer.gamma = schedules.discount(self.spec, self.steps)
         policy.set_training_mode(False)
         self._actor.pack()
         self._critic.pack()
@@ -174,7 +185,7 @@ class PPO(Learner):
             noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
             scaled_noise = (noise * log_std.exp()).numpy()
         # by what all groups and processes have contributed to the statistics
-        observations, starts = environment.observations(), self._starts.copy()
+        observations, starts = normalizer.observations(environment.observations), self._starts.copy()
         _require_finite(environment, observations, slice(0, n))
         imitates = self.steps < self.settings.imitation_steps
         shown_to = round(self._imitation_left() * n)
@@ -189,13 +200,19 @@ class PPO(Learner):
             for group in environment.groups:
                 seen = rollout.observations[step, group] if step < n_steps else observations[group]
                 if step:
-                    transition = environment.step_wait(group, seen)
+                    transition = environment.step_wait(group)
+                    raw = environment.observations[group]
+                    normalizer.update_observations(raw)
+                    normalizer.observations(raw, seen)
                     _require_finite(environment, seen, group)
                     starts[group] = transition.dones
                     rewards = rollout.rewards[step - 1, group]
-                    rewards[:] = transition.rewards
-                    if len(transition.bootstrapped):
-                        rewards[transition.bootstrapped] += gamma * self._critic(transition.last_observations)[:, 0]
+                    rewards[:] = normalizer.rewards(transition.rewards, transition.dones, group)
+                    # where the episode could go on: r + gamma V(s')
+                    follows = ~transition.failed if self.settings.bootstrap_at_end else transition.truncated
+                    if follows.any():
+                        last = normalizer.observations(transition.last_observations[follows])
+                        rewards[transition.ended[follows]] += gamma * self._critic(last)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
                     actions = self._actor(seen, scaled_noise[step, group], rollout.actions[step, group])
@@ -220,6 +237,7 @@ class PPO(Learner):
 
     def update(self) -> dict[str, float]:
         """Improve the policy with the rollout; see :meth:`Learner.update`."""
+        self.normalizer.merge(self.processes)
         if len(self.rollout.demonstrations):
             return self._imitate()
         policy, settings, rollout = self.policy, self.settings, self.rollout
@@ -374,22 +392,40 @@ class PPO(Learner):
     # --- state --------------------------------------------------------------------------------------------------------
 
     def policy_state(self) -> dict[str, AnyArray]:
-        """Return the moving average of the weights, by stable-baselines3's names."""
-        return {name: tensor.numpy().copy() for name, tensor in self._average.items()}
+        """Return the moving average of the weights, by stable-baselines3's names, and the observations' statistics."""
+        statistics = self.normalizer.state()
+        return {
+            **{name: tensor.numpy().copy() for name, tensor in self._average.items()},
+            **{name: statistics[name] for name in STATISTICS},
+        }
 
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Continue with these weights, by stable-baselines3's names, as the latest ones and as their average."""
-        self.policy.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in state.items()})
-        self._average = {name: torch.from_numpy(np.array(value)) for name, value in state.items()}
+        """Continue with these weights, as the latest ones and as their average, and with these statistics."""
+        weights = {name: torch.from_numpy(np.array(value)) for name, value in state.items() if name not in STATISTICS}
+        self.policy.load_state_dict(weights)
+        self._average = {name: tensor.clone() for name, tensor in weights.items()}
+        self.normalizer.load_statistics({**self.normalizer.state(), **{name: state[name] for name in STATISTICS}})
+
+    def adapt_policy(
+        self,
+        state: Mapping[str, AnyArray],
+        *,
+        observations: tuple[Sequence[str], Sequence[str]],
+        actions: tuple[Sequence[str], Sequence[str]],
+    ) -> Mapping[str, AnyArray]:
+        """Return the policy of another training rearranged by names; see :func:`naosprint.rl.warm_start.adapt`."""
+        rest = self.environment.environment.actuation.rest
+        return adapt(state, observations=observations, actions=actions, rest=rest)
 
     def state(self) -> dict[str, AnyArray]:
-        """Return optimizer, generator, episode starts, and the latest weights."""
+        """Return optimizer, generator, episode starts, normalization, and the latest weights."""
         state: dict[str, AnyArray] = {
             "generator": self.generator.get_state().numpy().copy(),
             "episode_starts": self._starts.copy(),
             "n_updates": np.array([self._n_passes], dtype=np.int64),
             "rate_factor": np.array([self.rate_factor]),
             "averaged": np.array([self._averaged], dtype=np.int64),
+            **{f"normalizer.{name}": value for name, value in self.normalizer.state().items()},
             **{f"latest.{name}": tensor.numpy().copy() for name, tensor in self.policy.state_dict().items()},
         }
         for name, parameter in self.policy.named_parameters():
@@ -399,9 +435,12 @@ class PPO(Learner):
                 state[f"adam.{slot}.{name}"] = value.detach().numpy().copy()
         return state
 
-    def load_state(self, state: Mapping[str, AnyArray], observations: Float32Array) -> None:
-        """Restore what :meth:`state` returned; :meth:`collect` computes the observations itself."""
-        del observations
+    def load_state(self, state: Mapping[str, AnyArray], *, new_episodes: bool) -> None:
+        """Restore what :meth:`state` returned; see :meth:`Learner.load_state`."""
+        if new_episodes:
+            n = self.environment.n
+            state = {**state, "episode_starts": np.ones(n, np.bool_), "normalizer.returns": np.zeros(n)}
+        self.normalizer.load_state({name: state[f"normalizer.{name}"] for name in self.normalizer.state()})
         self.generator.set_state(torch.from_numpy(np.array(state["generator"], dtype=np.uint8)))
         self._starts = np.array(state["episode_starts"], dtype=np.bool_)
         self._n_passes = int(np.asarray(state["n_updates"])[0])

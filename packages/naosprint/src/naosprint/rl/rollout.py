@@ -1,4 +1,4 @@
-"""Environments for learners: they restart automatically and normalize observations and rewards."""
+"""Environments for learners: they restart automatically and yield raw observations and rewards."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosprint.rl.normalization import Normalizer
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.window import EpisodeWindow
 from naosprint.tasks.base import EPISODE_METRICS
@@ -21,26 +20,29 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
     from naosprint.tasks.environment import Environment
 
-_NO_OBSERVATIONS: Float32Array = np.zeros((0, 0), np.float32)
-
 
 @dataclass(frozen=True, slots=True)
 class Transition:
     """Outcome of one step of some environments; the arrays are the receiver's to keep.
 
+    The observations to act on next are :attr:`TrainingEnvironment.observations`, those of a new episode where one
+    ended.
+
     Attributes:
-        observations: (k, D) normalized observations to act on next; those of a new episode where one ended.
-        rewards: (k,) normalized rewards.
+        rewards: (k,) raw rewards.
         dones: (k,) whether an episode ended.
-        bootstrapped: (m,) rows of environments whose episode ended and whose next value is estimated.
-        last_observations: (m, D) their last normalized observations, to estimate the value of the next state.
+        ended: (m,) rows of the environments whose episode ended, counted from the first of these environments.
+        last_observations: (m, D) the last raw observations of these episodes.
+        failed: (m,) whether they ended by a failure.
+        truncated: (m,) whether they were truncated, so that the task itself would go on.
     """
 
-    observations: Float32Array
-    rewards: Float32Array
+    rewards: FloatArray
     dones: BoolArray
-    bootstrapped: IntArray
-    last_observations: Float32Array
+    ended: IntArray
+    last_observations: FloatArray
+    failed: BoolArray
+    truncated: BoolArray
 
 
 class TrainingEnvironment:
@@ -48,7 +50,6 @@ class TrainingEnvironment:
 
     Attributes:
         environment: the environments.
-        normalizer: statistics of observations and returns.
         processes: the processes of the training, of which this one has these environments.
         window: metrics of the latest episodes.
         on_loss: called with row and reason when an episode is truncated because its robot was lost.
@@ -61,13 +62,10 @@ class TrainingEnvironment:
         *,
         n_starts: int,
         seed: int,
-        normalizer: Normalizer,
-        bootstrap_at_end: bool = False,
         processes: Processes = ALONE,
     ) -> None:
         self.environment = environment
         self.processes = processes
-        self.normalizer = normalizer
         self.n = environment.n
         self.n_actions = environment.actuation.n_actions
         self.n_observations = len(environment.observer.names)
@@ -76,7 +74,6 @@ class TrainingEnvironment:
         )
         self.on_loss: Callable[[int, str], None] = lambda row, reason: None
         self.groups = environment.simulator.groups
-        self._bootstrap_at_end = bootstrap_at_end
         self._n_starts = n_starts
         self._seed = seed
         self._episode: IntArray = np.zeros(self.n, dtype=np.int64)
@@ -87,70 +84,40 @@ class TrainingEnvironment:
         cls, spec: TrainingSpec, environment: Environment, n_starts: int, processes: Processes = ALONE
     ) -> TrainingEnvironment:
         """Return the environments for a training, or the share of them that this process has."""
-        settings = spec.algorithm
-        normalizer = Normalizer(
-            environment.n,
-            len(environment.observer.names),
-            observations=settings.normalize_observations,
-            observation_clip=settings.observation_clip,
-            rewards=settings.normalize_rewards,
-            gamma=settings.gamma,
-            mirror=environment.observer.mirror if settings.symmetric_policy else None,
-            threads=environment.simulator.threads_address,
-        )
-        return cls(
-            environment,
-            n_starts=n_starts,
-            seed=spec.seed,
-            normalizer=normalizer,
-            bootstrap_at_end=settings.bootstrap_at_end,
-            processes=processes,
-        )
+        return cls(environment, n_starts=n_starts, seed=spec.seed, processes=processes)
 
-    def reset(self) -> Float32Array:
-        """Begin a new episode everywhere and return the (n, D) normalized observations."""
+    def reset(self) -> None:
+        """Begin a new episode everywhere."""
         self._restart(np.arange(self.n))
-        observations = self.environment.observations
-        self.normalizer.update_observations(observations)
-        return self.normalizer.observations(observations)
 
-    def observations(self) -> Float32Array:
-        """Return the (n, D) observations to act on next, by the present statistics."""
-        return self.normalizer.observations(self.environment.observations)
+    @property
+    def observations(self) -> FloatArray:
+        """(n, D) raw observations to act on next; the next step overwrites them."""
+        return self.environment.observations
 
     def step_async(self, actions: FloatArray | Float32Array, rows: slice) -> None:
         """Begin a step of one group with (k, A) actions."""
         self.environment.step_async(actions, rows)
 
-    def step_wait(self, rows: slice, out: Float32Array | None = None) -> Transition:
-        """Finish the step that :meth:`step_async` began; rows of the transition count from the group's first.
-
-        Args:
-            rows: the group.
-            out: (k, D) array for the transition's observations; a new one by default.
-        """
+    def step_wait(self, rows: slice) -> Transition:
+        """Finish the step that :meth:`step_async` began for these environments."""
         environment = self.environment
         environment.step_wait(rows)
         self._rewards[rows] += environment.rewards[rows]
         dones = environment.terminated[rows] | environment.truncated[rows]
-        rewards = self.normalizer.rewards(environment.rewards[rows], dones, rows)
         ended = np.flatnonzero(dones)
-        follows = ~environment.failed[rows] if self._bootstrap_at_end else environment.truncated[rows]
-        bootstrapped = ended[follows[ended]]
-        last_raw = environment.observations[rows][bootstrapped]
-        if len(ended):
-            ended += rows.start
-            self._record(ended)
-            self._restart(ended)
-        observations = environment.observations[rows]
-        self.normalizer.update_observations(observations)
-        return Transition(
-            observations=self.normalizer.observations(observations, out),
-            rewards=rewards,
+        transition = Transition(
+            rewards=environment.rewards[rows].copy(),
             dones=dones,
-            bootstrapped=bootstrapped,
-            last_observations=self.normalizer.observations(last_raw) if len(last_raw) else _NO_OBSERVATIONS,
+            ended=ended,
+            last_observations=environment.observations[rows][ended],
+            failed=environment.failed[rows][ended],
+            truncated=environment.truncated[rows][ended],
         )
+        if len(ended):
+            self._record(ended + rows.start)
+            self._restart(ended + rows.start)
+        return transition
 
     def _record(self, ended: IntArray) -> None:
         """Measure the episodes that ended and report lost robots."""
@@ -177,7 +144,6 @@ class TrainingEnvironment:
         """Return everything that the environments' future depends on, except actions."""
         parts = {
             "environment": self.environment.state(),
-            "normalizer": self.normalizer.state(),
             "window": self.window.state(),
         }
         state = {f"{part}.{key}": value for part, values in parts.items() for key, value in values.items()}
@@ -185,18 +151,16 @@ class TrainingEnvironment:
         state["rewards"] = self._rewards.copy()
         return state
 
-    def load_state(self, state: Mapping[str, AnyArray]) -> Float32Array:
-        """Restore what :meth:`state` returned, and return the (n, D) normalized observations to act on next."""
+    def load_state(self, state: Mapping[str, AnyArray]) -> None:
+        """Restore what :meth:`state` returned."""
 
         def part(name: str) -> dict[str, AnyArray]:
             return {key[len(name) + 1 :]: value for key, value in state.items() if key.startswith(f"{name}.")}
 
         self.environment.load_state(part("environment"))
-        self.normalizer.load_state(part("normalizer"))
         self.window.load_state(part("window"))
         self._episode = np.array(state["episode"], dtype=np.int64)
         self._rewards = np.array(state["rewards"], dtype=np.float64)
-        return self.observations()
 
     def close(self) -> None:
         """Close the simulator."""

@@ -29,7 +29,6 @@ from naosprint.rl.learner import TrainingDivergedError
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.reporter import NullReporter
 from naosprint.rl.rollout import TrainingEnvironment
-from naosprint.rl.warm_start import adapt
 from naosprint.tasks.environment import open_training_environment
 from naosprint.tasks.metrics import format_value
 from naosprint.threads import set_learner_threads
@@ -41,13 +40,11 @@ if TYPE_CHECKING:
     from naospec import TrainingSpec
 
     from naosprint.arrays import AnyArray
+    from naosprint.rl.learner import LearnerKind
     from naosprint.rl.reporter import Reporter
+    from naosprint.tasks.environment import Environment
 
 __all__ = ["TrainResult", "TrainingDivergedError", "train"]
-
-_STATISTICS = ("observation_mean", "observation_variance", "observation_count")
-_OWN = ("generator", "episode_starts")
-"""What the state of a learner in several processes has of each of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +191,7 @@ def _train_candidate(
             if initial_policy is not None:
                 session.warm_start(initial_policy)
             elif candidates.start is not None:
-                session.load_policy(candidates.start)
+                session.learner.load_policy_state(candidates.start)
             session.learner.begin()
         return session.run(stop)
     finally:
@@ -210,7 +207,7 @@ class _Session:
         stage: int,
         candidates: Candidates,
         progress: _Progress,
-        environment: Any,
+        environment: Environment,
         n_starts: int,
         workdir: Path,
         reporter: Reporter,
@@ -226,7 +223,8 @@ class _Session:
         self.progress = progress
         self.first_step = _first_step(whole, stage, self.candidate)
         self.environment = TrainingEnvironment.from_spec(processes.share(spec), environment, n_starts, processes)
-        self.learner = plugins.load(plugins.LEARNERS, spec.algorithm.name).open(spec, self.environment)
+        kind: LearnerKind = plugins.load(plugins.LEARNERS, spec.algorithm.name)
+        self.learner = kind.open(spec, self.environment)
         self._listed = [
             metric for metric in spec.task_class.metrics if metric.name in spec.task_class.presentation.listed
         ]
@@ -278,7 +276,6 @@ class _Session:
             collected = perf_counter()
             # servers drop robots that are silent for a minute
             with self.environment.environment.simulator.keep_alive():
-                self.environment.normalizer.merge(self.processes)
                 metrics = learner.update()
                 now = perf_counter()
                 progress.training_s += now - began
@@ -318,27 +315,25 @@ class _Session:
         environment, file = None, ENVIRONMENT
         if manifest.processes != self.processes.size:
             # other environments than those before; everything else continues
-            learner |= {name: expected.learner[name] for name in _OWN}
+            learner |= {name: expected.learner[name] for name in self.learner.own_state}
         elif self.processes.rank > 0:
             file = process_file(self.processes.rank)
             own = read_file(directory, manifest, file)
-            learner |= {name: own.pop(name) for name in _OWN}
+            learner |= {name: own.pop(name) for name in self.learner.own_state}
             environment = own or None
         elif ENVIRONMENT in manifest.files:
             environment = read_file(directory, manifest, ENVIRONMENT)
         require_like(directory / POLICY, policy, expected.policy)
         require_like(directory / LEARNER, learner, expected.learner)
-        self.learner.load_policy_state(_weights(policy))
+        self.learner.load_policy_state(policy)
+        continues = environment is not None and expected.environment is not None
         if environment is not None and expected.environment is not None:
             require_like(directory / file, environment, expected.environment)
-            observations = self.environment.load_state(environment)
+            self.environment.load_state(environment)
         else:
             # the simulator cannot return to a state, or the number of processes is another one: new episodes
             self._reporter.log("warning", "the simulator's state is not part of the checkpoint; new episodes begin")
-            normalizer = self.environment.normalizer
-            normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
-            observations = normalizer.observations(self.environment.environment.observations)
-        self.learner.load_state(learner, observations)
+        self.learner.load_state(learner, new_episodes=not continues)
         self.learner.steps = manifest.steps - self.first_step
         self.learner.updates = manifest.updates
         self._window_means()
@@ -350,42 +345,44 @@ class _Session:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""
         manifest = read_manifest(directory)
         environment = self.environment.environment
-        theirs, ours = manifest.stage_spec.algorithm.policy_shape(), self.spec.algorithm.policy_shape()
+        algorithm = self.spec.algorithm
+        if manifest.stage_spec.algorithm.name != algorithm.name:
+            raise CheckpointError(
+                f"{directory}: its policy was trained by algorithm {manifest.stage_spec.algorithm.name}, this training "
+                f"uses {algorithm.name}; set algorithm to {manifest.stage_spec.algorithm.name}"
+            )
+        theirs, ours = manifest.stage_spec.algorithm.policy_shape(), algorithm.policy_shape()
         for name, value in ours.items():
             if theirs.get(name) != value:
                 raise CheckpointError(
                     f"{directory}: its policy has {name} {theirs.get(name)}, this training has {value}; "
                     f"set algorithm.{name} to {theirs.get(name)}"
                 )
-        policy = read_file(directory, manifest, POLICY)
+        policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
         if (manifest.observations, manifest.actions) != (environment.observer.names, environment.actuation.names):
-            policy = adapt(
-                policy,
-                observations=(manifest.observations, environment.observer.names),
-                actions=(manifest.actions, environment.actuation.names),
-                rest=environment.actuation.rest,
-            )
-        require_like(directory / POLICY, policy, self._policy_arrays())
-        self.load_policy(policy)
+            try:
+                policy = self.learner.adapt_policy(
+                    policy,
+                    observations=(manifest.observations, environment.observer.names),
+                    actions=(manifest.actions, environment.actuation.names),
+                )
+            except ValueError as error:
+                raise CheckpointError(f"{directory}: {error}") from error
+        require_like(directory / POLICY, policy, self.learner.policy_state())
+        self.learner.load_policy_state(policy)
         if self.candidates.count > 1:
             self.candidates.start = policy
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
 
-    def load_policy(self, policy: Mapping[str, AnyArray]) -> None:
-        """Continue with these weights and observation statistics."""
-        self.learner.load_policy_state(_weights(policy))
-        normalizer = self.environment.normalizer
-        normalizer.load_statistics({**normalizer.state(), **_statistics(policy)})
-
     def _compare(self, means: Mapping[str, float]) -> None:
         """Add this candidate to those that are trained; after the last one, continue with the best."""
         candidates = self.candidates
-        candidates.add(means, self._policy_arrays())
+        candidates.add(means, self.learner.policy_state())
         rewards = candidates.rewards
         self._log(f"candidate {self.candidate + 1} of {candidates.count}: mean reward per step {rewards[-1]:.4g}")
         if candidates.complete:
             assert candidates.best is not None
-            self.load_policy(candidates.best)
+            self.learner.load_policy_state(candidates.best)
             self._log(f"candidate {int(np.argmax(rewards)) + 1} is the best of {candidates.count}")
 
     def _title(self) -> str:
@@ -420,10 +417,6 @@ class _Session:
         ]
         return ", ".join(words) or "no episode has ended yet"
 
-    def _policy_arrays(self) -> dict[str, AnyArray]:
-        statistics = self.environment.normalizer.state()
-        return {**self.learner.policy_state(), **{name: statistics[name] for name in _STATISTICS}}
-
     def _state(self) -> TrainingState:
         environment = self.environment.state()
         return TrainingState(
@@ -434,7 +427,7 @@ class _Session:
             training_s=self.progress.training_s,
             observations=self.environment.environment.observer.names,
             actions=self.environment.environment.actuation.names,
-            policy=self._policy_arrays(),
+            policy=self.learner.policy_state(),
             learner=self.learner.state(),
             environment=environment if "environment.simulator" in environment else None,
             candidates=self.candidates.state() if self.candidates.count > 1 else None,
@@ -443,7 +436,7 @@ class _Session:
     def _save(self, state: TrainingState) -> Path:
         path = self._workdir / _name(state.steps)
         if self._saved_step != state.steps:
-            parts = self.processes.gather(_own(state)) if self.processes.size > 1 else [{}]
+            parts = self.processes.gather(self._own(state)) if self.processes.size > 1 else [{}]
             if self.processes.rank == 0:
                 save_checkpoint(path, self.whole, replace(state, others=parts[1:]))
                 self._reporter.checkpoint(path, state.steps)
@@ -451,6 +444,10 @@ class _Session:
             self._saved_step = state.steps
             self._saved_at = perf_counter()
         return path
+
+    def _own(self, state: TrainingState) -> dict[str, AnyArray]:
+        """Return what the state of one of several processes has of its own."""
+        return {**(state.environment or {}), **{name: state.learner[name] for name in self.learner.own_state}}
 
     def _window_means(self) -> dict[str, float]:
         """Return the means over the latest episodes of all processes, and count their episodes."""
@@ -491,19 +488,6 @@ def _first_step(spec: TrainingSpec, stage: int, candidate: int) -> int:
 
 def _name(steps: int) -> str:
     return f"step-{steps:012d}"
-
-
-def _own(state: TrainingState) -> dict[str, AnyArray]:
-    """Return what the state of one of several processes has of its own."""
-    return {**(state.environment or {}), **{name: state.learner[name] for name in _OWN}}
-
-
-def _weights(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    return {name: value for name, value in policy.items() if name not in _STATISTICS}
-
-
-def _statistics(policy: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
-    return {name: policy[name] for name in _STATISTICS}
 
 
 def _require_same_training(directory: Path, theirs: TrainingSpec, ours: TrainingSpec) -> None:

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
+
 
 class Runner:
     """Policy with the path that it runs along. Angles without a unit in their name are in radians.
@@ -67,6 +69,7 @@ class Runner:
         """Return the target angles of all joints in the order of `joint_names`."""
         values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
         for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+            values = ACTIVATIONS[str(self.activations[i])](values)
         self.action = np.clip(values, -1, 1)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)

@@ -7,6 +7,8 @@ try:  # in the team's code, or beside check.py
 except ModuleNotFoundError:
     from onboard import OnboardPose
 
+ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
+
 
 class Runner:
     """Policy that runs in the direction `heading` of the team's field, counter-clockwise from +x, in radians."""
@@ -81,7 +83,8 @@ class Runner:
         """Return the target angles of all joints in the order of `joint_names`, in radians."""
         values = np.clip((observation - self.mean) * self.scale, -self.clip, self.clip)
         for i in range(self.layers):
-            values = getattr(self, f"weights_{i}") @ (np.tanh(values) if i else values) + getattr(self, f"bias_{i}")
+            values = getattr(self, f"weights_{i}") @ values + getattr(self, f"bias_{i}")
+            values = ACTIVATIONS[str(self.activations[i])](values)
         self.action = np.clip(values, -1, 1)
         return np.clip(self.middle_rad + self.reach_rad @ self.action, self.low_rad, self.high_rad)
 
