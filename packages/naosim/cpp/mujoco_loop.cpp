@@ -8,6 +8,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdio>
 #include <cstring>
@@ -19,6 +21,7 @@
 #include "exchange_bindings.hpp"
 #include "mujoco_exchange.hpp"
 #include "mujoco_units.hpp"
+#include "t1_model.hpp"
 #include "thread_pool.hpp"
 
 namespace nb = nanobind;
@@ -136,6 +139,10 @@ class Worlds {
   // Without targets the worlds keep their commands.
   void step(const double* targets, int first, int count, const std::uint8_t* active) {
     const std::size_t joints = static_cast<std::size_t>(layout_.joints);
+    if (kernel_ != nullptr) {
+      pool_.run(chunks(count), [&](int k) { step_chunk(targets, first, count, active, k); });
+      return;
+    }
     pool_.run(count, [&](int k) {
       if (active == nullptr || active[k]) step_row(first + k, targets == nullptr ? nullptr : targets + k * joints);
     });
@@ -148,8 +155,13 @@ class Worlds {
     if (cycle.running) throw std::logic_error("begin: the step before is not finished");
     cycle.running = true;
     cycle.targets.assign(targets, targets + count * joints);
-    cycle.round.count = count;
-    cycle.round.job = [this, &cycle, first, joints](int k) { step_row(first + k, &cycle.targets[k * joints]); };
+    cycle.round.count = kernel_ != nullptr ? chunks(count) : count;
+    cycle.round.job = [this, &cycle, first, count, joints](int k) {
+      if (kernel_ != nullptr)
+        step_chunk(cycle.targets.data(), first, count, nullptr, k);
+      else
+        step_row(first + k, &cycle.targets[k * joints]);
+    };
     pool_.begin(cycle.round);
   }
 
@@ -192,6 +204,29 @@ class Worlds {
 
   void set_model(int row, std::uint64_t model) { worlds_[row].model = pointer<const void>(model); }
 
+  // Step T1s together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`: addresses of
+  // qacc_warmstart.
+  void use_kernel(const std::string& isa, const Doubles& shared, const Addresses& warm) {
+    const naosim::t1::Kernel* kernel = naosim::t1::find_kernel(isa.empty() ? nullptr : isa.c_str());
+    require(kernel != nullptr, "isa: expected generic, avx2 or avx512, which this processor must have");
+    require(layout_.joints == naosim::t1::kJoints && layout_.torso == 0 && layout_.parts == 0, "kernel: a T1 without a ball is needed");
+    require(shared.size() * sizeof(double) == sizeof(naosim::t1::Shared) && warm.size() == worlds_.size(), "kernel: wrong number of numbers");
+    std::memcpy(&shared_, shared.data(), sizeof shared_);
+    varied_.resize(worlds_.size());
+    robots_.resize(worlds_.size());
+    for (std::size_t k = 0; k < worlds_.size(); ++k)
+      robots_[k] = {&varied_[k], worlds_[k].qpos, worlds_[k].joint_speeds - 6, pointer<double>(warm.data()[k]), worlds_[k].sensordata, worlds_[k].ctrl};
+    kernel_ = kernel;
+  }
+
+  void set_numbers(int row, const Doubles& varied) {
+    require(kernel_ != nullptr && varied.size() * sizeof(double) == sizeof(naosim::t1::Varied), "numbers: wrong number");
+    std::memcpy(&varied_[row], varied.data(), sizeof(naosim::t1::Varied));
+  }
+
+  const char* kernel() const { return kernel_ != nullptr ? kernel_->name : ""; }
+  std::uint64_t left_to_mujoco() const { return left_to_mujoco_; }
+
   // Nothing but mj_step and the joints' friction, for benchmarks.
   void step_bare(int cycles) {
     for (int cycle = 0; cycle < cycles; ++cycle)
@@ -215,16 +250,55 @@ class Worlds {
     bool running = false;
   };
 
-  void step_row(int row, const double* targets) {
-    if (diverged[row]) return;
+  // Rows that a thread steps together: they regroup before each substep, alike ones in one group.
+  static constexpr int kChunk = 32;
+  static int chunks(int count) { return (count + kChunk - 1) / kChunk; }
+
+  void step_chunk(const double* targets, int first, int count, const std::uint8_t* active, int chunk) {
     const std::size_t joints = static_cast<std::size_t>(layout_.joints);
-    const World& world = worlds_[row];
+    naosim::t1::Robot* robots[kChunk];
+    int size = 0;
+    for (int k = kChunk * chunk; k < std::min(count, kChunk * (chunk + 1)); ++k) {
+      const int row = first + k;
+      if ((active != nullptr && !active[k]) || diverged[row]) continue;
+      command(row, targets == nullptr ? nullptr : targets + k * joints);
+      robots[size++] = &robots_[row];
+    }
+    for (int s = 0; s < substeps_; ++s) {
+      std::stable_sort(robots, robots + size, [](const auto* a, const auto* b) { return a->key < b->key; });
+      for (int k = 0; k < size; k += kernel_->lanes) kernel_->substep(shared_, robots + k, std::min(kernel_->lanes, size - k));
+      for (int k = 0; k < size; ++k) {
+        const int row = static_cast<int>(robots[k] - robots_.data());
+        if (!robots[k]->settled) {
+          world_warning = &warnings[row];
+          step_(worlds_[row].model, worlds_[row].data);
+          world_warning = nullptr;
+          ++left_to_mujoco_;
+        }
+        note_contacts(row, s);
+      }
+    }
+    for (int k = 0; k < size; ++k) {
+      const int row = static_cast<int>(robots[k] - robots_.data());
+      publish(row);
+    }
+  }
+
+  // Set the motors' targets, as late as the server does.
+  void command(int row, const double* targets) {
+    const std::size_t joints = static_cast<std::size_t>(layout_.joints);
     double* waiting = &pending[row * joints];
     for (std::size_t j = 0; j < joints && targets != nullptr; ++j) {
       const double target = command_degrees(targets[j]) * kRadians;
-      world.ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
+      worlds_[row].ctrl[3 * j + 1] = delay_ ? waiting[j] : target;
       waiting[j] = target;
     }
+  }
+
+  void step_row(int row, const double* targets) {
+    if (diverged[row]) return;
+    const World& world = worlds_[row];
+    command(row, targets);
     world_warning = &warnings[row];
     for (int s = 0; s < substeps_; ++s) {
       apply_friction(world);
@@ -330,6 +404,11 @@ class Worlds {
   bool truncate_;
   std::vector<World> worlds_;
   std::vector<double> friction_;
+  const naosim::t1::Kernel* kernel_ = nullptr;  // null: mj_step
+  naosim::t1::Shared shared_;
+  std::vector<naosim::t1::Varied> varied_;
+  std::vector<naosim::t1::Robot> robots_;
+  std::atomic<std::uint64_t> left_to_mujoco_{0};  // substeps
   std::vector<int> bodies_;  // whose motion is published
   std::map<int, Cycle> cycles_;  // in the background, by their first row
   naosim::ThreadPool pool_;      // last: its helpers use the rest
@@ -406,6 +485,10 @@ NB_MODULE(_mujoco, m) {
            })
       .def("refresh", [](Worlds& self, int row, bool seen) { self.refresh(row_of(self, row), seen); }, nb::arg("row"), nb::arg("seen"))
       .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
+      .def("use_kernel", &Worlds::use_kernel, nb::arg("isa"), nb::arg("shared"), nb::arg("warm"))
+      .def("set_numbers", [](Worlds& self, int row, const Doubles& varied) { self.set_numbers(row_of(self, row), varied); })
+      .def_prop_ro("kernel", &Worlds::kernel)
+      .def_prop_ro("left_to_mujoco", &Worlds::left_to_mujoco)
       .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
       .def_prop_ro("threads", [](const Worlds& self) { return reinterpret_cast<std::uintptr_t>(self.threads()); })
       .def_prop_ro("row_size", [](const Worlds& self) { return self.layout().row(); })

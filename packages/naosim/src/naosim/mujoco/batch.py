@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from naosim.mujoco.t1 import shared_numbers, topology_difference, varied_numbers
 from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
@@ -30,6 +31,7 @@ class MujocoBatch:
         delay: steps by which commands are delayed, 0 or 1.
         truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
         threads: threads that step the worlds.
+        isa: instruction set of the kernel for T1s: ``generic``, ``avx2``, ``avx512``; empty for the best.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
@@ -50,6 +52,7 @@ class MujocoBatch:
         delay: int,
         truncate: bool = True,
         threads: int = 1,
+        isa: str = "",
     ) -> None:
         from naosim.mujoco._mujoco import Worlds
 
@@ -83,6 +86,15 @@ class MujocoBatch:
             truncate=truncate,
             threads=threads,
         )
+        self._kernel = world.kernel
+        if self._kernel:
+            difference = topology_difference(world)
+            if difference:
+                raise ValueError(f"exact: the fast engine cannot step this robot because {difference}; use exact=true")
+            warm = _addresses(data.qacc_warmstart.ctypes.data for data in self.data)
+            self._worlds.use_kernel(isa, shared_numbers(world), warm)
+            for row in range(n):
+                self._worlds.set_numbers(row, varied_numbers(world))
         views = self._worlds.views()
         names = (*PERCEPTORS, *(each.name for each in world.scene.perceptors))
         self.perceptors: Mapping[str, Floats] = MappingProxyType({name: views[name] for name in names})
@@ -134,6 +146,13 @@ class MujocoBatch:
         """Replace the model of one world by another with the same bodies and joints."""
         self._models[row] = world.model  # the loop has only its address
         self._worlds.set_model(row, world.model._address)
+        if self._kernel:
+            self._worlds.set_numbers(row, varied_numbers(world))
+
+    @property
+    def left_to_mujoco(self) -> int:
+        """Number of substeps that the kernel left to ``mj_step``; see docs/explanation/engine.md."""
+        return self._worlds.left_to_mujoco
 
     def warning(self, row: int) -> str:
         """Return the last warning that MuJoCo gave about a world since it was loaded."""

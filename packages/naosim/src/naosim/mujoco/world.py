@@ -115,6 +115,8 @@ class World:
     torso: int
     friction: Floats
     scene: Scene = PLAIN
+    kernel: bool = False
+    """Whether the kernel for T1s steps the world instead of ``mj_step``."""
 
     @property
     def ball(self) -> bool:
@@ -210,9 +212,9 @@ def world_of(robot: Robot, *, exact: bool = True, scene: Scene = PLAIN) -> World
 def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
-    A world that is not exact has neither ball nor air, and the joints' friction is not part of the constraint solver,
-    which takes most of a step: it has 10 instead of 33 rows while a T1 runs. A cycle later, joint speeds differ by
-    0.3 % of their root mean square. Ball and air stay where the scene has a ball: without air it rolls farther.
+    A T1's world that is not exact lacks only the ball, and the kernel for T1s steps it. A K1's has neither ball nor
+    air. With a ball in the scene both have it and the air, but a T1's joint friction is not part of the constraint
+    solver, which takes most of a step.
     """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
@@ -257,15 +259,16 @@ def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
     # a world that diverges stays where it is, for the caller to see, instead of being reset automatically
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
     joints, friction = model.nu // 3, np.zeros(0)
+    kernel = robot == "T1" and not exact and not scene.ball
     if not exact:
-        if not scene.ball:
+        if not scene.ball and not kernel:
             model.opt.density = model.opt.viscosity = 0.0
         # one robot is one island: to look for islands costs time and changes nothing
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
-        if model.dof_frictionloss.any():
+        if model.dof_frictionloss.any() and not kernel:
             friction = model.dof_frictionloss[-joints:].copy()
             model.dof_frictionloss[:] = 0.0
-    return World(model, joints, 7 if exact or scene.ball else 0, friction, scene)
+    return World(model, joints, 7 if exact or scene.ball else 0, friction, scene, kernel)
 
 
 def _add_ball_sensors(world: Any, robot: str, mujoco: Any) -> None:
