@@ -301,9 +301,10 @@ def _onboard_pose(world: World) -> ObservationBlock:
 
 def _centre_of_mass(world: World) -> ObservationBlock:
     """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
+    from naosim.robots.nao import model_of
     from naosim.simspark.batch import centre_of_mass, kinematics_address
 
-    kind = int(world.robot.name.rsplit("-", 1)[1])
+    kind = model_of(world.robot).robot_type
     names = tuple(f"com_{axis}" for axis in _AXES)
     return ObservationBlock(
         names,
