@@ -40,6 +40,10 @@ class Receiver:
         self.arrived = threading.Event()
         #: Status of answers by path.
         self.status: dict[str, int] = {}
+        #: Paths of all requests, and those that are answered once `release` is set.
+        self.paths: list[str] = []
+        self.held: set[str] = set()
+        self.release = threading.Event()
         self._port = 0
         self._server: ThreadingHTTPServer | None = None
         self.start()
@@ -58,6 +62,9 @@ class Receiver:
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["content-length"])).decode()
                 receiver.received.append((dict(self.headers), body))
+                receiver.paths.append(self.path)
+                if self.path in receiver.held:
+                    receiver.release.wait(30)
                 self.send_response(receiver.status.get(self.path, 204))
                 self.end_headers()
                 receiver.arrived.set()
@@ -99,7 +106,15 @@ def subscribe(sessions: Sessions, receiver: Receiver) -> Callable[..., Webhook]:
 
 def deliver(sessions: Sessions, networks: Any = LOOPBACK) -> int:
     """Send what is due, as an API process does in one pass."""
-    return asyncio.run(Deliverer(sessions, networks=networks, poll_s=1.0).deliver())
+
+    async def send() -> int:
+        deliverer = Deliverer(sessions, networks=networks, poll_s=1.0)
+        number = await deliverer.send_due()
+        while not deliverer.idle:
+            await deliverer.wait()
+        return number
+
+    return asyncio.run(send())
 
 
 def outbox(sessions: Sessions) -> list[Delivery]:
@@ -108,8 +123,10 @@ def outbox(sessions: Sessions) -> list[Delivery]:
 
 
 def advance(sessions: Sessions, seconds: float) -> None:
-    """Make the messages in the outbox older."""
+    """Make the messages in the outbox and their webhooks' pauses older."""
     with sessions.begin() as session:
+        earlier = text("UPDATE webhooks SET not_before = not_before - :seconds * interval '1 s'")
+        session.execute(earlier, {"seconds": seconds})
         for column in ("next_at", "created_at"):
             earlier = text(f"UPDATE deliveries SET {column} = {column} - :seconds * interval '1 s'")
             session.execute(earlier, {"seconds": seconds})
@@ -119,7 +136,12 @@ def until_next(sessions: Sessions) -> float:
     """Return the seconds until the next attempt of any message."""
     with sessions() as session:
         return float(
-            session.execute(text("SELECT extract(epoch FROM min(next_at) - now()) FROM deliveries")).scalar_one()
+            session.execute(
+                text(
+                    "SELECT extract(epoch FROM min(greatest(next_at, not_before)) - now()) "
+                    "FROM deliveries JOIN webhooks ON webhooks.id = webhook_id"
+                )
+            ).scalar_one()
         )
 
 
@@ -230,7 +252,7 @@ def test_a_receiver_that_is_down_for_ten_minutes_gets_every_message(
         if leases[5:] and passed_s > 300:
             for lease in leases.pop(), leases.pop(), leases.pop(), leases.pop(), leases.pop():
                 end_job(sessions, lease)
-    assert 5 * 6 <= attempts <= 150
+    assert 10 <= attempts <= 15, "five at once, then one each time that the webhook's pause is over"
     assert {delivery.delivered_at for delivery in outbox(sessions)} == {None}
     assert all("ConnectError" in str(delivery.error) for delivery in outbox(sessions) if delivery.attempts > 1)
     receiver.start()
@@ -267,9 +289,11 @@ def test_a_message_whose_sender_died_is_sent_again(
 def test_senders_at_once_get_different_messages(
     sessions: Sessions, subscribe: Callable[..., Webhook], run_job: Callable[..., Lease]
 ) -> None:
-    for _ in range(6):
-        subscribe()
-    end_job(sessions, run_job())
+    for number in range(6):
+        subscribe(owner=f"owner-{number}")
+    with sessions.begin() as session:
+        for number in range(6):
+            webhooks.publish(session, f"owner-{number}", MessageType.JOB_ENDED, {})
     with ThreadPoolExecutor(3) as pool:
         taken = [message.id for batch in pool.map(webhooks.take_due, [sessions] * 3) for message in batch]
     taken += [message.id for message in webhooks.take_due(sessions)]
@@ -286,7 +310,92 @@ def test_a_webhook_with_many_messages_does_not_hold_up_others(
     other = subscribe()
     end_job(sessions, run_job())
     taken = [message.webhook_id for message in webhooks.take_due(sessions)]
-    assert sorted(taken) == sorted([busy.id] * webhooks.BATCH_OF_ONE + [other.id])
+    assert sorted(taken) == sorted([busy.id] * webhooks.MOST_TO_WEBHOOK + [other.id])
+
+
+def test_slow_webhooks_of_one_owner_do_not_hold_up_another(
+    sessions: Sessions, subscribe: Callable[..., Webhook], receiver: Receiver
+) -> None:
+    """The slow ones answer only once the other owner's message has arrived."""
+    receiver.held = {"/slow"}
+    for _ in range(20):
+        subscribe("slow", owner="slow")
+    with sessions.begin() as session:
+        for _ in range(10):
+            webhooks.publish(session, "slow", MessageType.JOB_ENDED, {})
+    subscribe("quick", owner="quick")
+
+    async def run() -> tuple[int, int]:
+        deliverer = Deliverer(sessions, networks=LOOPBACK, poll_s=0.01)
+        first, again = await deliverer.send_due(), await deliverer.send_due()
+        with sessions.begin() as session:
+            webhooks.publish(session, "quick", MessageType.JOB_ENDED, {})
+        deliverer.start()
+        while "/quick" not in receiver.paths:
+            await asyncio.sleep(0.01)
+        receiver.release.set()
+        await deliverer.stop()
+        return first, again
+
+    assert asyncio.run(run()) == (webhooks.MOST_OF_OWNER, 0)
+
+
+def test_owners_take_turns(sessions: Sessions, subscribe: Callable[..., Webhook]) -> None:
+    """An owner with many messages that have been due for long gets no place before others' first ones."""
+    owners = [f"many-{number}" for number in range(5)]
+    with sessions.begin() as session:
+        for owner in owners:
+            for _ in range(4):
+                subscribe(owner=owner)
+            for _ in range(4):
+                webhooks.publish(session, owner, MessageType.JOB_ENDED, {})
+    advance(sessions, 60)
+    subscribe(owner="late")
+    with sessions.begin() as session:
+        webhooks.publish(session, "late", MessageType.JOB_ENDED, {})
+    taken = [message.owner for message in webhooks.take_due(sessions)]
+    assert len(taken) == webhooks.MOST_SENDING and "late" in taken
+    assert {taken.count(owner) for owner in owners} <= {12, 13}
+
+
+def test_a_webhook_that_fails_waits_as_a_whole(
+    sessions: Sessions, subscribe: Callable[..., Webhook], receiver: Receiver
+) -> None:
+    subscribe("broken")
+    subscribe("sound")
+    receiver.status["/broken"] = 500
+    with sessions.begin() as session:
+        for _ in range(3):
+            webhooks.publish(session, "alice", MessageType.JOB_ENDED, {})
+    assert deliver(sessions) == 6
+    with sessions.begin() as session:
+        webhooks.publish(session, "alice", MessageType.JOB_ENDED, {})
+    assert deliver(sessions) == 1, "a new message waits as well, that of the sound webhook does not"
+    for pause_s in (5, 10, 20, 40):
+        wait_s = until_next(sessions)
+        assert pause_s - 2 < wait_s <= pause_s
+        advance(sessions, wait_s + 0.001)
+        assert deliver(sessions) == 1, "one message tries whether it answers again"
+    receiver.status.clear()
+    advance(sessions, until_next(sessions) + 0.001)
+    assert deliver(sessions) == 1
+    advance(sessions, webhooks.LONGEST_DELAY_S)
+    assert deliver(sessions) == 3
+    assert {delivery.error for delivery in outbox(sessions)} == {None}
+
+
+def test_the_oldest_messages_to_a_webhook_are_dropped(
+    sessions: Sessions, subscribe: Callable[..., Webhook], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(webhooks, "MOST_KEPT", 3)
+    full, other = subscribe(), subscribe(events=[MessageType.STUDY_FINISHED])
+    with sessions.begin() as session:
+        webhooks.publish(session, "alice", MessageType.STUDY_FINISHED, {"number": 0})
+        for number in range(1, 6):
+            webhooks.publish(session, "alice", MessageType.JOB_ENDED, {"number": number})
+    assert webhooks.forget(sessions) == 3
+    kept = [(delivery.webhook_id, delivery.data["number"]) for delivery in outbox(sessions)]
+    assert sorted(kept) == sorted([(full.id, 3), (full.id, 4), (full.id, 5), (other.id, 0)])
 
 
 @pytest.mark.parametrize("status", [302, 404, 500])

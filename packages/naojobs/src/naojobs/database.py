@@ -34,7 +34,7 @@ _NOTIFY = text(
 )
 
 #: The revision of the schema that this code is written for.
-REVISION = "0019"
+REVISION = "0020"
 
 #: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F

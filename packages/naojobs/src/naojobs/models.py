@@ -390,6 +390,9 @@ class Webhook(Base):
     secret: Mapped[str]
     #: When its receiver answered 410 Gone; nothing is sent to it any more.
     disabled_at: Mapped[datetime | None]
+    #: Number of times in a row that sending to it failed, and when the next attempt may begin.
+    failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    not_before: Mapped[datetime | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
 

@@ -2,8 +2,9 @@
 
 A message is written in the transaction of the change that it reports, one row for each webhook that wants it. A
 sender schedules the next attempt before it sends (`take_due`) and records the result afterwards (`settle`): if it
-dies in between, the message is sent again. So each message is delivered at least once. Times come from the
-database's clock.
+dies in between, the message is sent again. So each message is delivered at least once. Owners take turns, and so do
+the webhooks of one owner; after a failure nothing is sent to the webhook for a while, then one message. Times come
+from the database's clock.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ from __future__ import annotations
 import base64
 import json
 import secrets
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, timedelta
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import case, delete, func, select, update
+from sqlalchemy import case, delete, func, literal, or_, select, true, update
 from sqlalchemy.orm import Session
 
 from naojobs.database import Sessions, is_due
@@ -33,8 +35,10 @@ GIVE_UP_AFTER = timedelta(days=3)
 KEEP = timedelta(days=14)
 #: Seconds for which a sender has a message to itself; an attempt has to take less.
 TAKEN_S = 60.0
-#: Messages that one call of `take_due` returns, in all and to one webhook.
-BATCH, BATCH_OF_ONE = 64, 8
+#: Messages that one process sends at a time: in all, of one owner and to one webhook.
+MOST_SENDING, MOST_OF_OWNER, MOST_TO_WEBHOOK = 64, 16, 8
+#: Messages that `forget` keeps for one webhook; older ones are deleted, delivered or not.
+MOST_KEPT = 10_000
 
 
 class MessageType(StrEnum):
@@ -57,6 +61,7 @@ class Message:
     id: str
     #: Number of this attempt, from 1.
     attempt: int
+    owner: str
     webhook_id: str
     url: str
     secret: str
@@ -130,15 +135,45 @@ def publish(session: Session, owner: str, kind: MessageType, data: Mapping[str, 
     )
 
 
-def take_due(sessions: Sessions) -> list[Message]:
-    """Return messages whose next attempt is due, for the caller to send; a few to each webhook.
+def take_due(sessions: Sessions, sending: Collection[Message] = ()) -> list[Message]:
+    """Return messages whose next attempt is due, for the caller to send beside those that it is `sending`.
 
-    Several processes may call it at once: each gets other messages.
+    Together they are at most `MOST_SENDING`, of each owner and to each webhook no more than one process sends at a
+    time, and one to a webhook whose last attempt failed. Several processes may call it at once: each gets other
+    messages.
     """
     due = is_due(Delivery.next_at, LONGEST_DELAY_S)
-    turn = func.row_number().over(partition_by=Delivery.webhook_id, order_by=Delivery.next_at).label("turn")
-    ranked = select(Delivery.id, turn, Delivery.next_at).where(due).subquery()
-    first = select(ranked.c.id).where(ranked.c.turn <= BATCH_OF_ONE).order_by(ranked.c.next_at).limit(BATCH)
+    open_ = or_(Webhook.not_before.is_(None), is_due(Webhook.not_before, LONGEST_DELAY_S))
+    turn = func.row_number().over(partition_by=Delivery.webhook_id, order_by=(Delivery.next_at, Delivery.id))
+    of_webhook = (
+        select(
+            Delivery.id,
+            Delivery.next_at,
+            Webhook.owner,
+            (turn + _count(Webhook.id, [message.webhook_id for message in sending])).label("turn"),
+            case((Webhook.failures > 0, 1), else_=MOST_TO_WEBHOOK).label("most"),
+        )
+        .join(Webhook)
+        .where(due, open_)
+        .subquery()
+    )
+    columns = of_webhook.c
+    turn = func.row_number().over(partition_by=columns.owner, order_by=(columns.turn, columns.next_at))
+    of_owner = (
+        select(
+            columns.id,
+            columns.next_at,
+            (turn + _count(columns.owner, [message.owner for message in sending])).label("turn"),
+        )
+        .where(columns.turn <= columns.most)
+        .subquery()
+    )
+    first = (
+        select(of_owner.c.id)
+        .where(of_owner.c.turn <= MOST_OF_OWNER)
+        .order_by(of_owner.c.turn, of_owner.c.next_at)
+        .limit(MOST_SENDING - len(sending))
+    )
     with sessions.begin() as session:
         rows = session.execute(
             select(Delivery, Webhook)
@@ -156,24 +191,49 @@ def take_due(sessions: Sessions) -> list[Message]:
                 "data": delivery.data,
             }
             messages.append(
-                Message(delivery.id, delivery.attempts, webhook.id, webhook.url, webhook.secret, json.dumps(body))
+                Message(
+                    delivery.id,
+                    delivery.attempts,
+                    webhook.owner,
+                    webhook.id,
+                    webhook.url,
+                    webhook.secret,
+                    json.dumps(body),
+                )
             )
     return messages
+
+
+def _count(column: Any, values: Collection[str]) -> Any:
+    """Return how often the value of `column` is among `values`."""
+    return case(dict(Counter(values)), value=column, else_=0) if values else literal(0)
 
 
 def settle(sessions: Sessions, message: Message, error: str | None, *, gone: bool = False) -> None:
     """Record the result of an attempt: delivered, or why not and when the next one is due.
 
-    With `gone` the receiver wants no more messages: its webhook is disabled. An attempt that lasted so long that
-    another one has begun changes nothing.
+    After a failure, all messages to the webhook wait, longer with each that follows; messages that were on their way
+    at the same time count as one. With `gone` the receiver wants no more messages: its webhook is disabled. An attempt
+    that lasted so long that another one has begun changes nothing.
     """
     same = (Delivery.id == message.id, Delivery.attempts == message.attempt)
     delay_s = min(FIRST_DELAY_S * 2 ** min(message.attempt - 1, 30), LONGEST_DELAY_S)
+    webhook = Webhook.id == message.webhook_id
     age = func.now() - Delivery.created_at
     retry = case((age < GIVE_UP_AFTER, func.now() + timedelta(seconds=delay_s)))
     with sessions.begin() as session:
         if gone:
             _disable(session, message.webhook_id, error)
+        elif error is None:
+            backoff = update(Webhook).where(webhook, Webhook.failures > 0).values(failures=0, not_before=None)
+            session.execute(backoff)
+        else:
+            pause_s = func.least(FIRST_DELAY_S * func.power(2, func.least(Webhook.failures, 30)), LONGEST_DELAY_S)
+            backoff = update(Webhook).values(
+                failures=Webhook.failures + 1, not_before=func.now() + pause_s * timedelta(seconds=1)
+            )
+            open_ = or_(Webhook.not_before.is_(None), is_due(Webhook.not_before, LONGEST_DELAY_S))
+            session.execute(backoff.where(webhook, open_).execution_options(synchronize_session=False))
         values = {
             "error": error,
             "delivered_at": func.now() if error is None else None,
@@ -194,7 +254,13 @@ def _disable(session: Session, webhook_id: str, why: str | None) -> None:
 
 
 def forget(sessions: Sessions) -> int:
-    """Delete old messages that are delivered or given up; return how many."""
+    """Delete old messages that are delivered or given up, and those beyond the newest `MOST_KEPT`; return how many."""
+    old = (Delivery.next_at.is_(None), Delivery.created_at < func.now() - KEEP)
+    of_webhook = select(Delivery.id).where(Delivery.webhook_id == Webhook.id).order_by(Delivery.id.desc())
+    last = of_webhook.offset(MOST_KEPT).limit(1).correlate(Webhook).lateral("last")
+    full = select(Webhook.id, last.c.id.label("last")).join(last, true()).subquery()
+    extra = (Delivery.webhook_id == full.c.id, Delivery.id <= full.c.last)
     with sessions.begin() as session:
-        old = (Delivery.next_at.is_(None), Delivery.created_at < func.now() - KEEP)
-        return len(session.scalars(delete(Delivery).where(*old).returning(Delivery.id)).all())
+        return sum(
+            len(session.scalars(delete(Delivery).where(*which).returning(Delivery.id)).all()) for which in (old, extra)
+        )

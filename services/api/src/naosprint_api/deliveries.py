@@ -25,7 +25,7 @@ from naosprint_api.outbound import Network, RefusedAddressError, Sender
 #: Seconds that one attempt may take.
 DEADLINE_S = 10.0
 #: Seconds between two deletions of old messages.
-FORGET_S = 3600.0
+FORGET_S = 300.0
 #: Threads for the database, so that deliveries do not delay requests.
 THREADS = 2
 
@@ -44,6 +44,7 @@ class Deliverer:
         self._poll_s = poll_s
         self._limiter = anyio.CapacityLimiter(THREADS)
         self._task: asyncio.Task[None] | None = None
+        self._sending: dict[asyncio.Task[None], Message] = {}
 
     def start(self) -> None:
         """Start to deliver."""
@@ -51,35 +52,59 @@ class Deliverer:
 
     async def stop(self) -> None:
         """Stop; messages that are being sent are sent again later."""
-        if self._task is not None:
-            self._task.cancel()
+        for task in (*([] if self._task is None else [self._task]), *self._sending):
+            task.cancel()
             with suppress(asyncio.CancelledError):
-                await self._task
+                await task
 
-    async def deliver(self) -> int:
-        """Send a batch of due messages and return their number; those that fail are due again later."""
-        messages = await self._in_thread(partial(webhooks.take_due, self._sessions))
-        async with anyio.create_task_group() as group:
-            for message in messages:
-                group.start_soon(self._attempt, message)
+    async def send_due(self) -> int:
+        """Begin to send due messages beside those on their way and return their number."""
+        if len(self._sending) >= webhooks.MOST_SENDING:
+            return 0
+        sending = tuple(self._sending.values())
+        messages = await self._in_thread(partial(webhooks.take_due, self._sessions, sending))
+        for message in messages:
+            task = asyncio.create_task(self._attempt(message))
+            self._sending[task] = message
+            task.add_done_callback(self._sending.pop)
         return len(messages)
+
+    async def wait(self, seconds: float | None = None) -> None:
+        """Wait until a message has been sent or has failed, at most `seconds`."""
+        if self._sending:
+            await asyncio.wait(self._sending, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+        elif seconds is not None:
+            await asyncio.sleep(seconds)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no message is on its way."""
+        return not self._sending
 
     async def _run(self) -> None:
         forgotten_at = time.monotonic()
         while True:
             try:
-                while await self.deliver():
-                    pass
+                await self.send_due()
                 if time.monotonic() - forgotten_at > FORGET_S:
                     forgotten_at = time.monotonic()
                     await self._in_thread(partial(webhooks.forget, self._sessions))
-            except* SQLAlchemyError as group:
-                _log.warning("messages to webhooks wait for the database: %s", group.exceptions[0])
-            except* Exception:
+            except SQLAlchemyError as error:
+                _log.warning("messages to webhooks wait for the database: %s", error)
+            except Exception:
                 _log.exception("delivering messages to webhooks failed")
-            await asyncio.sleep(self._poll_s)
+            await self.wait(self._poll_s)
 
     async def _attempt(self, message: Message) -> None:
+        """Send a message and record the result; if that fails, it is sent again once its time is over."""
+        try:
+            await self._send(message)
+        except SQLAlchemyError as error:
+            _log.warning("the result of message %s is lost: %s", message.id, error)
+        except Exception:
+            _log.exception("sending message %s failed", message.id)
+
+    async def _send(self, message: Message) -> None:
         status, error = None, None
         try:
             status = await self._post(message)
