@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import select
 import shlex
 import shutil
@@ -30,7 +31,7 @@ from naoctl.stack.layout import Layout
 from naoctl.stack.passwords import read_secrets
 from naoctl.stack.postgres import Postgres, find_programs, launch_command, missing_rights
 from naoctl.stack.state import MARK, FolderLock, ProcessRecord, StackState, is_locked, marked_processes
-from naoctl.stack.supervisor import clear_leftovers, find_migrations
+from naoctl.stack.supervisor import Options, Supervisor, clear_leftovers, find_migrations
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
 
@@ -317,6 +318,62 @@ def test_a_child_leads_a_session_that_is_killed_whole(layout: Layout) -> None:
     assert os.getsid(child.process.pid) == child.process.pid
     child.stop_now()
     grandchild.wait(5)
+
+
+@pytest.fixture
+def supervisor(layout: Layout) -> Iterator[tuple[Supervisor, list[str]]]:
+    """A supervisor that has nothing to do yet, and what it says."""
+    said: list[str] = []
+    made = Supervisor(layout, Options(), lambda title, text: said.append(f"{title}: {text}"))
+    yield made, said
+    made._lock.release()
+    for end in (made._wake_read, made._wake_write):
+        end.close()
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"stack_id": 1}', "\0"], ids=["empty", "torn", "partial", "zeros"])
+def test_a_state_that_a_power_cut_left_keeps_no_stack_from_starting(
+    layout: Layout, supervisor: tuple[Supervisor, list[str]], text: str
+) -> None:
+    layout.state.write_text(text)
+    supervisor[0]._take_folder()
+    state = StackState.load(layout)
+    assert state is not None
+    assert state.supervisor == record_of("supervisor", os.getpid())
+    assert "damaged" in supervisor[1][0]
+
+
+def test_a_full_disk_ends_no_supervisor(layout: Layout, supervisor: tuple[Supervisor, list[str]]) -> None:
+    running, said = supervisor
+    running._take_folder()
+    child = Child(program(layout, "raise SystemExit(3)"))
+    running.children["api"] = child
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # every write to a file fails
+    try:
+        running._start_child(child)
+        assert child.process is not None
+        child.process.wait(10)
+        running._look_after_children()
+        layout.logs.rename(layout.root / "away")  # nor can its log be opened
+        child.restart_at = 0.0
+        running._look_after_children()
+        assert child.restart_at > time.monotonic()
+        (layout.root / "away").rename(layout.logs)
+        child.restart_at = 0.0
+        running._look_after_children()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert child.process is not None
+    child.process.wait(10)
+    assert [line.split(";")[0].split(" (")[0] for line in said] == [
+        "State: cannot be written",
+        "State: cannot be written",
+        "API: died",
+        "API: cannot be started",
+        "State: cannot be written",
+        "API: started again",
+    ]
 
 
 def test_logs_are_set_aside_when_they_grow_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,6 +108,13 @@ class Child:
         self.restart_at = now + wait_s
         return wait_s
 
+    def put_off(self) -> float:
+        """Put off a restart that failed; return the seconds until the next."""
+        self.deaths += 1
+        wait_s = min(FIRST_BACKOFF_S * 2.0 ** (self.deaths - 1), LAST_BACKOFF_S)
+        self.restart_at = time.monotonic() + wait_s
+        return wait_s
+
     def ask_to_stop(self) -> None:
         """Ask the process to stop."""
         if self.process is not None and self.is_alive:

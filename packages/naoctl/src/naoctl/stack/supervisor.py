@@ -131,7 +131,11 @@ class Supervisor:
         if not self._lock.acquire():
             raise running_already(self.layout)
         try:
-            previous = StackState.load(self.layout)
+            try:
+                previous = StackState.load(self.layout)
+            except StackError as error:  # after a power cut the file may be empty; nobody else holds the lock
+                self.say("State", f"{error.message}; starting with a new one")
+                previous = None
             if previous:
                 cleared = clear_leftovers(previous)
                 if cleared:
@@ -271,7 +275,7 @@ class Supervisor:
         child.start()
         if child.record is not None:  # else it has ended already
             self.state.processes[child.program.name] = child.record
-        self.state.save(self.layout)
+        self._save_state()
 
     def _await_ready(self, *names: str) -> None:
         """Wait until the named processes answer; one that dies or takes too long ends the start."""
@@ -354,13 +358,25 @@ class Supervisor:
             if child.process is not None and not child.is_alive:
                 wait_s = child.note_death()
                 self.state.processes.pop(name, None)
-                self.state.save(self.layout)
+                self._save_state()
                 self.say(
                     title, f"died ({_cause(child.exit_code)}); starts again in {wait_s:g} s, log: {child.program.log}"
                 )
             if child.restart_at is not None and time.monotonic() >= child.restart_at:
-                self._start_child(child)
-                self.say(title, "started again")
+                try:
+                    self._start_child(child)
+                except OSError as error:
+                    wait_s = child.put_off()
+                    self.say(title, f"cannot be started ({error}); the next attempt is in {wait_s:g} s")
+                else:
+                    self.say(title, "started again")
+
+    def _save_state(self) -> None:
+        """Write the state for other processes; this one has it in memory and goes on where the disk is full."""
+        try:
+            self.state.save(self.layout)
+        except OSError as error:
+            self.say("State", f"cannot be written ({error}); `naoctl down` may not find every process")
 
     # Stop
 
@@ -384,7 +400,7 @@ class Supervisor:
         clear_leftovers(self.state, grace_s=0.0 if self._stop_asked > 1 else LEFTOVER_GRACE_S)
         self.state.supervisor = None
         self.state.processes = {}
-        self.state.save(self.layout)
+        self._save_state()
         if running:
             self.say("Stopped", "nothing is left running")
 
