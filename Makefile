@@ -63,8 +63,9 @@ types: $(INSTALLED)
 soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then check that nothing was lost (5 to 15 minutes)
 	$(BIN)/python benchmarks/service/soak.py --faults 30 --seed 30 --longest 3 --updates 150
 
-fuzz: $(INSTALLED)  ## mutate checkpoints for a minute; FUZZ_SEED begins elsewhere
-	FUZZ_S=60 $(BIN)/python -m pytest -q tests/unit/naosprint/rl/test_hostile.py -k mutated
+fuzz: $(INSTALLED)  ## hostile requests to the API and hostile checkpoints, for two minutes; FUZZ_SEED begins elsewhere
+	FUZZ_EXAMPLES=$${FUZZ_EXAMPLES:-12} FUZZ_S=$${FUZZ_S:-60} $(BIN)/python -m pytest -q --timeout 400 \
+	  tests/integration/api/test_schema.py tests/unit/naosprint/rl/test_hostile.py -k "mutated or breaks"
 
 # E2E=tests/e2e/compose runs those of one folder, K="healthy" those whose names match.
 e2e: $(INSTALLED)  ## the documents' commands; browser and container tests, where chromium or a container engine is at hand

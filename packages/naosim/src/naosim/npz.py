@@ -20,6 +20,7 @@ MAX_ARRAYS = 1000
 """Most arrays of a file."""
 
 _MAX_DIRECTORY_BYTES = 1_000_000
+_MAX_REASON = 500
 _END = struct.Struct("<4s4H2IH")
 _HEADER_READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
@@ -48,11 +49,12 @@ def read_npz(
             _check_directory(stream, size)
             with zipfile.ZipFile(stream) as archive:
                 return _read_members(archive, kinds, size if max_bytes is None else max_bytes, max_bytes is None, skip)
-    except (OSError, ValueError):
+    except OSError:
         raise
     except Exception as error:  # whatever the parsers of a damaged file raise: of zip, of headers, of their literals
         reason = "too deeply nested" if isinstance(error, RecursionError) else str(error) or type(error).__name__
-        raise ValueError(reason) from error
+        # names and headers of the file, which errors contain, may be long
+        raise ValueError(reason if len(reason) <= _MAX_REASON else f"{reason[:_MAX_REASON]}...") from error
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:

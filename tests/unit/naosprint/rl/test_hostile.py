@@ -1,6 +1,6 @@
 """Checkpoints and arrays that somebody made to do harm: an error of ours, soon, in little memory.
 
-`make fuzz` runs the mutations for a minute: FUZZ_S is how long, FUZZ_SEED where they begin.
+`make fuzz` runs the mutations for longer: FUZZ_S is how long, FUZZ_SEED where they begin.
 """
 
 from __future__ import annotations
@@ -133,6 +133,24 @@ def test_headers_of_arrays_are_checked(header: str, tmp_path: Path) -> None:
     array_file(tmp_path / "x.npz", header)
     with pytest.raises(CheckpointError, match="not a file of arrays"):
         read_arrays(tmp_path / "x.npz")
+
+
+@pytest.mark.parametrize("place", ["directory", "member", "header"])
+def test_what_a_file_says_makes_no_long_error(place: str, tmp_path: Path) -> None:
+    """The parsers' errors repeat names and headers of the file, which may have 64 KB each."""
+    path, name = tmp_path / "policy.npz", "n" * 60_000
+    if place == "header":
+        array_file(path, "{" + "'x'" * 20_000 + "}")
+    else:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr(name + (".npy" if place == "directory" else ""), b"")
+    if place == "directory":
+        data = path.read_bytes()
+        path.write_bytes(data.replace(b"n", b"m", 1))
+    with pytest.raises(CheckpointError, match="not a file of arrays") as caught:
+        read_arrays(path)
+    assert len(str(caught.value)) < 1_000
+
 
 
 @pytest.mark.parametrize(
