@@ -68,7 +68,7 @@ def test_a_container_has_no_rights_and_is_reached_from_this_machine_alone() -> N
         RCSSSERVER3D, ContainerSettings("server:1", {"job": "job_1", "attempt": "2"}, memory="256m", cpus=0.5)
     )
     assert options["cap_drop"] == ["ALL"]
-    assert options["read_only"]
+    assert options["read_only"] and options["user"] == "10001:10001"
     assert options["nano_cpus"] == 500_000_000
     assert options["mem_limit"] == options["memswap_limit"] == "256m"
     assert {host for host, _ in options["ports"].values()} == {"127.0.0.1"}

@@ -11,6 +11,7 @@ import time
 import unicodedata
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any, ClassVar
 from urllib.parse import parse_qs, unquote, urlsplit
@@ -30,6 +31,7 @@ LAUNCHER, WORKER, STRANGER = "1" * 64, "2" * 64, "3" * 64
 JOB = "job_01k0000000000000000000000a"
 IMAGES = {"rcssserver3d": "test/rcssserver3d:1", "rcssservermj": "test/rcssservermj:1"}
 MOST = 8
+SUBNETS = list(ip_network("198.19.0.0/16").subnets(new_prefix=24))
 
 
 def decode_as_go(text: bytes) -> Any:
@@ -62,6 +64,8 @@ class Engine(ThreadingHTTPServer):
         self.networks: dict[str, Any] = {}
         self.joined: set[tuple[str, str]] = set()
         self.fails = ""
+        self.version = "1.45"
+        self.foreign: set[str] = set()
         self.running = {LAUNCHER, WORKER}
         self.changed = threading.Condition()
         super().__init__(str(path), Handler)  # type: ignore[arg-type]
@@ -108,7 +112,7 @@ class Handler(BaseHTTPRequestHandler):
             case _, ["_ping"]:
                 return 200, "OK"
             case "GET", ["version"]:
-                return 200, {"ApiVersion": "1.45"}
+                return 200, {"Version": "test", "ApiVersion": engine.version}
             case "GET", ["containers", "json"] if "all" not in query or query["all"] == ["0"]:
                 return 200, [{"Id": one} for one in engine.running]
             case "GET", ["containers", "json"]:
@@ -125,6 +129,9 @@ class Handler(BaseHTTPRequestHandler):
                 members = {one: {} for one, network in engine.joined if network == name}
                 return 200, {"Containers": members}
             case "POST", ["networks", "create"]:
+                subnet = data["ipam"]["config"][0]["subnet"]
+                if subnet in engine.foreign | {one["ipam"]["config"][0]["subnet"] for one in engine.networks.values()}:
+                    return 403, {"message": "invalid pool request: Pool overlaps with other one on this address space"}
                 engine.networks[data["name"]] = data
                 return 201, {"Id": data["name"]}
             case "POST", ["networks", name, "connect" | "disconnect" as what]:
@@ -216,7 +223,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 def service(running: Service) -> Iterator[Service]:
     engine = running.engine
     engine.requests.clear()
-    engine.fails, engine.running = "", {LAUNCHER, WORKER}
+    engine.fails, engine.running, engine.foreign = "", {LAUNCHER, WORKER}, set()
     yield running
     engine.fails = ""
     running.sidecars.close()
@@ -233,6 +240,7 @@ def expected_container(name: str, server: str, job: str, attempt: int, network: 
     program = {"rcssserver3d": RCSSSERVER3D, "rcssservermj": RCSSSERVERMJ}[server]
     return {
         "image": IMAGES[server],
+        "user": "10001:10001",
         "cmd": program.container_command(),
         "labels": {
             LABEL: "1",
@@ -282,7 +290,10 @@ def check_requests(engine: Engine) -> None:
             labels = data.pop("labels")
             assert data.pop("name").startswith("naosim-")
             assert labels["naosim.owner.container"] == WORKER
-            assert without_defaults(data) == {"driver": "bridge", "internal": True}
+            (subnet,) = data.pop("ipam")["config"]
+            assert subnet.keys() == {"subnet"} and ip_network(subnet["subnet"]) in SUBNETS
+            options = {"com.docker.network.bridge.inhibit_ipv4": "true"}
+            assert without_defaults(data) == {"driver": "bridge", "internal": True, "options": options}
         elif what[0] == "networks" and what[-1] in ("connect", "disconnect"):
             assert what[1].startswith("naosim-") and data["container"] == WORKER
         elif method == "POST":
@@ -327,7 +338,7 @@ def test_what_an_earlier_run_left_and_what_lost_its_worker_is_removed(service: S
     engine = service.engine
     labels = {LABEL: "1", "naosim.deployment": "tests", "naosim.owner.container": WORKER}
     engine.containers["naosim-left"] = {"labels": labels}
-    engine.networks["naosim-left-too"] = {"labels": labels}
+    engine.networks["naosim-left-too"] = {"labels": labels, "ipam": {"config": [{"subnet": str(SUBNETS[0])}]}}
     engine.joined.add((WORKER, "naosim-left-too"))
     with service.hold(order(count=2)):
         service.sidecars.sweep()
@@ -336,6 +347,29 @@ def test_what_an_earlier_run_left_and_what_lost_its_worker_is_removed(service: S
         engine.running = {LAUNCHER}
         service.sidecars.sweep()
         assert not engine.containers and not engine.networks and not engine.joined
+
+
+def test_networks_take_the_subnets_that_are_free(service: Service) -> None:
+    engine = service.engine
+    engine.foreign = {str(one) for one in SUBNETS[2:]}
+    with service.hold(order(attempt=1)) as (first, _), service.hold(order(attempt=2)) as (second, _):
+        assert first == second == 200
+        assert {one["ipam"]["config"][0]["subnet"] for one in engine.networks.values()} == {*map(str, SUBNETS[:2])}
+        status, line = service.ask("POST", "/servers", order(attempt=3))
+        assert status == 500 and b"subnets for servers is in use" in line
+    engine.wait_until_empty()
+
+
+def test_another_error_of_a_network_is_not_tried_again(service: Service) -> None:
+    service.engine.fails = "networks/create"
+    assert service.ask("POST", "/servers", order())[0] == 500
+    assert [path for _, path, *_ in service.engine.requests].count("networks/create") == 1
+
+
+def test_an_engine_that_is_too_old_is_refused(running: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running.engine, "version", "1.9")
+    with pytest.raises(OSError, match="Docker Engine test is too old; the launcher needs 25 or newer"):
+        Sidecars(running.sidecars._api, IMAGES, LAUNCHER)
 
 
 def test_there_is_a_limit_and_it_counts_what_runs(service: Service) -> None:

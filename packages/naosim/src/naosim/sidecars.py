@@ -9,9 +9,9 @@ and a number; only this service has the engine's socket, and it builds every req
     GET    /health
 
 The answer to POST is a line of JSON, and does not end: the servers last as long as the connection does, so they are
-gone when the process that asked for them is. Servers of one attempt share a network without connection to the outside,
-which the caller's container joins. The caller is the container that has the connection's address on one of this
-service's networks; it reaches its own servers only.
+gone when the process that asked for them is. Servers of one attempt share a network without connection to the outside
+or to the host, which the caller's container joins. The caller is the container that has the connection's address on one
+of this service's networks; it reaches its own servers only.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ import contextlib
 import json
 import logging
 import re
+import secrets
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any, Literal
 
@@ -60,6 +62,11 @@ MOST_CONNECTIONS = 128
 SWEEP_S = 10.0
 DEPLOYMENT, OWNER = "naosim.deployment", "naosim.owner.container"
 """Labels: the compose project of the launcher that made it, and the container that it was made for."""
+
+_SUBNETS = list(ip_network("198.19.0.0/16").subnets(new_prefix=24))
+"""Subnets of the attempts' networks, of a block that is reserved for tests of networks; the engine's pools have 30."""
+_OLDEST_ENGINE = "1.44"
+"""Version of the API of Docker Engine 25."""
 
 _PROGRAMS: Mapping[str, ServerProgram] = {program.name: program for program in (RCSSSERVER3D, RCSSSERVERMJ)}
 _BODY = 1024
@@ -107,7 +114,7 @@ class Sidecars:
             have a standby server.
 
     Raises:
-        OSError: the engine does not answer.
+        OSError: the engine does not answer, or is too old.
     """
 
     def __init__(self, api: Any, images: Mapping[str, str], container: str, most: int | None = None) -> None:
@@ -115,7 +122,10 @@ class Sidecars:
         self._images = dict(images)
         self._most = 2 * most_servers() if most is None else most
         with engine_errors():
+            version = api.version(api_version=False)
             own = api.inspect_container(container)
+        if _version(version["ApiVersion"]) < _version(_OLDEST_ENGINE):
+            raise OSError(f"Docker Engine {version.get('Version', '')} is too old; the launcher needs 25 or newer")
         self._container = own["Id"]
         self._networks: Sequence[str] = list(own["NetworkSettings"]["Networks"])
         self._deployment = own["Config"]["Labels"].get("com.docker.compose.project", own["Id"])
@@ -260,9 +270,29 @@ class Sidecars:
         """Create an attempt's network and connect its owner, once."""
         with network.lock:
             if not network.ready:
-                self._api.create_network(network.name, driver="bridge", internal=True, labels={**labels, LABEL: "1"})
+                self._create_network(network.name, {**labels, LABEL: "1"})
                 self._api.connect_container_to_network(network.owner, network.name)
                 network.ready = True
+
+    def _create_network(self, name: str, labels: Mapping[str, str]) -> None:
+        """Create a network that reaches neither the outside nor, since its bridge has no address, the host."""
+        first = secrets.randbelow(len(_SUBNETS))
+        for subnet in _SUBNETS[first:] + _SUBNETS[:first]:
+            try:
+                self._api.create_network(
+                    name,
+                    driver="bridge",
+                    internal=True,
+                    labels=dict(labels),
+                    options={"com.docker.network.bridge.inhibit_ipv4": "true"},
+                    ipam={"Driver": "default", "Config": [{"Subnet": str(subnet)}]},
+                )
+            except Exception as error:
+                if "overlap" not in str(error):  # the subnet of another network
+                    raise
+            else:
+                return
+        raise OSError(f"each of the {len(_SUBNETS)} subnets for servers is in use")
 
     def _drop(self, network: _Network) -> bool:
         """Forget a network; return whether it was known. Call with the lock held."""
@@ -358,6 +388,10 @@ def create_app(sidecars: Sidecars) -> Starlette:
         ],
         exception_handlers=dict.fromkeys(handled, refused),
     )
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split("."))
 
 
 def own_container(mounts: Path = Path("/proc/self/mountinfo")) -> str | None:

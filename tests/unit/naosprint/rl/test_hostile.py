@@ -152,7 +152,6 @@ def test_what_a_file_says_makes_no_long_error(place: str, tmp_path: Path) -> Non
     assert len(str(caught.value)) < 1_000
 
 
-
 @pytest.mark.parametrize(
     "text", ["[" * 100_000, '{"a":' * 100_000, "9" * 10_000, '"\\ud800"', "NaN", "1e999", "\ufeff{}"]
 )

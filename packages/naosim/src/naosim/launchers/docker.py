@@ -30,6 +30,8 @@ LABEL = "naosim.server"
 OWNER_HOST, OWNER_PID, OWNER_START = "naosim.owner.host", "naosim.owner.pid", "naosim.owner.start"
 PREFIX = "naosim-"
 _STOP_S = 2
+_USER = "10001:10001"
+"""User and group of every server, whatever its image says."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ def container_options(program: ServerProgram, settings: ContainerSettings) -> di
         "command": program.container_command(),
         "detach": True,
         "init": True,
+        "user": _USER,
         "labels": {**settings.labels, LABEL: "1"},
         "mem_limit": settings.memory,
         "memswap_limit": settings.memory,
@@ -173,6 +176,7 @@ def create_server(api: Any, name: str, program: ServerProgram, settings: Contain
         image,
         command,
         detach=options.pop("detach"),
+        user=options.pop("user"),
         name=name,
         labels=labels,
         ports=None if ports is None else [port.partition("/")[0] for port in ports],
