@@ -60,9 +60,10 @@ def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
         other.compose("down", "--volumes", "--timeout", "60", check=False)
         opened.compose("rm", "--stop", "--force", "store-tls", check=False)
         project.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store", "api", "worker")
-        subprocess.run(
-            ["docker", "network", "rm", f"{project.name}_hosts"], check=True, capture_output=True, timeout=60
-        )
+        for kind, name in (("network", "hosts"), ("volume", "superuser")):
+            subprocess.run(
+                ["docker", kind, "rm", f"{project.name}_{name}"], check=True, capture_output=True, timeout=60
+            )
     assert not other.owned("container")
 
 

@@ -1,4 +1,4 @@
-"""Order in which compose stops containers, and that one command stops them all."""
+"""What the files for compose promise: the order in which containers stop, who reaches whom, who connects as whom."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 import yaml
+from naojobs.roles import Role
 from naosprint_worker.settings import WorkerSettings
 
 ROOT = Path(__file__).parents[3]
 SERVICE, WORKERS = ROOT / "docker-compose.yml", ROOT / "deploy" / "worker" / "docker-compose.yml"
+HOSTS, ACCESS = ROOT / "deploy" / "hosts.yml", ROOT / "deploy" / "postgres" / "pg_hba.conf"
 
 
 def services(file: Path) -> dict[str, Any]:
@@ -54,3 +57,45 @@ def test_profiles_are_chosen_by_a_setting_so_that_down_stops_them() -> None:
     for page in [*ROOT.glob("docs/**/*.md"), SERVICE, WORKERS, ROOT / "README.md"]:
         named = re.findall(r"--profile[ =](\S+)", page.read_text(encoding="utf-8"))
         assert set(named) <= {"'*'"}, page
+
+
+def test_on_shared_hosts_postgres_refuses_the_superuser_and_connections_in_the_clear() -> None:
+    lines = [line.split() for line in ACCESS.read_text(encoding="utf-8").splitlines() if line and line[0] != "#"]
+    sockets, remote = ([line for line in lines if (line[0] == "local") is local] for local in (True, False))
+    assert sockets == [["local", "all", "all", "trust"]]
+    (line,) = remote
+    roles = sorted(role for role in Role if role is not Role.BACKUP)
+    assert [line[0], line[1], sorted(line[2].split(",")), *line[3:]] == [
+        "hostssl",
+        "naosprint",
+        roles,
+        "all",
+        "scram-sha-256",
+    ]
+
+
+def test_on_shared_hosts_the_superuser_s_socket_is_shared_with_one_service() -> None:
+    opened = services(HOSTS)
+    server, settings = opened["postgres"], opened["roles"]["environment"]
+    sharing = {name for name, each in opened.items() if any("superuser:" in one for one in each.get("volumes", ()))}
+    assert sharing == {"postgres", "roles"}
+    assert "./deploy/postgres:/etc/naosprint:ro" in server["volumes"]
+    start = server["entrypoint"][-2]
+    assert f"hba_file=/etc/naosprint/{ACCESS.name}" in start and "ssl=on" in start
+    url = urlsplit(settings["NAOSPRINT_DATABASE_URL"])
+    assert url.hostname is None and url.query == "host=/run/superuser"
+    assert "unix_socket_directories=/var/run/postgresql,/run/superuser" in start
+    # nothing else connects as the superuser, and nothing that connects asks for a connection in the clear
+    for name, each in services(SERVICE).items():
+        environment = each.get("environment", {}) | opened.get(name, {}).get("environment", {})
+        text = " ".join(map(str, environment.values()))
+        assert ("postgresql://naosprint:" in text) == (name == "roles"), name
+        assert "sslmode=disable" not in text, name
+
+
+@pytest.mark.parametrize("name", [name for name in services(SERVICE) if name.endswith("-exporter")])
+def test_exporters_have_no_way_out(name: str) -> None:
+    networks = yaml.safe_load(SERVICE.read_text(encoding="utf-8"))["networks"]
+    joined = services(SERVICE)[name]["networks"]
+    assert all((networks[one] or {}).get("internal") for one in joined)
+    assert set(joined) & set(services(SERVICE)["prometheus"]["networks"]), "Prometheus reaches it"
