@@ -1,7 +1,7 @@
 """Run a T1 from point to point on a rcssservermj with a policy of task velocity; stand up after falls with another.
 
 python play_t1.py run.npz [--getup getup.npz] [--tumble] [--targets 10] [--seed 0] [--host 127.0.0.1]
-    [--ports 60000 60001] [--record cycles.npz]
+    [--team naosprint] [--number 2] [--ports 60000 60001] [--record cycles.npz]
 
 NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py beside it.
 """
@@ -9,10 +9,12 @@ NumPy alone; the messages and the policy's arrays are those of run_policy_t1.py 
 import argparse
 import select
 import socket
+import sys
 
 import numpy as np
-from run_policy_t1 import Runner, receive, send
+from run_policy_t1 import Runner, enter, receive, require_start, send
 
+START_X = -5.0
 ARRIVED_M, FASTEST_MPS, TURN_RAD_S, PATIENCE_S = 0.4, 1.5, 1.0, 60.0
 LYING, STANDING, UPRIGHT = 0.6, 0.88, 0.94  # of the standing height; upward component of the torso's z axis
 TUMBLE_CYCLES, REST_CYCLES, REST_DEG = 50, 100, 30.0
@@ -106,18 +108,19 @@ def main(arguments=None):
     parser.add_argument("--targets", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--host", default="127.0.0.1")
+    parser.add_argument("--team", default="naosprint")
+    parser.add_argument("--number", type=int, default=2)
     parser.add_argument("--ports", type=int, nargs=2, default=(60000, 60001), metavar=("AGENT", "MONITOR"))
     parser.add_argument("--record", help="file for what the robot perceived of itself in each cycle")
     options = parser.parse_args(arguments)
     if options.tumble and not options.getup:
         parser.error("--tumble needs --getup, the policy that stands the robot up again")
     cycles = []
-    agent, monitor = (socket.create_connection((options.host, port)) for port in options.ports)
-    receive(monitor)
-    player, getup = Player(options.run), Riser(options.getup) if options.getup else None
-    send(agent, f"(init {player.model} naosprint 2)")
-    receive(agent)
-    send(monitor, "(ball (pos 25 16 0.11)(vel 0 0 0))")
+    agent, monitor, side = enter(
+        options.host, *options.ports, np.load(options.run)["model"], options.team, options.number
+    )
+    player = Player(options.run, side=side)
+    getup = Riser(options.getup, side=side) if options.getup else None
     clock, falls, attempts = 0.0, 0, 0
 
     def step(who, targets, beam=""):
@@ -133,8 +136,9 @@ def main(arguments=None):
                 return
 
     for cycle in range(6 + player.settling_cycles):
-        step(player, player.start_pose_rad, "(beam -5 0 0)" if cycle == 5 else "")
+        step(player, player.start_pose_rad, f"(beam {START_X} 0 0)" if cycle == 5 else "")
     monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
+    require_start(player, START_X, 0.0)
     player.begin()
     rng, thrown = np.random.default_rng(options.seed), np.random.default_rng(options.seed)
     results = []
@@ -178,4 +182,7 @@ def main(arguments=None):
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    try:
+        sys.exit(main())
+    except OSError as error:
+        sys.exit(f"no run: {error}")

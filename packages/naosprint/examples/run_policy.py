@@ -10,8 +10,9 @@ import sys
 
 import numpy as np
 
-# where the robot starts, metres, and the direction it faces: +x
-START, YAW_DEG = (-14.0, 0.0), -90.0
+FALLEN_M = 0.25
+# where the robot starts, metres, the direction it faces: +x, and how far it runs
+START, YAW_DEG, LENGTH = (-14.0, 0.0), -90.0, 28.0
 
 
 class Runner:
@@ -66,36 +67,78 @@ class Runner:
 
 def torso_pose(scene):
     """Return the (4, 4) pose of the robot's torso in a full scene graph, None for an incremental one."""
+    if scene.count("naobody") > 1:
+        sys.exit("no run: other robots are on the field, and the scene has no names; run alone")
     # the last matrix before the mesh turns the mesh, the one before it is the torso's, column after column
     before = re.findall(r"SLT ([^)]+)\)", scene.partition("naobody")[0])
     return np.array(before[-2].split(), float).reshape(4, 4).T if "naobody" in scene else None
 
 
 def ask(port, text):
-    port.sendall(len(text).to_bytes(4, "big") + text.encode())
-    return port.recv(int.from_bytes(port.recv(4, socket.MSG_WAITALL), "big"), socket.MSG_WAITALL).decode()
+    data = text.encode()
+    port.sendall(len(data).to_bytes(4, "big") + data)
+    return receive(port)
+
+
+def receive(port):
+    size = int.from_bytes(port.recv(4, socket.MSG_WAITALL), "big")
+    data = port.recv(size, socket.MSG_WAITALL) if size else b""
+    if not size or len(data) < size:
+        raise ConnectionError("the server closed the connection")
+    return data.decode()
+
+
+def enter(agent, robot_type):
+    """Enter the field as number 1 of team A; return the first message and the side, Left or Right."""
+    try:
+        ask(agent, f"(scene rsg/agent/nao/nao_hetero.rsg {robot_type})(syn)")
+        message = ask(agent, "(init (unum 1)(teamname A))(syn)")
+        for _ in range(5):
+            side = re.search(r"\(team (left|right)\)", message)
+            if side:
+                return message, side[1].capitalize()
+            message = ask(agent, "(syn)")
+    except ConnectionError:
+        pass
+    sys.exit("no run: refused: is number 1 of team A taken, or are two other teams on the field?")
 
 
 def main(path, host="127.0.0.1", agent_port=3100, monitor_port=3200):
     runner = Runner(path)
     agent, monitor = (socket.create_connection((host, int(port))) for port in (agent_port, monitor_port))
-    ask(agent, f"(scene rsg/agent/nao/nao_hetero.rsg {runner.robot_type})(syn)")
-    message, torso, cycle, settled = ask(agent, "(init (unum 1)(teamname A))(syn)"), None, 0, 2 + runner.settling_cycles
-    move = "(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team Left)(move {} {} {} {}))"
-    x, y = START
-    ask(monitor, move.format(x, y, runner.standing_height_m + runner.drop_m, YAW_DEG))
-    while select.select([monitor], [], [], 0.2)[0]:
-        monitor.recv(1 << 16)
+    message, side = enter(agent, runner.robot_type)
+    torso, (x, y), z = None, START, runner.standing_height_m + runner.drop_m
+    ask(monitor, f"(playMode PlayOn)(ball (pos 14 9 0.05))(agent (unum 1)(team {side})(move {x} {y} {z} {YAW_DEG}))")
+    for _ in range(20):
+        if not select.select([monitor], [], [], 0.2)[0]:
+            break
+        receive(monitor)
+    else:
+        sys.exit("no run: the server runs in real time; start it in sync mode")
+
+    def step(targets):
+        nonlocal message, torso
+        # a full scene is requested one cycle ahead
+        message, torso = ask(agent, runner.command(targets)), torso_pose(ask(monitor, "(reqfullstate)"))
+
     # a symmetric policy does not run from a perfectly symmetric start, which training never has
     pose = runner.start_pose_rad + np.radians(np.random.default_rng(0).uniform(-2, 2, len(runner.start_pose_rad)))
-    while cycle < settled or (torso[2, 3] > 0.25 and torso[0, 3] < -START[0] and cycle < 3000):
+    for _ in range(2 + runner.settling_cycles):
         runner.perceive(message)
-        command = runner.command(pose if cycle < settled else runner.act(runner.observe(message, torso)))
-        # a full scene is requested one cycle ahead
-        message, torso, cycle = ask(agent, command), torso_pose(ask(monitor, "(reqfullstate)")), cycle + 1
-    seconds, metres = (cycle - settled) * runner.cycle_s, torso[0, 3] - x
+        step(pose)
+    start, cycle = torso[:3, 3], 0
+    if np.hypot(*(start[:2] - START)) > 0.5 or start[2] < FALLEN_M:
+        at = "({:.1f}, {:.1f}, {:.2f})".format(*start)
+        sys.exit(f"no run: the robot is at {at}, not upright at {START}: the server did not follow the monitor's move")
+    while torso[2, 3] > FALLEN_M and torso[0, 3] < start[0] + LENGTH and cycle < 3000:
+        step(runner.act(runner.observe(message, torso)))
+        cycle += 1
+    seconds, metres = cycle * runner.cycle_s, torso[0, 3] - start[0]
     print(f"{metres:.2f} m in {seconds:.2f} s: {metres / seconds:.2f} m/s")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        main(*sys.argv[1:])
+    except OSError as error:
+        sys.exit(f"no run: {error}")

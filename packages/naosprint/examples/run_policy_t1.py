@@ -10,7 +10,9 @@ import sys
 
 import numpy as np
 
-START_X, NOISE_DEG = -14.0, 2.0  # own half; a symmetric policy does not run from a perfectly symmetric start pose
+START_X, LENGTH = -14.0, 28.0
+NOISE_DEG = 2.0  # a symmetric policy does not run from a perfectly symmetric start pose
+BEAM_MODES = "BeforeKickOff", "Goal_Left", "Goal_Right"
 
 
 class Runner:
@@ -22,6 +24,7 @@ class Runner:
 
     def perceive(self, message):
         """Store a message: joints in degrees and degrees per second, torso in the team's own field."""
+        self.play_mode = re.search(r"\(pm (\w+)\)", message)[1]
         felt = re.findall(r"\((?:HJ|GYR|quat|pos) \(n (\w+)\)(.*?)\)\)", message)
         felt = {name: np.array(re.sub("[^-0-9. ]", "", text).split(), float) for name, text in felt}
         self.joints = np.array([felt["q_" + name.replace("e", "j")] for name in self.effector_names]).T
@@ -62,20 +65,48 @@ class Runner:
 
 
 def send(port, text):
-    port.sendall(len(text).to_bytes(4, "big") + text.encode())
+    data = text.encode()
+    port.sendall(len(data).to_bytes(4, "big") + data)
 
 
 def receive(port):
-    size = port.recv(4, socket.MSG_WAITALL) or sys.exit("connection closed: is the robot's number taken?")
-    return port.recv(int.from_bytes(size, "big"), socket.MSG_WAITALL).decode()
+    size = int.from_bytes(port.recv(4, socket.MSG_WAITALL), "big")
+    data = port.recv(size, socket.MSG_WAITALL) if size else b""
+    if not size or len(data) < size:
+        raise ConnectionError("the server closed the connection")
+    return data.decode()
+
+
+def enter(host, agent_port, monitor_port, model, team, number):
+    """Enter the field and put the ball aside; return both connections, and 1.0 on the left side, -1.0 on the right."""
+    if not re.fullmatch(r"[^\s()]+", team):
+        sys.exit(f"no run: team {team!r}: a name without spaces and parentheses is needed")
+    monitor, agent = (socket.create_connection((host, int(port))) for port in (monitor_port, agent_port))
+    receive(monitor)  # a robot that enters before the first cycle would kill the server
+    try:
+        send(agent, f"(init {model} {team} {number})")
+        reply = receive(agent)
+    except ConnectionError:
+        sys.exit(f"no run: refused: is number {number} of team {team} taken, or are two other teams on the field?")
+    send(monitor, "(ball (pos 25 16 0.11)(vel 0 0 0))")  # and so would a K1 that touches the ball
+    return agent, monitor, -1.0 if f"(tr {team})" in reply else 1.0
+
+
+def require_start(runner, x, y):
+    """End the program unless the robot stands where it was beamed to."""
+    away, standing = np.hypot(*(runner.place[:2] - (x, y))), runner.place[2] > 0.6 * runner.standing_height_m
+    if runner.play_mode not in BEAM_MODES or away > 0.5 or not standing:
+        place, state = "({:.1f}, {:.1f})".format(*runner.place[:2]), "stands" if standing else "lies"
+        modes = ", ".join(BEAM_MODES)
+        sys.exit(
+            f"no run: the robot {state} at {place}, not at ({x:.1f}, {y:.1f}), in play mode {runner.play_mode}; "
+            f"it can be beamed in {modes}"
+        )
 
 
 def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="naosprint", number=2, lane=0.0):
-    monitor, agent = (socket.create_connection((host, int(port))) for port in (monitor_port, agent_port))
-    receive(monitor)  # a robot that enters before the first cycle would kill the server
-    send(agent, f"(init {np.load(path)['model']} {team} {number})")
-    runner = Runner(path, float(lane), -1.0 if f"(tr {team})" in receive(agent) else 1.0)
-    send(monitor, "(ball (pos 25 16 0.11)(vel 0 0 0))")  # and so would a K1 that touches the ball
+    agent, monitor, side = enter(host, agent_port, monitor_port, np.load(path)["model"], team, number)
+    runner = Runner(path, float(lane), side)
 
     def step(targets, beam=""):
         send(agent, beam + runner.command(targets))
@@ -87,13 +118,18 @@ def main(path, host="127.0.0.1", agent_port=60000, monitor_port=60001, team="nao
     for cycle in range(6 + runner.settling_cycles):
         step(runner.start_pose_rad, f"(beam {START_X} {runner.field[1, 1] * runner.lane} 0)" if cycle == 5 else "")
     monitor.shutdown(socket.SHUT_WR)  # closed with unread frames, it would be reset, which kills the server
+    require_start(runner, START_X, runner.lane)
     runner.begin()
-    while runner.place[2] > 0.6 * runner.standing_height_m and runner.place[0] < -START_X and runner.cycles < 3000:
+    start, lowest = runner.place[0], 0.6 * runner.standing_height_m
+    while runner.place[2] > lowest and runner.place[0] < start + LENGTH and runner.cycles < 3000:
         step(runner.act(runner.observe()))
     agent.close()
     monitor.close()
-    print(f"{runner.place[0] - START_X:.2f} m in {runner.cycles * runner.cycle_s:.2f} s")
+    print(f"{runner.place[0] - start:.2f} m in {runner.cycles * runner.cycle_s:.2f} s")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    try:
+        main(*sys.argv[1:])
+    except OSError as error:
+        sys.exit(f"no run: {error}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -23,6 +24,9 @@ from naosprint.export import policy_arrays
 from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy
 from naosprint.tasks.environment import open_environment
+
+from tests.integration.naosim.wire import Player
+from tests.integration.naosim.wire import serving as serving_naos
 
 EXAMPLES = Path(__file__).parents[3] / "packages/naosprint/examples"
 AGENT = EXAMPLES / "run_policy_t1.py"
@@ -162,6 +166,94 @@ def test_two_agents_play_in_real_time_on_one_field(tmp_path: Path) -> None:
         for agent in agents:
             out, err = agent.communicate(timeout=120)
             assert RESULT.fullmatch(out), (out, err)
+
+
+def played(program: str, *arguments: object) -> tuple[int, str, str]:
+    """Run an example; return its exit status and what it wrote."""
+    command = [sys.executable, str(EXAMPLES / program), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def entered(address: Address, text: str) -> socket.socket:
+    """Send a robot's first message to a rcssservermj; return the connection after the server's reply."""
+    data = text.encode()
+    agent = socket.create_connection((address.host, address.agent_port))
+    agent.sendall(len(data).to_bytes(4, "big") + data)
+    assert agent.recv(4, socket.MSG_WAITALL)
+    return agent
+
+
+def test_a_run_that_did_not_happen_on_rcssservermj_is_one_sentence(tmp_path: Path) -> None:
+    """Names that no server can read, a number that is taken, a play mode without beams; other names are runs."""
+    _, path = exported("t1", tmp_path, 0.3)
+    with serving(REALTIME) as address:
+
+        def run(team: str, number: int) -> tuple[int, str, str]:
+            return played(AGENT.name, path, address.host, address.agent_port, address.monitor_port, team, number, -4)
+
+        status, out, err = run("gr\u00fcn", 2)
+        assert (status, bool(RESULT.fullmatch(out))) == (0, True), (out, err)
+        status, out, err = run("two words", 2)
+        assert (status, out) == (1, "")
+        assert err == "no run: team 'two words': a name without spaces and parentheses is needed\n"
+        with entered(address, "(init T1 gr\u00fcn 3)"):
+            status, out, err = run("gr\u00fcn", 3)
+        assert (status, out, err.count("\n")) == (1, "", 1), err
+        assert err.startswith("no run: refused: is number 3 of team gr\u00fcn taken")
+        with socket.create_connection((address.host, address.monitor_port)) as monitor:
+            monitor.recv(1)
+            monitor.sendall((14).to_bytes(4, "big") + b"(kickOff Left)")
+            monitor.shutdown(socket.SHUT_WR)
+            while monitor.recv(1 << 16):
+                pass
+        status, out, err = run("gr\u00fcn", 2)
+        assert (status, out, err.count("\n")) == (1, "", 1), err
+        assert "not at (-14.0, -4.0), in play mode KickOff_Left; it can be beamed in BeforeKickOff" in err
+        ports = ("--ports", address.agent_port, address.monitor_port)
+        status, out, err = played("play_t1.py", path, "--host", address.host, *ports)
+        assert (status, out, err.count("\n")) == (1, "", 1), err
+        assert "not at (-5.0, 0.0), in play mode KickOff_Left" in err
+    status, out, err = run("ours", 2)
+    assert (status, out, err.count("\n")) == (1, "", 1), err
+    assert err.startswith("no run: [Errno"), err
+
+
+def test_a_run_that_did_not_happen_on_naosim_serve_is_one_sentence(tmp_path: Path) -> None:
+    """A number that is taken, other robots in the scene, a server in real time; on the right side a run is a run."""
+    _, path = exported("nao-0", tmp_path, 0.3)
+
+    def run(server: Any) -> tuple[int, str, str]:
+        return played("run_policy.py", path, "127.0.0.1", server.agent_port, server.monitor_port)
+
+    with serving_naos(seed=1) as server:
+        for team, reason in (("A", "refused: is number 1 of team A taken"), ("B", "other robots are on the field")):
+            player = Player(server.agent_port, team, 1)
+            status, out, err = run(server)
+            assert (status, out, err.count("\n")) == (1, "", 1), err
+            assert err.startswith(f"no run: {reason}")
+            player.close()
+    with serving_naos(seed=1) as server:
+        Player(server.agent_port, "B", 1).close()
+        status, out, err = run(server)
+        assert status == 0, err
+        metres, seconds = map(float, re.findall(r"-?\d+\.\d\d", out)[:2])
+        assert 0.0 < seconds < 20.0
+        assert abs(metres) < 3.0
+    with serving_naos(seed=1, realtime=True) as server:
+        status, out, err = run(server)
+        assert (status, out, err) == (1, "", "no run: the server runs in real time; start it in sync mode\n")
+    with socket.create_server(("127.0.0.1", 0)) as ending:
+        port = ending.getsockname()[1]
+        agent = subprocess.Popen(
+            [sys.executable, EXAMPLES / "run_policy.py", path, "127.0.0.1", str(port), str(port)],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2):
+            ending.accept()[0].close()
+        _, err = agent.communicate(timeout=60)
+        assert (agent.returncode, err.count("\n"), err[:7]) == (1, 1, "no run:"), err
 
 
 def test_the_player_observes_and_commands_as_task_velocity_does(

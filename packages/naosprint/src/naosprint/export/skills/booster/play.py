@@ -4,7 +4,9 @@ python -m mujococodebase.skills.naosprint.play --port 60000 --monitor-port 60001
 """
 
 import argparse
+import re
 import socket
+import sys
 
 import numpy as np
 from mujococodebase.agent import Agent
@@ -32,7 +34,9 @@ class Runs:
         """Do what is next."""
         self.cycle += 1
         if self.cycle == 5:
-            self.agent.server.commit_beam((START_X, self.lane), 0)
+            # the server does not turn y for the team on the right side
+            y = self.lane if self.agent.world.is_left_team else -self.lane
+            self.agent.server.commit_beam((START_X, y), 0)
         if self.cycle <= self.settled:
             self.skill.hold()
         else:
@@ -46,7 +50,7 @@ class Runs:
 
 
 def main():
-    """Run once; print the distance and the time."""
+    """Read the options and run; a run that did not happen ends with one sentence and status 1."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, default=60000)
@@ -55,6 +59,21 @@ def main():
     parser.add_argument("--number", type=int, default=2)
     parser.add_argument("--lane", type=float, default=0.0, help="y of the line to run along, in metres")
     options = parser.parse_args()
+    try:
+        run(options)
+    except ConnectionResetError:
+        sys.exit(
+            f"no run: the server closed the connection: is number {options.number} of team {options.team} taken, are "
+            "two other teams on the field, or has the server ended?"
+        )
+    except OSError as error:
+        sys.exit(f"no run: {error}")
+
+
+def run(options):
+    """Run once; print the distance and the time."""
+    if not re.fullmatch(r"[!-'*-~]+", options.team):
+        sys.exit(f"no run: --team {options.team!r}: the team code sends ASCII without spaces and parentheses only")
     if options.monitor_port:
         with socket.create_connection((options.host, options.monitor_port)) as monitor:
             monitor.recv(1)  # the server's first cycle
@@ -72,18 +91,26 @@ def main():
     agent.decision_maker = runs = Runs(agent, skill, options.lane)
     agent.server.connect()
     agent.server.send_immediate(f"(init {agent.robot.name} {options.team} {options.number})")
+    fallen = FALLEN * skill.runner.standing_height_m
     while True:
         agent.server.receive()
         agent.world.update()
-        x, _, z = agent.world.global_position
-        if runs.seconds > 0 and (z < FALLEN * skill.runner.standing_height_m or x > START_X + LENGTH):
+        x, y, z = agent.world.global_position
+        if runs.cycle == runs.settled:
+            start = x
+            if np.hypot(x - START_X, y - options.lane) > 0.5 or z < fallen:
+                sys.exit(
+                    f"no run: the robot is at ({x:.1f}, {y:.1f}, {z:.2f}), not upright at ({START_X}, {options.lane}); "
+                    "the server lets robots beam before kick-off and after a goal only"
+                )
+        if runs.seconds > 0 and (z < fallen or x > start + LENGTH):
             break
         if runs.seconds > LIMIT_S:
             break
         runs.update_current_behavior()
         agent.server.send()
-    state = "fallen" if z < FALLEN * skill.runner.standing_height_m else "upright"
-    print(f"{np.round(x - START_X, 2)} m in {runs.seconds:.2f} s, {state}")
+    state = "fallen" if z < fallen else "upright"
+    print(f"{x - start:.2f} m in {runs.seconds:.2f} s, {state}")
 
 
 if __name__ == "__main__":
