@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
+import sys
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from naospec import EvaluationSpec
@@ -28,6 +31,7 @@ _SOURCES = Path(__file__).with_name("skills")
 #: Cycles of the recorded episode.
 CYCLES = 64
 _NOISE_DEG = 2.0
+_SAME = 1e-5
 
 
 @dataclass(frozen=True)
@@ -95,15 +99,61 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path) -> l
     if family not in TARGETS:
         raise ValueError(f"format skill: no team code for robots of family {family}; use another format")
     target = TARGETS[family]
+    recorded = record(policy, manifest, target)
+    _require_computable(_SOURCES / family, policy_arrays(policy, manifest), recorded, manifest)
     folder = directory / target.folder
     folder.mkdir(parents=True, exist_ok=True)
     written = [
         Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).iterdir()))
     ]
-    for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", record(policy, manifest, target))):
+    for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", recorded)):
         written.append(folder / f"{name}.npz")
         np.savez_compressed(written[-1], allow_pickle=False, **arrays)
     return written
+
+
+def _require_computable(
+    sources: Path, arrays: Mapping[str, AnyArray], recorded: Mapping[str, AnyArray], manifest: Manifest
+) -> None:
+    """Compare what the skill's own code observes with the recorded observations of the first cycle.
+
+    Raises:
+        ValueError: naming the observations that it cannot compute.
+    """
+    task, names = manifest.stage_spec.task.name, manifest.observations
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "policy.npz", allow_pickle=False, **arrays)
+        runner = _module(sources / "runner.py").Runner(Path(folder) / "policy.npz")
+    runner.begin(**{str(name): recorded[f"begin_{name}"] for name in recorded["begin"]})
+    unknown: list[str] = []
+    try:
+        seen = runner.observe(**{str(name): recorded[str(name)][0] for name in recorded["inputs"]})
+    except KeyError as error:
+        unknown = [str(error.args[0])]
+    else:
+        known = runner.known() if hasattr(runner, "known") else names
+        unknown = [name for name in names if name not in known]
+        if not unknown and len(seen) == len(names):
+            differing = np.abs(seen - recorded["observations"][0]) > _SAME
+            unknown = [name for name, differs in zip(names, differing, strict=True) if differs]
+    if unknown:
+        raise ValueError(
+            f"format skill: the team code's skill cannot compute observation {', '.join(unknown[:8])} of task {task}; "
+            "use another format, or observe only what naosprint.tasks.observations offers"
+        )
+
+
+def _module(path: Path) -> Any:
+    """Import one of the skill's files as it stands, beside the others of its folder."""
+    spec = importlib.util.spec_from_file_location(f"naosprint_skill_{path.parent.name}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(path.parent))
+    return module
 
 
 def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[str, AnyArray]:

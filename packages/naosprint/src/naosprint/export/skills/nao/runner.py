@@ -59,6 +59,12 @@ class Runner:
         velocity = self.velocity(position) if self.sees_velocity else []
         return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
 
+    def known(self):
+        """Return the names of the observations that `observe` can return."""
+        names = [str(name) for name in self.observation_names]
+        rated = [name for name in names if f"{name.removesuffix('_rate')}_rate" in names]
+        return [*rated, "step", "right_foot_counter", "left_foot_counter", "forward_velocity", "lateral_velocity"]
+
     def velocity(self, position):
         """Return the velocity (2,) in m/s, ahead and to the left, since the last cycle."""
         before, self.position = self.position, np.array(position, float)
