@@ -231,9 +231,9 @@ def test_a_robot_without_team_code_is_refused(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])
 def test_an_observation_that_the_team_code_lacks_is_named(robot: str, tmp_path: Path) -> None:
-    """The observations of a task of another package, for example, of which the skill's code knows nothing."""
+    """The observations of a task of another package, for example, that the skill's code does not contain."""
     policy, manifest = random_policy({"name": robot}, "sprint1")
     names = ("gait_sin", *manifest.observations[1:])
-    with pytest.raises(ValueError, match="format skill: .* cannot compute observation gait_sin of task sprint1"):
+    with pytest.raises(ValueError, match=r"format skill: .* cannot compute observation gait_sin of task sprint1"):
         write_skill(policy, manifest.model_copy(update={"observations": names}), tmp_path / "skill")
     assert not (tmp_path / "skill").exists()
