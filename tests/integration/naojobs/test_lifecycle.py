@@ -14,6 +14,7 @@ from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
 from naojobs.models import Evaluation, Event, Job, Metric
+from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
@@ -423,7 +424,7 @@ def test_the_quota_holds_in_a_race(sessions: Sessions) -> None:
     def race(_: int) -> bool:
         gate.wait()
         try:
-            submission.submit(sessions, JobRequest(), owner="quota", max_open_jobs=3)
+            submission.submit(sessions, JobRequest(), owner="quota", limits={Quota.OPEN_JOBS: 3})
         except QuotaError:
             return False
         return True

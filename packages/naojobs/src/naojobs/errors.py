@@ -28,7 +28,7 @@ class InvalidError(JobError):
 
 
 class QuotaError(JobError):
-    """Submission of an owner who has too many open jobs."""
+    """Request of an owner who has as much as a quota allows."""
 
 
 class LeaseLostError(JobError):

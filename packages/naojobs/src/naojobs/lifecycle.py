@@ -35,7 +35,7 @@ from naojobs.models import (
     WorkKind,
     generation,
 )
-from naojobs.quotas import require_free_slot
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
 
@@ -333,19 +333,18 @@ def resume(sessions: Sessions, job_id: str) -> Job:
     return job
 
 
-def retry(sessions: Sessions, job_id: str, *, max_open_jobs: int | None = None) -> Job:
+def retry(sessions: Sessions, job_id: str, *, limits: Limits = NO_LIMITS) -> Job:
     """Queue a failed or cancelled job again, with all its attempts; it resumes from its last checkpoint.
 
     Raises NotFoundError, ConflictError if the job has not failed and is not cancelled, and QuotaError if its owner has
-    `max_open_jobs` open jobs.
+    as many open jobs as `limits` allow.
     """
     with sessions.begin() as session:
         job = _known(session, Job, job_id)
         if job.state not in (WorkState.FAILED, WorkState.CANCELLED):
             hint = "use resume" if job.state is WorkState.PAUSED else "submit a new job to train again"
             raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
-        if max_open_jobs is not None:
-            require_free_slot(session, job.owner, max_open_jobs)
+        require_room(session, job.owner, limits, Quota.OPEN_JOBS)
         _change(job, WorkState.QUEUED)
         job.failures = job.postponed = 0
         job.error = job.pruned = None

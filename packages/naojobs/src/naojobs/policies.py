@@ -13,17 +13,18 @@ from dataclasses import asdict, dataclass
 
 import naopolicies
 from naospec import stored
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from naojobs.checkpoints import trained_checkpoint
 from naojobs.database import Sessions
-from naojobs.errors import ConflictError, InvalidError, NotFoundError, QuotaError
+from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
 from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, Policy, PolicyAlias, PolicyVersion
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 #: Alias of the newest version, which no user sets.
 LATEST = "latest"
@@ -63,7 +64,7 @@ def register(
     wanted: Registration,
     *,
     idempotency_key: str | None = None,
-    max_versions: int | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> tuple[PolicyVersion, bool]:
     """Register a checkpoint as the next version of the policy `name` of its job's owner.
 
@@ -73,7 +74,7 @@ def register(
         NotFoundError: there is no such job or checkpoint.
         ConflictError: the job has no checkpoint yet, the policy has this one already, or the key was used before.
         InvalidError: the name is a bundled policy's, or this version cannot read the job's specification.
-        QuotaError: the owner has `max_versions` versions.
+        QuotaError: the owner has as many versions, or as long notes, as `limits` allow.
     """
     if name in naopolicies.names():
         raise InvalidError(f"{name} is a bundled policy; use another name", "name")
@@ -109,8 +110,9 @@ def register(
             raise ConflictError(
                 f"{name}@{same} is this checkpoint already; set aliases of that version", "checkpoint_id"
             )
-        if max_versions is not None:
-            _require_free_version(session, job.owner, max_versions)
+        require_room(session, job.owner, limits, Quota.VERSIONS)
+        if wanted.notes:
+            require_room(session, job.owner, limits, Quota.NOTES, more=len(wanted.notes.encode()))
         spec = trained_by(job)
         if spec is None:
             raise InvalidError(f"this version cannot read the specification of job {job.id}; use a newer job", "job_id")
@@ -147,19 +149,6 @@ def _checkpoint(session: Session, wanted: Registration) -> Checkpoint:
     if checkpoint is None or checkpoint.job_id != wanted.job_id:
         raise NotFoundError(f"job {wanted.job_id} has no checkpoint {wanted.checkpoint_id}")
     return checkpoint
-
-
-def _require_free_version(session: Session, owner: str, most: int) -> None:
-    # Two concurrent requests for different policies must not both see the last free version.
-    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"versions:{owner}", 0))))
-    count = session.scalar(
-        select(func.count())
-        .select_from(PolicyVersion)
-        .join(Policy, Policy.id == PolicyVersion.policy_id)
-        .where(Policy.owner == owner)
-    )
-    if (count or 0) >= most:
-        raise QuotaError(f"{owner} has {count} versions of policies, the most that are allowed; delete some")
 
 
 def _point(session: Session, policy: Policy, alias: str, number: int) -> None:

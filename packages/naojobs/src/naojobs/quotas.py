@@ -1,48 +1,119 @@
-"""Quotas of owners: open jobs, bytes in the store, rows in the database."""
+"""Quotas: what an owner may have at most, and what to do about it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import timedelta
+from enum import Enum
+from typing import Any, TypeAlias
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from naojobs.database import Sessions
 from naojobs.errors import QuotaError
-from naojobs.models import Checkpoint, Evaluation, Job
+from naojobs.models import Checkpoint, Evaluation, Job, Policy, PolicyVersion, Study, Token, Webhook
 from naojobs.states import OPEN
 
 
-def require_free_slot(session: Session, owner: str, max_open_jobs: int) -> None:
-    """Raise QuotaError if `owner` has `max_open_jobs` open jobs; others wait until the transaction has ended."""
-    # Two concurrent submits must not both see the last free slot.
-    session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota:{owner}", 0))))
-    open_jobs = session.scalar(
-        select(func.count()).select_from(Job).where(Job.owner == owner, Job.state.in_(OPEN)),
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    what: str
+    #: What gives the owner room again.
+    remedy: str
+    #: Queries, by owner, of amounts that add up.
+    amounts: Callable[[str], tuple[Any, ...]]
+
+
+def _sum(column: Any) -> Any:
+    return func.coalesce(func.sum(column), 0)
+
+
+def _sizes(owner: str) -> tuple[Any, ...]:
+    tables = (Checkpoint, Evaluation)
+    return tuple(
+        select(_sum(table.size)).join(Job, Job.id == table.job_id).where(Job.owner == owner) for table in tables
     )
-    if (open_jobs or 0) >= max_open_jobs:
-        raise QuotaError(
-            f"{owner} has {open_jobs} open jobs, the most that are allowed; wait until some finish, or cancel some",
-        )
 
 
-def require_space(sessions: Sessions, owner: str, *, max_bytes: int, max_rows: int) -> None:
-    """Raise QuotaError if the jobs of `owner` have stored as much as they may.
+def _versions(what: Any, owner: str) -> Any:
+    return select(what).join(Policy, Policy.id == PolicyVersion.policy_id).where(Policy.owner == owner)
 
-    Args:
-        sessions: the database.
-        owner: whose jobs count.
-        max_bytes: bytes of checkpoints and evaluations in the store.
-        max_rows: rows of metrics, logs and events that workers have written.
+
+class Quota(Enum):
+    """Quota of an owner."""
+
+    OPEN_JOBS = _Kind(
+        "open jobs",
+        "wait until some finish, or cancel some",
+        lambda owner: (select(func.count(Job.id)).where(Job.owner == owner, Job.state.in_(OPEN)),),
+    )
+    JOBS = _Kind(
+        "jobs, open and ended",
+        "delete ended ones",
+        lambda owner: (select(func.count(Job.id)).where(Job.owner == owner),),
+    )
+    EVALUATIONS = _Kind(
+        "evaluations",
+        "delete jobs",
+        lambda owner: (
+            select(func.count(Evaluation.id)).join(Job, Job.id == Evaluation.job_id).where(Job.owner == owner),
+        ),
+    )
+    STUDIES = _Kind(
+        "studies", "delete ended ones", lambda owner: (select(func.count(Study.id)).where(Study.owner == owner),)
+    )
+    #: Bytes of the notes of jobs and of versions of policies.
+    NOTES = _Kind(
+        "bytes of notes",
+        "shorten some, or delete jobs or versions of policies",
+        lambda owner: (
+            select(_sum(func.octet_length(Job.notes))).where(Job.owner == owner),
+            _versions(_sum(func.octet_length(PolicyVersion.notes)), owner),
+        ),
+    )
+    #: Revoked tokens stay in the table, so those of the last day count, too: that bounds how fast it grows.
+    TOKENS = _Kind(
+        "tokens that are valid or less than a day old",
+        "revoke older ones, or try again tomorrow",
+        lambda owner: (
+            select(func.count(Token.id)).where(
+                Token.owner == owner,
+                (Token.revoked_at.is_(None) & (Token.expires_at.is_(None) | (Token.expires_at > func.now())))
+                | (Token.created_at > func.now() - timedelta(days=1)),
+            ),
+        ),
+    )
+    WEBHOOKS = _Kind(
+        "webhooks", "delete some", lambda owner: (select(func.count(Webhook.id)).where(Webhook.owner == owner),)
+    )
+    VERSIONS = _Kind(
+        "versions of policies", "delete some", lambda owner: (_versions(func.count(PolicyVersion.number), owner),)
+    )
+    BYTES = _Kind("bytes in the store", "delete jobs", _sizes)
+    #: Rows of metrics, logs and events that workers have written.
+    ROWS = _Kind(
+        "rows in the database", "delete jobs", lambda owner: (select(_sum(Job.row_count)).where(Job.owner == owner),)
+    )
+
+
+#: What each owner may have at most; a quota that is left out has no limit.
+Limits: TypeAlias = Mapping[Quota, int]
+NO_LIMITS: Limits = {}
+
+
+def require_room(session: Session, owner: str, limits: Limits, *quotas: Quota, more: int = 1) -> None:
+    """Raise QuotaError if `owner` has no room for `more` in one of `quotas`.
+
+    Others that require the same of this owner wait until the transaction has ended: two concurrent requests must not
+    both see the last free place.
     """
-    with sessions.begin() as session:
-        of_owner = Job.owner == owner
-        rows = session.scalar(select(func.coalesce(func.sum(Job.row_count), 0)).where(of_owner)) or 0
-        used = sum(
-            session.scalar(
-                select(func.coalesce(func.sum(table.size), 0)).join(Job, Job.id == table.job_id).where(of_owner)
-            )
-            or 0
-            for table in (Checkpoint, Evaluation)
-        )
-    for amount, most, what in ((used, max_bytes, "bytes in the store"), (rows, max_rows, "rows in the database")):
-        if amount >= most:
-            raise QuotaError(f"{owner} has {amount:,} {what}, of {most:,} that are allowed; delete jobs")
+    for quota in quotas:
+        if (most := limits.get(quota)) is None:
+            continue
+        kind = quota.value
+        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"quota {quota.name} {owner}", 0))))
+        count = sum(session.scalar(query) or 0 for query in kind.amounts(owner))
+        if count + more > most:
+            adding = f" and would get {more:,} more" if more > 1 else ""
+            raise QuotaError(f"{owner} has {count:,} {kind.what}{adding}, of {most:,} that are allowed; {kind.remedy}")

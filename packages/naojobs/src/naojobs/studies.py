@@ -21,6 +21,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import cancel_open
 from naojobs.models import Study, StudyState, Trial, TrialState
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.submission import JobRequest, check_fit, free_name, same_request
 from naojobs.webhooks import MessageType, publish
 
@@ -49,7 +50,12 @@ class StudyRequest:
 
 
 def submit_study(
-    sessions: Sessions, request: StudyRequest, *, owner: str, idempotency_key: str | None = None
+    sessions: Sessions,
+    request: StudyRequest,
+    *,
+    owner: str,
+    idempotency_key: str | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> tuple[Study, bool]:
     """Start a study of `owner`; return it and whether it is new.
 
@@ -58,6 +64,7 @@ def submit_study(
     Raises:
         ConflictError: the key was used for another request.
         InvalidError: a setting or an objective does not exist, or a value of a setting is refused.
+        QuotaError: `owner` has as many studies, or jobs, as `limits` allow.
     """
     search = complete(request.search, request.job)
     for name, parameter in search.space.items():
@@ -69,6 +76,8 @@ def submit_study(
     same_key = (Study.owner == owner, Study.idempotency_key == idempotency_key)
     job = request.job
     with sessions.begin() as session:
+        if idempotency_key is None or session.scalar(select(Study.id).where(*same_key)) is None:
+            require_room(session, owner, limits, Quota.STUDIES, Quota.JOBS)
         study_id = session.scalar(
             insert(Study)
             .values(

@@ -27,7 +27,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Policy, Study
-from naojobs.quotas import require_free_slot
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import OPEN, WorkState
 
 J = TypeVar("J", Job, Study)
@@ -86,7 +86,7 @@ def submit(
     *,
     owner: str,
     idempotency_key: str | None = None,
-    max_open_jobs: int | None = None,
+    limits: Limits = NO_LIMITS,
     see_all: bool = False,
 ) -> tuple[Job, bool]:
     """Queue a new job of `owner`; return it and whether it is new.
@@ -96,10 +96,10 @@ def submit(
     Raises:
         ConflictError: the key was used for another request.
         InvalidError: the parent job or checkpoint does not exist or does not fit; `see_all` allows others' jobs.
-        QuotaError: `owner` has `max_open_jobs` open jobs.
+        QuotaError: `owner` has as many open jobs, or jobs, as `limits` allow.
     """
     with sessions.begin() as session:
-        job, created = add_job(session, request, owner, idempotency_key, max_open_jobs, see_all)
+        job, created = add_job(session, request, owner, idempotency_key, limits, see_all)
     return job, created
 
 
@@ -109,7 +109,7 @@ def submit_group(
     *,
     owner: str,
     idempotency_key: str | None = None,
-    max_open_jobs: int | None = None,
+    limits: Limits = NO_LIMITS,
     see_all: bool = False,
 ) -> tuple[str, list[Job], bool]:
     """Queue one job for each seed and combination of grid values, or none at all.
@@ -124,7 +124,7 @@ def submit_group(
         new = False
         for number, item in enumerate(requests):
             key = None if idempotency_key is None else f"{idempotency_key}#{number}"
-            job, created = add_job(session, item, owner, key, max_open_jobs, see_all, group_id=group_id)
+            job, created = add_job(session, item, owner, key, limits, see_all, group_id=group_id)
             new = new or created
             if not created:
                 group_id = job.group_id or group_id
@@ -169,7 +169,7 @@ def add_job(
     request: JobRequest,
     owner: str,
     idempotency_key: str | None = None,
-    max_open_jobs: int | None = None,
+    limits: Limits = NO_LIMITS,
     see_all: bool = False,
     *,
     group_id: str | None = None,
@@ -182,8 +182,7 @@ def add_job(
         )
         if earlier is not None:
             return same_request(earlier, digest), False
-    if max_open_jobs is not None:
-        require_free_slot(session, owner, max_open_jobs)
+    require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
     request = _with_parent(session, request, owner, see_all)
     job_id = session.scalar(
         insert(Job)
@@ -239,10 +238,12 @@ def edit(
     name: str | None = None,
     tags: Sequence[str] | None = None,
     notes: str | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> Job:
     """Change what a user calls a job and writes about it; None leaves a value as it is.
 
-    Raises NotFoundError, and ConflictError if another job of the owner has the name.
+    Raises NotFoundError, ConflictError if another job of the owner has the name, and QuotaError if the owner's notes
+    would become longer than `limits` allow.
     """
     with sessions.begin() as session:
         job = session.get(Job, job_id, with_for_update=True)
@@ -255,6 +256,9 @@ def edit(
         if tags is not None:
             job.tags = list(tags)
         if notes is not None:
+            longer = len(notes.encode()) - len(job.notes.encode())
+            if longer > 0:
+                require_room(session, job.owner, limits, Quota.NOTES, more=longer)
             job.notes = notes
         job.updated_at = func.now()
         session.flush()
@@ -364,10 +368,12 @@ def request_evaluation(
     spec: EvaluationSpec | None = None,
     time_limit_s: float = DEFAULT_TIME_LIMIT_S,
     max_open: int = MAX_OPEN_EVALUATIONS,
+    limits: Limits = NO_LIMITS,
 ) -> Evaluation:
     """Queue an evaluation of a job's checkpoint, of the newest if none is named.
 
-    Raises NotFoundError, and ConflictError if the job has no checkpoint yet or too many open evaluations.
+    Raises NotFoundError, ConflictError if the job has no checkpoint yet or too many open evaluations, and QuotaError if
+    its owner has as many evaluations as `limits` allow.
     """
     with sessions.begin() as session:
         job = lock(session, Job, job_id)
@@ -385,6 +391,7 @@ def request_evaluation(
         waiting = session.scalar(select(func.count()).select_from(Evaluation).where(*is_open))
         if (waiting or 0) >= max_open:
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
+        require_room(session, job.owner, limits, Quota.EVALUATIONS)
         spec = spec or EvaluationSpec()
         evaluation = Evaluation(
             id=new_id("eval"),

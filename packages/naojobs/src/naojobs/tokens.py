@@ -17,6 +17,7 @@ from naojobs.database import Sessions
 from naojobs.errors import ConflictError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.models import Token
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.scopes import Scope
 
 __all__ = [
@@ -74,11 +75,12 @@ def create_token(
     valid_for: timedelta | None = None,
     job_id: str | None = None,
     parent_id: str | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> tuple[str, str]:
     """Make a token, of one job if `job_id` is given; return its id and the secret, which cannot be read again.
 
     One made with the token `parent_id` is revoked with it and expires no later. Raises ConflictError if that token is
-    not valid any more.
+    not valid any more, and QuotaError if `owner` has as many tokens as `limits` allow.
     """
     if not scopes:
         raise ValueError(f"scopes: give at least one of {', '.join(Scope)}")
@@ -94,6 +96,7 @@ def create_token(
             if parent is None:
                 raise ConflictError("the token has been revoked or has expired; use another one", "Authorization")
             expires_at = func.least(expires_at, parent.expires_at) if parent.expires_at is not None else expires_at
+        require_room(session, owner, limits, Quota.TOKENS)
         session.add(
             Token(
                 id=token_id,

@@ -23,9 +23,10 @@ from sqlalchemy import case, delete, func, literal, or_, select, true, update
 from sqlalchemy.orm import Session
 
 from naojobs.database import Sessions, is_due
-from naojobs.errors import NotFoundError, QuotaError
+from naojobs.errors import NotFoundError
 from naojobs.ids import new_id
 from naojobs.models import Delivery, Webhook
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 #: Seconds until the second attempt, doubled with each further one up to the longest.
 FIRST_DELAY_S, LONGEST_DELAY_S = 5.0, 3600.0
@@ -69,18 +70,19 @@ class Message:
     body: str
 
 
-def create_webhook(sessions: Sessions, *, owner: str, url: str, events: Iterable[MessageType], most: int) -> Webhook:
-    """Register a webhook with a new secret and return it. Raises QuotaError if `owner` has `most` webhooks."""
+def create_webhook(
+    sessions: Sessions, *, owner: str, url: str, events: Iterable[MessageType], limits: Limits = NO_LIMITS
+) -> Webhook:
+    """Register a webhook with a new secret and return it.
+
+    Raises QuotaError if `owner` has as many webhooks as `limits` allow.
+    """
     secret = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()
     webhook = Webhook(
         id=new_id("hook"), owner=owner, url=url, events=sorted({str(event) for event in events}), secret=secret
     )
     with sessions.begin() as session:
-        # Two concurrent requests must not both see the last free place.
-        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"webhooks:{owner}", 0))))
-        count = session.scalar(select(func.count()).select_from(Webhook).where(Webhook.owner == owner)) or 0
-        if count >= most:
-            raise QuotaError(f"{owner} has {count} webhooks, of {most} that are allowed; delete some")
+        require_room(session, owner, limits, Quota.WEBHOOKS)
         session.add(webhook)
         session.flush()
         session.refresh(webhook)

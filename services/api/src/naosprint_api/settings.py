@@ -5,6 +5,7 @@ from __future__ import annotations
 from ipaddress import ip_network
 from typing import Annotated, Any
 
+from naojobs.quotas import Limits, Quota
 from naojobs.settings import ServiceSettings
 from pydantic import Field, IPvAnyNetwork, field_validator
 from pydantic_settings import NoDecode
@@ -26,6 +27,15 @@ class ApiSettings(ServiceSettings):
     api_rate_per_s: float = Field(100.0, gt=0, description="Requests per second that one token may make on average.")
     api_rate_burst: int = Field(400, ge=1, description="Requests that one token may make at once.")
     api_max_open_jobs: int = Field(2000, ge=1, description="Jobs of one owner that may wait or run at a time.")
+    api_max_jobs: int = Field(20_000, ge=1, description="Jobs of one owner, open and ended.")
+    api_max_evaluations: int = Field(50_000, ge=1, description="Evaluations of one owner, open and ended.")
+    api_max_studies: int = Field(1000, ge=1, description="Studies of one owner, running and ended.")
+    api_max_note_bytes: int = Field(
+        10_000_000, ge=1, description="Bytes of the notes of one owner's jobs and versions of policies."
+    )
+    api_max_tokens: int = Field(
+        1000, ge=1, description="Tokens of one owner that are valid or less than a day old, links included."
+    )
     api_max_bytes: int = Field(
         200 << 30,
         ge=1,
@@ -62,6 +72,22 @@ class ApiSettings(ServiceSettings):
         2.0, gt=0, le=60, description="Seconds between two checks for messages to send to webhooks."
     )
     api_docs_public: bool = Field(True, description="Whether /openapi.json is served.")
+
+    @property
+    def limits(self) -> Limits:
+        """What each owner may have at most."""
+        return {
+            Quota.OPEN_JOBS: self.api_max_open_jobs,
+            Quota.JOBS: self.api_max_jobs,
+            Quota.EVALUATIONS: self.api_max_evaluations,
+            Quota.STUDIES: self.api_max_studies,
+            Quota.NOTES: self.api_max_note_bytes,
+            Quota.TOKENS: self.api_max_tokens,
+            Quota.WEBHOOKS: self.api_max_webhooks,
+            Quota.VERSIONS: self.api_max_policy_versions,
+            Quota.BYTES: self.api_max_bytes,
+            Quota.ROWS: self.api_max_rows,
+        }
 
     @field_validator("api_webhook_networks", mode="before")
     @classmethod

@@ -131,6 +131,7 @@ def request_evaluation(
         checkpoint_id=body.checkpoint_id,
         spec=body.spec,
         time_limit_s=body.time_limit_s,
+        limits=service.settings.limits,
     )
     background.add_task(service.wake_up, row)
     return service.show_evaluation(row)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, BackgroundTasks, Query, Response
-from naojobs import lifecycle, quotas, submission
+from naojobs import lifecycle, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Job
+from naojobs.quotas import Quota, require_room
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 
@@ -86,8 +87,8 @@ def job_filter(
 
 def require_space(service: Service, owner: str) -> None:
     """Raise QuotaError if the owner's jobs have stored as much as they may."""
-    settings = service.settings
-    quotas.require_space(service.reads, owner, max_bytes=settings.api_max_bytes, max_rows=settings.api_max_rows)
+    with service.reads.begin() as session:
+        require_room(session, owner, service.settings.limits, Quota.BYTES, Quota.ROWS)
 
 
 def controllable(service: Service, principal: Principal, job_id: str) -> Job:
@@ -111,7 +112,7 @@ def submit_job(
         body.request(),
         owner=principal.owner,
         idempotency_key=idempotency_key,
-        max_open_jobs=service.settings.api_max_open_jobs,
+        limits=service.settings.limits,
         see_all=principal.is_admin,
     )
     if created:
@@ -140,7 +141,7 @@ def submit_group(
         body.request(),
         owner=principal.owner,
         idempotency_key=idempotency_key,
-        max_open_jobs=service.settings.api_max_open_jobs,
+        limits=service.settings.limits,
         see_all=principal.is_admin,
     )
     if created:
@@ -188,7 +189,9 @@ def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
 def edit_job(job_id: JobId, body: JobPatch, principal: Submitter, service: ServiceDep) -> JobPublic:
     """Rename a job, or change its tags or notes; fields left out stay as they are."""
     controllable(service, principal, job_id)
-    return service.show_job(submission.edit(service.sessions, job_id, **body.model_dump()))
+    return service.show_job(
+        submission.edit(service.sessions, job_id, **body.model_dump(), limits=service.settings.limits)
+    )
 
 
 @router.post("/jobs/{job_id}/cancel", responses=CONTROL)
@@ -218,7 +221,7 @@ def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
     require_space(service, controllable(service, principal, job_id).owner)
-    job = lifecycle.retry(service.sessions, job_id, max_open_jobs=service.settings.api_max_open_jobs)
+    job = lifecycle.retry(service.sessions, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 

@@ -152,7 +152,7 @@ def register_version(
         name,
         body.registration(),
         idempotency_key=idempotency_key,
-        max_versions=service.settings.api_max_policy_versions,
+        limits=service.settings.limits,
     )
     if not created:
         response.status_code = 200

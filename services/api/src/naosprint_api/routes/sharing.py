@@ -58,6 +58,7 @@ def share_job(job_id: JobId, principal: Submitter, service: ServiceDep, body: Sh
         valid_for=timedelta(days=days),
         job_id=job_id,
         parent_id=principal.token_id,
+        limits=service.settings.limits,
     )
     _log.info("%s (%s) shared job %s by token %s", principal.owner, principal.token_id, job_id, token_id)
     token = get_token(service.reads, token_id)

@@ -58,7 +58,11 @@ def submit_study(
         raise InvalidError(f"at most {limit} jobs may be open at a time; use a lower number", "search.parallel")
     request = StudyRequest(body.job.request(), body.search, body.name)
     study, created = studies.submit_study(
-        service.sessions, request, owner=principal.owner, idempotency_key=idempotency_key
+        service.sessions,
+        request,
+        owner=principal.owner,
+        idempotency_key=idempotency_key,
+        limits=service.settings.limits,
     )
     if not created:
         response.status_code = 200

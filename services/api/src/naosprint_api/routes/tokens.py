@@ -40,6 +40,7 @@ def make_token(body: TokenCreate, principal: Submitter, service: ServiceDep) -> 
         scopes=body.scopes,
         valid_for=None if days is None else timedelta(days=days),
         parent_id=None if principal.is_admin else principal.token_id,
+        limits=service.settings.limits,
     )
     _log.info("%s (%s) made token %s", principal.owner, principal.token_id, token_id)
     shown = TokenPublic.model_validate(get_token(service.reads, token_id))

@@ -47,7 +47,7 @@ def make_webhook(body: WebhookCreate, principal: Submitter, service: ServiceDep)
         owner=principal.owner,
         url=str(body.url),
         events=body.events,
-        most=settings.api_max_webhooks,
+        limits=settings.limits,
     )
     _log.info("%s (%s) made webhook %s", principal.owner, principal.token_id, webhook.id)
     return WebhookMade.model_validate(webhook)
