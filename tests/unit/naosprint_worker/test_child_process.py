@@ -17,6 +17,8 @@ from naosprint import CheckpointError, TrainingDivergedError
 from naosprint_worker.child_process import StopRequest, StopRequestedError, classify
 from naosprint_worker.outcome import ExitCode
 from naosprint_worker.retry import PatienceExhaustedError
+from naosprint_worker.runs import child_environment
+from naosprint_worker.settings import WorkerSettings
 from sqlalchemy.exc import OperationalError
 
 
@@ -110,3 +112,23 @@ def test_block_that_is_over_is_not_interrupted(stop: StopRequest) -> None:
         pass
     os.kill(os.getpid(), signal.SIGTERM)
     assert stop.requested()
+
+
+@pytest.mark.parametrize("name", ["NAOSPRINT_BROKER_URL", "NAOSPRINT_BROKER_URL_FILE", "naosprint_broker_url"])
+def test_children_do_not_get_the_broker_s_password(name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    url = "redis://worker:s3cr3t@broker:6379/0"
+    monkeypatch.delenv("NAOSPRINT_BROKER_URL", raising=False)
+    (tmp_path / "broker").write_text(url, encoding="utf-8")
+    monkeypatch.setenv(name, str(tmp_path / "broker") if name.endswith("_FILE") else url)
+    monkeypatch.setenv("NAOSPRINT_DATABASE_URL", "postgresql://naosprint_worker:w0rker@database/naosprint")
+    monkeypatch.setenv("NAOSPRINT_ARTIFACT_URL", "file:///artifacts")
+    own = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+    assert own.broker_url.get_secret_value() == url
+    environment = child_environment(own)
+    assert not any("s3cr3t" in value or value == str(tmp_path / "broker") for value in environment.values())
+    for one in [*os.environ]:
+        monkeypatch.delenv(one)
+    for one, value in environment.items():
+        monkeypatch.setenv(one, value)
+    theirs = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
+    assert theirs.model_copy(update={"broker_url": own.broker_url}) == own, "the rest is the worker's"

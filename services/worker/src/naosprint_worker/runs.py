@@ -28,6 +28,7 @@ from naosprint_worker.memory import MIB, Share
 from naosprint_worker.orphans import child_marks
 from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
+from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent, Supervisor
 
 logger = logging.getLogger(__name__)
@@ -40,8 +41,23 @@ EVALUATOR_GRACE_S = 5.0
 #: Seconds for which a worker that shuts down waits for the database.
 _LAST_PATIENCE_S = 10.0
 
+#: Children send no messages and receive none; the settings need an address.
+_BROKER_VARIABLE, _NO_BROKER = "NAOSPRINT_BROKER_URL", "redis://none:none@none.invalid"
+
 #: Module of the child process by kind of work.
 _PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
+
+
+def child_environment(settings: WorkerSettings) -> dict[str, str]:
+    """Return the environment variables of every child process: the worker's own, without the broker's address."""
+    return {
+        **{name: value for name, value in os.environ.items() if not name.upper().startswith(_BROKER_VARIABLE)},
+        _BROKER_VARIABLE: _NO_BROKER,
+        "PYTHONFAULTHANDLER": "1",
+        "PYTHONUNBUFFERED": "1",
+        **child_marks(settings.worker_dir),
+        **settings.server_environment,
+    }
 
 
 class Run:
@@ -110,11 +126,7 @@ class Run:
         return Child(
             [sys.executable, "-P", "-m", f"naosprint_worker.{self._program}", "--workdir", str(self._workdir)],
             env={
-                **os.environ,
-                "PYTHONFAULTHANDLER": "1",
-                "PYTHONUNBUFFERED": "1",
-                **child_marks(settings.worker_dir),
-                **settings.server_environment,
+                **child_environment(settings),
                 LABELS_VARIABLE: f"job={self._lease.id},attempt={self._lease.attempt}",
             },
             cwd=self._workdir,
