@@ -75,6 +75,32 @@ def test_logs_keep_their_order_and_any_text(sessions: Sessions, lease: Lease) ->
     assert {row.level for row in found} == {"info", "error"}
 
 
+@pytest.mark.parametrize("bad", ["\x00", "\udc80", "\ud800", "\\u0000\x00"], ids=ascii)
+def test_text_that_the_server_cannot_hold_is_replaced_everywhere(sessions: Sessions, lease: Lease, bad: str) -> None:
+    good = bad.replace("\\u0000", "-").replace("\x00", "?").replace("\udc80", "?").replace("\ud800", "?")
+
+    def stored(text: str) -> str:
+        return text.replace("\\u0000", "-").replace("\N{REPLACEMENT CHARACTER}", "?")
+
+    records.append_metrics(sessions, lease, [{"step": 1, f"m{bad}": 1.0, "reward": 2.0}])
+    records.append_logs(sessions, lease, [records.LogLine("error", f"l{bad}"), records.LogLine("info", "fine")])
+    records.record_event(sessions, lease, "report", f"e{bad}", {"paths": [f"p{bad}"], f"k{bad}": {"x": f"v{bad}"}})
+    submission.edit(sessions, lease.job_id, notes=f"o{bad}", tags=[f"t{bad}"])
+    lifecycle.transition(sessions, lease, WorkState.FAILED, error=f"f{bad}")
+    (metric,) = rows(sessions, Metric, lease.job_id)
+    assert [stored(name) for name in sorted(metric.values)] == [f"m{good}", "reward", "step"]
+    assert [stored(line.message) for line in rows(sessions, Log, lease.job_id)] == [f"l{good}", "fine"]
+    (event,) = [event for event in rows(sessions, Event, lease.job_id) if event.kind == "report"]
+    assert stored(event.message) == f"e{good}"
+    assert {stored(key): value for key, value in event.data.items()}.keys() == {"paths", f"k{good}"}
+    assert stored(event.data["paths"][0]) == f"p{good}"
+    with sessions.begin() as session:
+        job = session.get_one(Job, lease.job_id)
+        session.refresh(job)
+        texts = [stored(text) for text in (job.notes, *job.tags, str(job.error))]
+    assert texts == [f"o{good}", f"t{good}", f"f{good}"]
+
+
 def test_a_checkpoint_recorded_twice_is_there_once(sessions: Sessions, lease: Lease) -> None:
     key = f"jobs/{lease.job_id}/checkpoints/1"
     first = records.record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []})

@@ -267,6 +267,23 @@ def test_no_exit_status_of_others_counts_as_success(service: Service, tmp_path: 
     assert not service.checkpoints(job_id)
 
 
+def test_an_error_with_text_of_any_kind_is_recorded_once_and_shows_no_internals(
+    service: Service, tmp_path: Path
+) -> None:
+    """A permanent error, whose message has a file name that is not UTF-8, an address and a statement."""
+    text = "no \\0 and no \\udc80: {arguments[0]} of https://store.example/b?key=1 [SQL: SELECT secret]"
+    hook = ENDS_THE_PROCESS.format(end=f'raise ValueError(f"{text}")')
+    (tmp_path / "sitecustomize.py").write_text(hook, encoding="utf-8")
+    service.start_worker(PYTHONPATH=str(tmp_path), END_AT="learner.npz")
+    job_id = service.submit(evaluate=False)
+    job = service.until_state(job_id, WorkState.FAILED)
+    assert (
+        job.error
+        == "ValueError: no \N{REPLACEMENT CHARACTER} and no \N{REPLACEMENT CHARACTER}: …/learner.npz of (address)"
+    )
+    assert job.attempt == 1
+
+
 def test_an_evaluator_that_is_ended_has_not_evaluated(service: Service, tmp_path: Path) -> None:
     trained = service.start_worker()
     job_id = service.submit(evaluate=False, total_steps=ROLLOUT)

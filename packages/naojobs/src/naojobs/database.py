@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
+import re
 import select
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import psycopg
-from pydantic_core import from_json, to_json
+from pydantic_core import PydanticSerializationError, from_json, to_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
 from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
@@ -41,6 +42,8 @@ _MIGRATION_LOCK = 0x6E616F
 
 #: The first version of Postgres that can limit a transaction as a whole.
 _TRANSACTION_TIMEOUT_SINCE = 170_000
+
+_UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
 
 _TOO_LONG = (psycopg.errors.TransactionTimeout, psycopg.errors.IdleInTransactionSessionTimeout)
 
@@ -86,6 +89,12 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         if connection.closed or _has_input(connection.fileno()):
             raise InvalidatePoolError("the server has cut the connection")
 
+    @event.listens_for(engine, "before_cursor_execute", retval=True)
+    def make_storable(
+        _connection: object, _cursor: object, statement: str, parameters: Any, _context: object, _many: bool
+    ) -> tuple[str, Any]:
+        return statement, storable(parameters)
+
     @event.listens_for(engine, "handle_error")
     def drop_read_only(context: ExceptionContext) -> None:
         # The driver counts it among internal errors; after a failover, a new connection reaches the new server.
@@ -94,8 +103,28 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
     return engine
 
 
+def storable(value: Any) -> Any:
+    """Return `value` with the characters replaced that the server cannot hold: NUL, and halves of surrogate pairs.
+
+    Every text of every statement passes here, also those within lists and JSON: messages of foreign exceptions, output
+    of programs and names of metrics may contain anything, and must not keep the rest from being recorded.
+    """
+    match value:
+        case str():
+            return _UNSTORABLE.sub("\N{REPLACEMENT CHARACTER}", value) if _UNSTORABLE.search(value) else value
+        case dict():
+            return {storable(key): storable(item) for key, item in value.items()}
+        case list() | tuple():
+            return type(value)([storable(item) for item in value])
+    return value
+
+
 def _json(value: object) -> str:
-    return to_json(value, inf_nan_mode="constants").decode()  # the server refuses NaN, with an error that says so
+    # The server refuses NaN, with an error that says so.
+    with suppress(PydanticSerializationError):
+        if "\\u0000" not in (text := to_json(value, inf_nan_mode="constants").decode()):
+            return text
+    return to_json(storable(value), inf_nan_mode="constants").decode()
 
 
 def _has_input(descriptor: int) -> bool:

@@ -18,7 +18,7 @@ from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
 from naojobs.checkpoints import trained_checkpoint
-from naojobs.database import Sessions
+from naojobs.database import Sessions, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
@@ -112,7 +112,7 @@ def register(
             )
         require_room(session, job.owner, limits, Quota.VERSIONS)
         if wanted.notes:
-            require_room(session, job.owner, limits, Quota.NOTES, more=len(wanted.notes.encode()))
+            require_room(session, job.owner, limits, Quota.NOTES, more=len(storable(wanted.notes).encode()))
         spec = trained_by(job)
         if spec is None:
             raise InvalidError(f"this version cannot read the specification of job {job.id}; use a newer job", "job_id")

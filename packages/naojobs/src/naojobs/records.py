@@ -174,8 +174,7 @@ def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) ->
 
 
 def _log_row(job: Job, line: LogLine) -> dict[str, Any]:
-    # Postgres does not allow zero bytes in text.
-    message = line.message.replace("\x00", "\N{REPLACEMENT CHARACTER}")[:MAX_LOG_CHARS]
+    message = line.message[:MAX_LOG_CHARS]
     level = line.level.lower()[:10]
     return {"job_id": job.id, "attempt": job.attempt, "level": level, "message": message, "logged_at": line.at}
 

@@ -22,7 +22,7 @@ from sqlalchemy.orm import Session
 from naojobs import policies
 from naojobs.capabilities import Requirements
 from naojobs.checkpoints import newest_checkpoint
-from naojobs.database import Sessions, notify
+from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
@@ -256,7 +256,7 @@ def edit(
         if tags is not None:
             job.tags = list(tags)
         if notes is not None:
-            longer = len(notes.encode()) - len(job.notes.encode())
+            longer = len(storable(notes).encode()) - len(job.notes.encode())
             if longer > 0:
                 require_room(session, job.owner, limits, Quota.NOTES, more=longer)
             job.notes = notes

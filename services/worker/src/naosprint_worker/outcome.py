@@ -6,6 +6,7 @@ import contextlib
 import enum
 import json
 import os
+import re
 import shutil
 import signal
 from dataclasses import asdict, dataclass
@@ -34,6 +35,13 @@ class ExitCode(enum.IntEnum):
     STOPPED = 75
     #: The row no longer belongs to this attempt; nothing may be written any more.
     FENCED = 76
+
+
+#: What the database's driver and SQLAlchemy append to their messages.
+_STATEMENT = re.compile(r"\s*(\[SQL: |\bDETAIL: ).*", re.DOTALL)
+_ADDRESS = re.compile(r"\b[A-Za-z][A-Za-z0-9+.-]*://[^\s'\"<>)\]]+")
+#: Absolute path of at least two names, quoted or not; the last name is the second group.
+_PATH = re.compile(r"(?<![\w./…-])(['\"]?)/(?:(?:(?<=['\"]/)[^'\"\n]*|[^\s'\":;,()]*))/([^\s'\":;,()/]*)")
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,16 @@ class Outcome:
             return cls(code, kind, message, str(data.get("traceback", "")))
         except (OSError, ValueError, KeyError, TypeError):
             return None
+
+
+def public(text: str) -> str:
+    """Return the text of an error for its job, without what only the operator may see.
+
+    Users get no SQL statement, no address of a service and no folder of the worker; the worker's log has the rest.
+    """
+    text = _STATEMENT.sub("", text)
+    text = _ADDRESS.sub("(address)", text)
+    return _PATH.sub(r"\1…/\2", text)
 
 
 def last_lines(path: Path, *, lines: int = 5, limit_bytes: int = 8192) -> str:

@@ -26,7 +26,7 @@ from naosprint_worker.context import Context
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.memory import MIB, Share
 from naosprint_worker.orphans import child_marks
-from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit, public
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent, Supervisor
@@ -107,7 +107,7 @@ class Run:
                 with self._context.memory.share(self.kind) as self._share:
                     ending = self._supervisor.run()
             except OSError as error:
-                reason = f"the {self._program} could not be started: {describe(error)}"
+                reason = public(f"the {self._program} could not be started: {describe(error)}")
                 self._patiently(lambda: lifecycle.lose(self._context.sessions, self._lease, reason))
                 return
             self._patiently(lambda: self._settle(ending))
@@ -139,7 +139,7 @@ class Run:
 
     def _settle(self, ending: Ending) -> None:
         """Set the state according to how the child ended."""
-        text = describe_ending(self._program, ending)
+        text = public(describe_ending(self._program, ending))
         logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
         without_checkpoint = self.kind is WorkKind.JOB and ending.reported is not ExitCode.STOPPED
         where = f" without a last checkpoint ({text})" if without_checkpoint else ""
