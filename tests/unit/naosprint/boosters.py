@@ -22,8 +22,11 @@ _ACROSS = np.array([1.0, -1.0, 1.0])
 
 
 def symmetric_environment(robot: Robot, task: type[Task], n: int = 2, **settings: Any) -> Environment:
-    """Return n robots with full-precision perceptors, whose right sides are the mirror images of their left ones."""
-    simulator = MujocoSimulator(robot, n, EmbeddedParameters(truncate=False))
+    """Return n robots with full-precision perceptors, whose right sides are the mirror images of their left ones.
+
+    The exact world steps the model itself, so the changes count; the engine of trainings has read its numbers before.
+    """
+    simulator = MujocoSimulator(robot, n, EmbeddedParameters(truncate=False, exact=True))
     make_symmetric(simulator.world.model)
     model, geoms = simulator.world.model, simulator.world.geoms
     model.geom_contype[geoms], model.geom_conaffinity[geoms] = 2, 1  # no contacts between limbs
