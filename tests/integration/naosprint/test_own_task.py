@@ -167,7 +167,7 @@ def test_tables_of_the_command_line_show_its_metrics(
     (distance,) = (result for result in evaluation["summary"]["results"] if result["name"] == "backward_m")
     for words in (("list",), ("status", "backwards")):
         text = installed.naoctl(*words)
-        assert "Distance backwards" in text
+        assert "distance backwards" in text.lower()
         assert f"{distance['value']:.2f} m" in text
     again = installed.naoctl("compare", "backwards", _twin(installed, job))
     assert f"{distance['value']:.2f} m [" in again

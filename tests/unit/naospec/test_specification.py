@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -367,3 +368,11 @@ def test_nonsense_is_refused_with_the_field(settings: dict[str, float]) -> None:
     (name,) = settings
     with pytest.raises(ValidationError, match=name):
         spec_of(**settings)
+
+
+def test_errors_are_short_whatever_the_input_contains() -> None:
+    with pytest.raises(ValidationError) as caught:
+        TrainingSpec.model_validate({"k" * 60_000: 1, **{f"unknown{number}": 1 for number in range(500)}})
+    words = validation_words(caught.value.errors())
+    assert len(words) < 20_000
+    assert re.search(r"and \d+ more$", words)

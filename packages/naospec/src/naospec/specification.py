@@ -605,10 +605,16 @@ def _at(place: tuple[str | int, ...], error: ValidationError) -> ValidationError
 
 
 def validation_words(errors: Iterable[Any]) -> str:
-    """Return pydantic's errors as one line for users: every wrong field by its path, and what is expected."""
+    """Return pydantic's errors as one line for users: wrong fields by their paths, and what is expected.
+
+    The line is short whatever the input contains: 20 errors, 100 characters of a name, 1,000 of a message.
+    """
+    found = list(errors)
     words = []
-    for item in errors:
-        place = ".".join(str(part) for part in item["loc"])
-        message = item["msg"].removeprefix("Value error, ")
+    for item in found[:20]:
+        place = ".".join(str(part)[:100] for part in item["loc"])
+        message = item["msg"].removeprefix("Value error, ")[:1000]
         words.append(f"{place}: {message}" if place else message)
+    if len(found) > 20:
+        words.append(f"and {len(found) - 20:,} more")
     return "; ".join(words)

@@ -15,7 +15,7 @@ def test_the_environments_own_server_is_the_default(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv(program.PROGRAM_VARIABLE, raising=False)
     launcher = program.server_launcher()
     assert isinstance(launcher, ProcessLauncher)
-    assert launcher.command[1:] == ("-m", "rcsssmj") and launcher.command[0].startswith(sys.prefix)
+    assert launcher.command[1:] == ("-P", "-m", "rcsssmj") and launcher.command[0].startswith(sys.prefix)
 
 
 def test_a_process_listens_on_this_machine_alone_and_is_interrupted() -> None:
