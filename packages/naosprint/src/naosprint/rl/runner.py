@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 __all__ = ["TrainResult", "TrainingDivergedError", "train"]
 
 
+_STATISTICS = "normalizer."
+"""Beginning of the names of statistics of observations and returns."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrainResult:
     """How a training ended.
@@ -323,6 +327,12 @@ class _Session:
             environment = own or None
         elif ENVIRONMENT in manifest.files:
             environment = read_file(directory, manifest, ENVIRONMENT)
+        if ENVIRONMENT in manifest.files and not any(name.startswith(_STATISTICS) for name in learner):
+            # checkpoints from before learners owned the statistics have them among the environments' arrays
+            earlier = read_file(directory, manifest, ENVIRONMENT)
+            learner |= {name: value for name, value in earlier.items() if name.startswith(_STATISTICS)}
+        if environment is not None:
+            environment = {name: value for name, value in environment.items() if not name.startswith(_STATISTICS)}
         require_like(directory / POLICY, policy, expected.policy)
         require_like(directory / LEARNER, learner, expected.learner)
         self.learner.load_policy_state(policy)
