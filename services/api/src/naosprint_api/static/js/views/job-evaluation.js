@@ -318,13 +318,8 @@ export class EvaluationTab {
             { class: "legend hide-tiny" },
             paths.failed
               ? [
-                  h(
-                    "span",
-                    null,
-                    h("i", { style: { background: "var(--s1)" } }),
-                    `finished (${paths.count - failed})`,
-                  ),
-                  h("span", null, h("i", { style: { background: "var(--s6)" } }), `fell × (${failed})`),
+                  h("span", null, h("i", { style: { background: "var(--s1)" } }), `finished (${paths.count - failed})`),
+                  h("span", null, h("i", { style: { background: "var(--s6)" } }), `failed (${failed})`),
                 ]
               : null,
           ),
