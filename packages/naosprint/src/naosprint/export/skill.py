@@ -104,7 +104,7 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path) -> l
     folder = directory / target.folder
     folder.mkdir(parents=True, exist_ok=True)
     written = [
-        Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).iterdir()))
+        Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).glob("*.py")))
     ]
     for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", recorded)):
         written.append(folder / f"{name}.npz")
