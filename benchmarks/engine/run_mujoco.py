@@ -97,7 +97,7 @@ def main() -> None:
         "robots_at_once": ROBOTS_AT_ONCE,
         "results": results,
     }
-    arguments.json.write_text(json_text(document))
+    arguments.json.write_text(json_text(document), encoding="utf-8")
 
 
 if __name__ == "__main__":

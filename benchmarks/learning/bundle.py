@@ -117,7 +117,7 @@ def put_in_place(name: str, checkpoint: Path) -> None:
     # unchanged: the specification's digest includes every field of that version
     slim = json.loads((checkpoint / MANIFEST).read_text())
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
-    (target / MANIFEST).write_text(json_text(slim))
+    (target / MANIFEST).write_text(json_text(slim), encoding="utf-8")
     shutil.copy(checkpoint / POLICY, target / POLICY)
 
 
@@ -220,7 +220,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "lineage": parts,
             **examine.examine(target, EXAMINED_EPISODES),
         }
-        (target / "card.json").write_text(json_text(card))
+        (target / "card.json").write_text(json_text(card), encoding="utf-8")
         report = write_report(work / "report", evaluation=work, title=name).parent
         pictures = PAGES / name
         shutil.rmtree(pictures, ignore_errors=True)

@@ -58,7 +58,7 @@ def main() -> None:
         print(f"round {number + 1}: {ratios}")
     means = {name: round(float(np.mean([found["ratio"][name] for found in rounds])), 3) for name in NAMES}
     content = {"other": commit(options.other), "this": commit(THIS), "ratio": means, "rounds": rounds}
-    (HERE / "comparison.json").write_text(json_text({**machine(), **content}))
+    (HERE / "comparison.json").write_text(json_text({**machine(), **content}), encoding="utf-8")
     print(f"mean: {means}")
 
 

@@ -152,7 +152,7 @@ def main() -> None:
         parser.error(f"{options.policy}: only policies of robots t1 and k1 can be examined")
     print("\n".join(page(examined)))
     if options.json:
-        options.json.write_text(json_text(examined))
+        options.json.write_text(json_text(examined), encoding="utf-8")
 
 
 if __name__ == "__main__":

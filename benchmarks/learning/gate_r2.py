@@ -192,7 +192,7 @@ def main() -> int:
             print(f"  {mark}  {point.command:<42}{point.name:<32}{value:>8}  {point.bound}", flush=True)
     if options.json:
         document = {name: [asdict(point) for point in points] for name, points in found.items()}
-        options.json.write_text(json_text(document))
+        options.json.write_text(json_text(document), encoding="utf-8")
     failed = sum(not point.passed for points in found.values() for point in points)
     few = options.episodes < EPISODES
     print(f"{failed} points failed" if failed else "all points passed")

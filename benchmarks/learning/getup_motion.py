@@ -216,7 +216,7 @@ def main() -> None:
         motion = search.run(60.0 * options.minutes)
         found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
         file = FOLDER / f"getup-{options.robot}.json"
-        file.write_text(json_text(found))
+        file.write_text(json_text(found), encoding="utf-8")
         print(f"wrote {file.name}", flush=True)
 
 

@@ -103,7 +103,7 @@ def main() -> None:
             average_s = 2 * (size - 1) * (message_s + 4 * count / size * byte_s)
             model[name][str(size)] = round(8192 / (8192 / one / size + averages * average_s))
     content = {"robot": options.robot, "rounds": rounds, "average_s": {"1": small, str(count): whole}, "model": model}
-    (HERE / "processes.json").write_text(json_text({**machine(), **content}))
+    (HERE / "processes.json").write_text(json_text({**machine(), **content}), encoding="utf-8")
     print(json.dumps(content["model"], indent=2))
 
 

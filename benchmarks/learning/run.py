@@ -486,7 +486,7 @@ def main() -> int:
         # another section may have been measured meanwhile
         latest = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
         results = {**latest, name: results[name]}
-        RESULTS.write_text(json_text(results))
+        RESULTS.write_text(json_text(results), encoding="utf-8")
     return 0
 
 

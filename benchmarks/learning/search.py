@@ -115,7 +115,7 @@ def main() -> int:
         "repeats": repeats,
     }
     if options.record:
-        options.record.write_text(json_text(figures))
+        options.record.write_text(json_text(figures), encoding="utf-8")
     return 0 if all(repeat["study"]["best"] > repeat["grid"]["best"] for repeat in repeats) else 1
 
 

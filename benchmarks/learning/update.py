@@ -144,7 +144,7 @@ def main() -> None:
         name: round(float(np.mean([found["kernel"] / found[name] for found in rounds])), 2)
         for name in ("products", "torch")
     }
-    RECORD.write_text(json_text({**machine(), "kernel_over": ratios, "rounds": rounds}))
+    RECORD.write_text(json_text({**machine(), "kernel_over": ratios, "rounds": rounds}), encoding="utf-8")
     print(f"kernel over: {ratios}")
 
 

@@ -133,7 +133,7 @@ def main() -> None:
         keys = ("cycles_per_s", "server_us", "client_us")
         document = {name: dict(zip(keys, map(round, values), strict=True)) for name, values in rows.items()}
         settings = {"servers": n, "robot": robot.name}
-        arguments.json.write_text(json_text(settings | document | {"driven_by": ratios}))
+        arguments.json.write_text(json_text(settings | document | {"driven_by": ratios}), encoding="utf-8")
 
 
 if __name__ == "__main__":

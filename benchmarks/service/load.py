@@ -160,7 +160,7 @@ def main() -> int:
     }
     print(json.dumps(figures, indent=1))
     if options.record:
-        options.record.write_text(json_text(figures))
+        options.record.write_text(json_text(figures), encoding="utf-8")
     slow = [kind for kind in ("list", "status") if figures["requests"][kind]["p99_ms"] >= LIMIT_MS]
     lost = figures["metrics_rows_received"]["least"] != rows or len(received) != options.followers
     failed = any(status >= 400 for status in load.statuses)

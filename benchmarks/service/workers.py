@@ -369,7 +369,7 @@ def main() -> int:
     }
     print(json.dumps(figures, indent=1))
     if options.record:
-        options.record.write_text(json_text(figures))
+        options.record.write_text(json_text(figures), encoding="utf-8")
     misses = [
         words
         for wrong, words in (

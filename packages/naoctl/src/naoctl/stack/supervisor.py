@@ -133,7 +133,7 @@ class Supervisor:
         try:
             try:
                 previous = StackState.load(self.layout)
-            except StackError as error:  # after a power cut the file may be empty; nobody else holds the lock
+            except StackError as error:  # after a power cut the file may be empty; no other process holds the lock
                 self.say("State", f"{error.message}; starting with a new one")
                 previous = None
             if previous:
@@ -372,7 +372,7 @@ class Supervisor:
                     self.say(title, "started again")
 
     def _save_state(self) -> None:
-        """Write the state for other processes; this one has it in memory and goes on where the disk is full."""
+        """Write the state for other processes; this one has it in memory and continues where the disk is full."""
         try:
             self.state.save(self.layout)
         except OSError as error:
