@@ -82,7 +82,7 @@ OperationHolder make_holder(const std::string& name, const std::map<std::string,
 class Step {
  public:
   Step(const std::vector<OperationHolder>& measurements, const nb::list& blocks, const nb::list& terms, const nb::list& ends, const nb::dict& arrays,
-       double scale, const std::vector<double>& nominal, bool around_nominal, const std::vector<std::vector<double>>& joints) {
+       double scale, const std::vector<double>& nominal, bool around_nominal, const std::vector<std::vector<double>>& joints, int width) {
     const auto given = [&](const char* name) { return nb::cast<Any>(arrays[name]); };
     const auto reals = [&](const char* name) { return kept(table_of<double>(given(name), name)); };
     const auto flags = [&](const char* name) { return kept(table_of<bool>(given(name), name)); };
@@ -102,6 +102,8 @@ class Step {
     a.short_episode = flags("short");
     arrays_ = arrays;
     program_.scale = scale;
+    program_.width = width;
+    require(width > 0 && a.observations.width % width == 0, "observations: not a whole number of steps");
     program_.nominal = nominal;
     program_.around_nominal = around_nominal;
     require(static_cast<int>(nominal.size()) == a.targets.width && static_cast<int>(joints.size()) == a.actions.width &&
@@ -114,8 +116,8 @@ class Step {
     for (const OperationHolder& each : measurements) program_.measurements.push_back(kept(each));
     for (nb::handle each : blocks) {
       const auto [holder, first, rates, angular, value] = nb::cast<std::tuple<OperationHolder, int, bool, bool, int>>(each);
-      const int width = holder.operation->width() * (rates ? 2 : 1);
-      require(first >= 0 && first + width <= a.observations.width, "blocks: column out of range");
+      const int columns = holder.operation->width() * (rates ? 2 : 1);
+      require(first >= 0 && first + columns <= width, "blocks: column out of range");
       require(!rates || (value >= 0 && value + holder.operation->width() <= a.values.width), "blocks: value out of range");
       program_.blocks.push_back({kept(holder), first, rates, angular, value});
     }
@@ -191,9 +193,9 @@ NB_MODULE(_compiled, m) {
       .def_prop_ro("width", [](const OperationHolder& self) { return self.operation->width(); });
   nb::class_<Step>(m, "Step")
       .def(nb::init<const std::vector<OperationHolder>&, const nb::list&, const nb::list&, const nb::list&, const nb::dict&, double,
-                    const std::vector<double>&, bool, const std::vector<std::vector<double>>&>(),
+                    const std::vector<double>&, bool, const std::vector<std::vector<double>>&, int>(),
            nb::arg("measurements"), nb::arg("blocks"), nb::arg("terms"), nb::arg("ends"), nb::arg("arrays"), nb::arg("scale"),
-           nb::arg("nominal"), nb::arg("around_nominal"), nb::arg("joints"))
+           nb::arg("nominal"), nb::arg("around_nominal"), nb::arg("joints"), nb::arg("width"))
       .def("act", &Step::act<Inputs>, nb::arg("first"), nb::arg("actions"))  // first: what is neither type becomes this one
       .def("act", &Step::act<FloatInputs>, nb::arg("first"), nb::arg("actions"))
       .def("step", &Step::step, nb::arg("first"), nb::arg("count"), nb::arg("lost").none(), nb::arg("max_steps"), nb::arg("short_steps"),

@@ -36,6 +36,11 @@ void Program::step_rows(const Rows& rows, const bool* lost, const Limits& limits
   for (int k = 0; k < rows.count; ++k) ++*a.steps[rows[k]];
   for (const auto& measurement : measurements) measurement->update(rows);
   for (const Block& block : blocks) block.operation->update(rows);
+  const int past = a.observations.width - width;
+  for (int k = 0; past > 0 && k < rows.count; ++k) {
+    double* seen = a.observations[rows[k]];
+    std::copy_backward(seen, seen + past, seen + past + width);
+  }
   for (const Block& block : blocks) {
     const int width = block.operation->width();
     Table<double> columns = a.observations;
@@ -107,6 +112,11 @@ void Program::begin(const Rows& rows) const {
       std::copy_n(now, width, a.values[rows[k]] + block.value);
       std::fill_n(now + width, width, 0.0);
     }
+  }
+  // before its episode a robot has seen what it sees at the start
+  for (int k = 0; k < rows.count; ++k) {
+    double* seen = a.observations[rows[k]];
+    for (int past = width; past < a.observations.width; past += width) std::copy_n(seen, width, seen + past);
   }
 }
 

@@ -46,6 +46,7 @@ class Program {
   std::vector<double> nominal;  // target angles of joints that no action moves
   Arrays arrays;
   double scale = 1.0;
+  int width = 0;  // observations of one step; those of earlier steps follow, the latest first
 
   // When episodes end by their length.
   struct Limits {

@@ -62,6 +62,15 @@ class TaskSettings(Section):
         title="Short-episode fraction",
         description="Fraction of the environments whose episodes are truncated after two seconds, to train the start.",
     )
+    history_steps: int = Field(
+        default=0,
+        ge=0,
+        le=10,
+        title="History",
+        description="Earlier steps that a policy observes besides the present one, actions included: enough to tell "
+        "how late its commands act, or how slippery the floor is.",
+        json_schema_extra={"unit": "steps"},
+    )
 
     def for_evaluation(self) -> Self:
         """Return the settings for episodes of evaluations; the same by default."""
@@ -529,7 +538,10 @@ class EvaluationSpec(_Specification):
         last = trained.stage_specs[-1]
         content = last.model_dump(exclude={"stages"})
         task = last.task.for_evaluation() if self.task is None else self.task
-        content["task"] = task.model_dump(exclude_none=self.task is not None)
+        content["task"] = {
+            **task.model_dump(exclude_none=self.task is not None),
+            "history_steps": last.task.history_steps,  # a policy's inputs are what it was trained with
+        }
         if self.start_noise_deg is not None:
             content["task"] = {**content["task"], "start_noise_deg": self.start_noise_deg}
         if self.simulator is None or self.simulator == trained.simulator.name:

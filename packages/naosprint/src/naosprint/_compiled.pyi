@@ -23,6 +23,7 @@ class Step:
         nominal: Sequence[float],
         around_nominal: bool,
         joints: Sequence[Sequence[float]],
+        width: int,
     ) -> None: ...
     def act(self, first: int, actions: FloatArray | Float32Array) -> None: ...
     def step(

@@ -219,10 +219,21 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
     ("policy", "task", "deterministic"),
     [
         ("t1-run", {"name": "velocity", "push_mps": 0.5, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1}, True),
-        ("t1-run", {"name": "velocity", "mass_variation": 0.2, "friction_min": 0.7, "gravity_min": 0.9}, True),
+        (
+            "t1-run",
+            {
+                "name": "velocity",
+                "mass_variation": 0.2,
+                "friction_min": 0.7,
+                "gravity_min": 0.9,
+                "extra_delay_max": 2,
+                "undisturbed_fraction": 0.5,
+            },
+            True,
+        ),
         ("sprint", {"name": "sprint1", "sensor_noise": 1.0}, False),
     ],
-    ids=["pushes, noise and commands", "masses, friction and gravity", "exploration of a NAO"],
+    ids=["pushes, noise and commands", "masses, friction, gravity, delay", "exploration of a NAO"],
 )
 def test_the_number_of_environments_changes_no_result(policy: str, task: dict[str, Any], deterministic: bool) -> None:
     """Random numbers follow from seed and episode, not from the robot that happens to run it."""

@@ -77,8 +77,9 @@ def test_a_compiled_step_has_the_bits_of_the_python_code(
 def test_a_mujoco_robot_too() -> None:
     mujoco = pytest.importorskip("naosim.mujoco.embedded")
     robot = robots.get("t1")
+    settings = {"hop_penalty": 0.3, "history_steps": 2}
     compiled, plain = (
-        opened(mujoco.MujocoSimulator(robot, 3), compiled=wanted, hop_penalty=0.3) for wanted in (True, False)
+        opened(mujoco.MujocoSimulator(robot, 3), compiled=wanted, **settings) for wanted in (True, False)
     )
     assert compiled.compiled
     same(run(compiled, 45), run(plain, 45))

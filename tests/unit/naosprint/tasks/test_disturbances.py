@@ -132,6 +132,43 @@ def test_an_extra_delay_shifts_commands_by_whole_steps() -> None:
     assert int(np.argmax(moved[1])) - int(np.argmax(moved[0])) == 2
 
 
+def test_a_delay_is_drawn_for_each_episode() -> None:
+    """A command acts after as many steps as its episode's delay says; every delay of the range occurs."""
+    n = 24
+    environment = environment_of(n, extra_delay=1, extra_delay_max=3)
+    joints, rows = environment.actuation.n_joints, np.arange(n)
+    drawn = []
+    for _ in range(4):
+        environment.restart(rows, np.zeros(n, dtype=np.int64))
+        acted = np.array(
+            [
+                environment.disturbances.delayed(np.full((n, joints), 100.0 + step), slice(0, n))[:, 0]
+                for step in range(6)
+            ]
+        )
+        delays = (acted < 100.0).sum(axis=0)
+        np.testing.assert_array_equal(acted[-1], 105.0 - delays)
+        drawn.append(delays)
+    assert set(np.ravel(drawn)) == {1, 2, 3}
+    assert all((np.ptp(drawn, axis=0) > 0)[:8])  # no robot keeps the same one
+
+
+def test_a_fraction_of_the_robots_is_left_undisturbed() -> None:
+    """Nothing of what the others meet reaches them."""
+    n = 40
+    everything: dict[str, Any] = {
+        "push_mps": 1.0, "push_steps": 1, "sensor_noise": 1.0, "mass_variation": 0.1, "friction_min": 0.5,
+        "extra_delay": 1, "undisturbed_fraction": 0.5,
+    }  # fmt: skip
+    environment, ideal = environment_of(n, **everything), environment_of(n)
+    moved, expected = run(environment, 12), run(ideal, 12)
+    calm = (moved == expected).all(axis=(0, 2))
+    seen, undisturbed = environment.world.perceptors, ideal.world.perceptors
+    assert 10 <= calm.sum() <= 30
+    np.testing.assert_array_equal(seen["gyro"][calm], undisturbed["gyro"][calm])
+    assert (np.abs(seen["gyro"] - undisturbed["gyro"])[~calm] > 0.0).all()
+
+
 def test_sensor_noise_has_the_stated_deviation() -> None:
     quiet, noisy = environment_of(64), environment_of(64, sensor_noise=2.0)
     run(quiet, 1)
@@ -144,7 +181,8 @@ def test_sensor_noise_has_the_stated_deviation() -> None:
 
 def test_a_resumed_environment_is_disturbed_alike() -> None:
     settings: dict[str, Any] = {
-        "push_mps": 0.3, "push_steps": 5, "sensor_noise": 1.0, "extra_delay": 1, "mass_variation": 0.1
+        "push_mps": 0.3, "push_steps": 5, "sensor_noise": 1.0, "extra_delay_max": 2, "mass_variation": 0.1,
+        "history_steps": 2, "undisturbed_fraction": 0.3,
     }  # fmt: skip
     environment = environment_of(3, **settings)
     run(environment, 10)
@@ -168,6 +206,8 @@ def test_evaluations_leave_disturbances_out_unless_they_set_them() -> None:
 def test_impossible_disturbances_are_refused() -> None:
     with pytest.raises(ValidationError, match="exchange them"):
         DisturbanceSettings(name="sprint1", friction_min=1.2)
+    with pytest.raises(ValidationError, match="extra_delay: 2 is above extra_delay_max, 1; exchange them"):
+        DisturbanceSettings(name="sprint1", extra_delay=2, extra_delay_max=1)
     nao = EmbeddedSimulator(NAO, 1)
     for settings, named in (({"push_mps": 0.1}, "push_mps"), ({"mass_variation": 0.1}, "mass_variation")):
         parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)

@@ -258,6 +258,25 @@ def test_foot_counter_restarts_at_touchdown(watch: Watch, side: str) -> None:
     assert watch.step(readings(True))[f"{other}_foot_counter"] == len(contacts) + 1
 
 
+def test_a_history_has_the_observations_of_the_steps_before() -> None:
+    """Those before an episode are like its first; mirror images are those of the same step."""
+    now = np.zeros((2, 2))
+    block = ObservationBlock(("left", "right"), lambda rows: now[rows], partners=("right", "left"))
+    observer = Observer(2, [block], history=2)
+    assert observer.names == ("left", "right", "left_ago1", "right_ago1", "left_ago2", "right_ago2")
+    now[:] = [[1.0, 2.0], [10.0, 20.0]]
+    observer.begin(np.array([0, 1]))
+    np.testing.assert_array_equal(observer.observations[1], [10.0, 20.0] * 3)
+    for step in range(3):
+        now[0] = [3.0 + step, -3.0 - step]
+        observer.update(slice(0, 1))
+    np.testing.assert_array_equal(observer.observations[0], [5.0, -5.0, 4.0, -4.0, 3.0, -3.0])
+    np.testing.assert_array_equal(observer.observations[1], [10.0, 20.0] * 3)  # it took no step
+    observer.begin(np.array([0]))
+    np.testing.assert_array_equal(observer.observations[0], [5.0, -5.0] * 3)
+    assert observer.mirror.index.tolist() == [1, 0, 3, 2, 5, 4]
+
+
 def test_beginning_one_robot_leaves_the_others_alone() -> None:
     """Only the rows named begin a new episode."""
     environment = environment_of(3)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint.tasks.observations import PAST
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -46,13 +48,16 @@ def adapt(
     fitted["action_net.bias"] = np.where(still, rest, policy["action_net.bias"][moved]).astype(np.float32)
     fitted["log_std"] = np.where(still, policy["log_std"].mean(), policy["log_std"][moved]).astype(np.float32)
     variance = policy["observation_variance"]
+    # what is remembered is spread like what is observed now
+    present = [name.rsplit(PAST, 1)[0] for name in observations[1]]
+    seen, unseen = _indices(observations[0], present)
     fitted["observation_mean"] = np.where(unseen, 0.0, policy["observation_mean"][seen])
     guess = np.ones(len(observations[1]))
     for suffix in ("", "_rate"):
         known = [name + suffix for name in actions[0] if name + suffix in observations[0]]
         typical = variance[_indices(observations[0], known)[0]].mean() if known else 1.0
         new = [name + suffix for name in actions[1]]
-        guess[[name in new for name in observations[1]]] = typical
+        guess[[name in new for name in present]] = typical
     fitted["observation_variance"] = np.where(unseen, guess, variance[seen])
     return fitted
 

@@ -17,7 +17,7 @@ from naosprint.tasks.randomness import normal, uniform
 if TYPE_CHECKING:
     from naosim.simulator import Simulator
 
-    from naosprint.arrays import AnyArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 _STREAM = 0xD157
 
@@ -88,6 +88,14 @@ class DisturbanceSettings(TaskSettings):
         description="Steps by which every command acts later than the simulator's own delay.",
         json_schema_extra={"unit": "steps"},
     )
+    extra_delay_max: int | None = Field(
+        default=None,
+        ge=0,
+        le=5,
+        title="Most extra delay",
+        description="Upper end of the extra delay, drawn for each episode; left out: equal to the lower end.",
+        json_schema_extra={"unit": "steps"},
+    )
     sensor_noise: float = Field(
         default=0.0,
         ge=0.0,
@@ -95,14 +103,27 @@ class DisturbanceSettings(TaskSettings):
         title="Sensor noise",
         description="Factor of the perceptors' noise; 1 means 0.5 degrees for joint angles and 5 deg/s for the gyro.",
     )
+    undisturbed_fraction: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.9,
+        title="Undisturbed fraction",
+        description="Fraction of the robots without disturbances, so that a policy stays fast in the ideal world.",
+    )
 
     @model_validator(mode="after")
-    def _ordered_friction(self) -> Self:
+    def _ordered(self) -> Self:
         if self.friction_min > self.friction_max:
             raise PydanticCustomError(
                 "range",
                 "friction_min: {low} is above friction_max, {high}; exchange them",
                 {"low": self.friction_min, "high": self.friction_max},
+            )
+        if self.extra_delay_max is not None and self.extra_delay > self.extra_delay_max:
+            raise PydanticCustomError(
+                "range",
+                "extra_delay: {low} is above extra_delay_max, {high}; exchange them",
+                {"low": self.extra_delay, "high": self.extra_delay_max},
             )
         return self
 
@@ -139,7 +160,12 @@ class Disturbances:
         self._streams = np.arange(simulator.n) if streams is None else streams
         n, joints = simulator.n, len(simulator.robot.joints)
         self._count: IntArray = np.zeros(n, dtype=np.int64)
-        self._waiting: FloatArray = np.zeros((settings.extra_delay, n, joints))
+        self._least, self._most = settings.extra_delay, settings.extra_delay_max or settings.extra_delay
+        self._drawn = self._most > self._least or (self._most > 0 and settings.undisturbed_fraction > 0.0)
+        self._delay: IntArray = np.full(n, self._least)
+        self._episode: IntArray = np.zeros(n, dtype=np.int64)
+        self._waiting: FloatArray = np.zeros((self._most, n, joints))  # the latest command is the last
+        self._disturbed: BoolArray = self._draw_disturbed(slice(0, n))
         self._noise = {
             name: NOISE[name] * settings.sensor_noise
             for name in simulator.perceptors
@@ -148,15 +174,18 @@ class Disturbances:
         self.arrays: dict[str, AnyArray] = {}
         if settings.push_mps or self._noise:
             self.arrays["count"] = self._count
-        if settings.extra_delay:
+        if self._most:
             self.arrays["waiting"] = self._waiting
+        if self._drawn:
+            self.arrays.update(delay=self._delay, episode=self._episode)
         self._varies = bool(
             settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
         )
         if self._varies:
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
-            simulator.vary(settings.mass_variation, frictions, np.linspace(settings.gravity_min, 1.0, n), rng)
+            gravities, rows = np.linspace(settings.gravity_min, 1.0, n), np.flatnonzero(self._disturbed)
+            simulator.vary(settings.mass_variation, frictions[rows], gravities[rows], rng, rows)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 
@@ -164,23 +193,43 @@ class Disturbances:
         """Give robots the random numbers of these episodes, whichever robot runs them."""
         settings = self._settings
         self._count[rows] = 0
+        self._episode[rows] = 0
+        self._disturbed[rows] = self._draw_disturbed(rows)
         if self._varies:
-            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
+            for row, episode, disturbed in zip(
+                rows.tolist(), episodes.tolist(), self._disturbed[rows].tolist(), strict=True
+            ):
                 rng = np.random.default_rng([_STREAM, self._seed, episode])
                 friction = rng.uniform(settings.friction_min, settings.friction_max, 1)
                 gravity = rng.uniform(settings.gravity_min, 1.0, 1)
-                self._simulator.vary(settings.mass_variation, friction, gravity, rng, np.array([row]))
+                if not disturbed:
+                    friction[:] = gravity[:] = 1.0
+                masses = settings.mass_variation if disturbed else 0.0
+                self._simulator.vary(masses, friction, gravity, rng, np.array([row]))
+
+    def _draw_disturbed(self, rows: slice | IntArray) -> BoolArray:
+        """Return which of the (k,) robots ``rows`` are disturbed at all."""
+        streams = self._streams[rows]
+        chance = uniform(self._seed + _STREAM - 1, streams, np.zeros_like(streams), 1)[:, 0]
+        return np.asarray(chance >= self._settings.undisturbed_fraction)
 
     def begin(self, rows: IntArray) -> None:
-        """Discard the commands of earlier episodes of the robots ``rows``."""
+        """Discard the commands of earlier episodes of the robots ``rows``, and draw the delay of the new ones."""
         if len(self._waiting):
             self._waiting[:, rows] = self._simulator.robot.nominal
+        if self._drawn:
+            self._episode[rows] += 1
+            part = uniform(self._seed + _STREAM - 2, self._streams[rows], self._episode[rows], 1)[:, 0]
+            drawn = self._least + (part * (self._most + 1 - self._least)).astype(np.int64)
+            self._delay[rows] = np.where(self._disturbed[rows], drawn, 0)
 
     def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:
         """Return the (k, J) targets that act now, and keep the new ones for later."""
         if not len(self._waiting):
             return targets_rad
-        acting = self._waiting[0, rows].copy()
+        delay = self._delay[rows]
+        k = np.arange(len(delay))
+        acting = np.where((delay > 0)[:, None], self._waiting[:, rows][-delay, k], targets_rad)
         self._waiting[:-1, rows] = self._waiting[1:, rows]
         self._waiting[-1, rows] = targets_rad
         return acting
@@ -191,13 +240,14 @@ class Disturbances:
         if not (settings.push_mps or self._noise):
             return
         self._count[rows] += 1
-        streams, counts = self._streams[rows], self._count[rows]
+        streams, counts, disturbed = self._streams[rows], self._count[rows], self._disturbed[rows]
         if settings.push_mps:
             chance, turn, part = uniform(self._seed + _STREAM, streams, counts, 3).T
-            pushed = chance < 1.0 / settings.push_steps
+            pushed = disturbed & (chance < 1.0 / settings.push_steps)
             direction, size = np.pi * (2.0 * turn - 1.0), settings.push_mps * part * pushed
             if pushed.any():
                 self._simulator.push(np.stack([size * np.cos(direction), size * np.sin(direction)], axis=1), rows)
         for number, (name, deviation) in enumerate(self._noise.items(), 1):
             values = self._simulator.perceptors[name][rows]
-            values += deviation * normal(self._seed + _STREAM + number, streams, counts, values.shape[1])
+            noise = normal(self._seed + _STREAM + number, streams[disturbed], counts[disturbed], values.shape[1])
+            values[disturbed] += deviation * noise

@@ -65,7 +65,7 @@ class Environment:
         self.world = World(simulator)
         self.actuation = self.world.actuation
         self.task = task_class(parameters, self.world, seed)
-        self.observer = Observer(n, self.task.observation_blocks())
+        self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps)
         require_plain_names("observations", self.observer.names)
         require_plain_names("joints", self.world.robot.joint_names)
         self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
@@ -128,6 +128,7 @@ class Environment:
             self.world.robot.nominal.tolist(),
             reach is not None,
             np.stack([*joints, actuation.nominal, actuation.sign], axis=1).tolist(),
+            self.observer.width,
         )
 
     @property

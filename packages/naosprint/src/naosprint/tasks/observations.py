@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.base import World
 
+PAST = "_ago"
+"""Between an observation's name and how many steps ago it was observed."""
+
 _AXES = ("x", "y", "z")
 _NEVER = 1e6  # steps since a report that there has not been
 
@@ -71,15 +74,23 @@ class ObservationBlock:
 class Observer:
     """The observations of n robots, assembled from blocks.
 
+    Args:
+        n: robots.
+        blocks: what is observed at a step, in order.
+        history: earlier steps that are observed besides the present one, the latest first; those before an episode are
+            like its first.
+
     Attributes:
         names: names of the D observations.
+        width: observations of one step.
         observations: (n, D) the latest observations.
         values: (n, V) the latest values of the observations whose rates follow.
         mirror: their mirror image.
     """
 
-    def __init__(self, n: int, blocks: Sequence[ObservationBlock]) -> None:
+    def __init__(self, n: int, blocks: Sequence[ObservationBlock], history: int = 0) -> None:
         self.blocks = tuple(blocks)
+        self.history = history
         self._beginning = [block for block in self.blocks if block.begin is not None]
         self._updating = [block for block in self.blocks if block.update is not None]
         names: list[str] = []
@@ -109,6 +120,11 @@ class Observer:
         doubled = {name for name in names if names.count(name) > 1}
         if doubled:
             raise ValueError(f"observations: {', '.join(sorted(doubled))}: two blocks have a number of this name")
+        self.width = len(names)
+        for ago in range(1, history + 1):
+            names += [f"{name}{PAST}{ago}" for name in names[: self.width]]
+            partners += [f"{name}{PAST}{ago}" for name in partners[: self.width]]
+            signs += signs[: self.width]
         self.names = tuple(names)
         self.observations: FloatArray = np.zeros((n, len(names)))
         self._mirror = (partners, signs)
@@ -142,11 +158,11 @@ class Observer:
             block.begin(rows)  # type: ignore[misc]
         values = self._measure(rows)
         self.values[rows] = values
-        first = np.zeros((len(rows), len(self.names)))
+        first = np.zeros((len(rows), self.width))
         first[:, self._value_columns] = values
         for block, at in self._plain:
             first[:, at] = block.measure(rows)
-        self.observations[rows] = first
+        self.observations[rows] = np.tile(first, self.history + 1)
 
     def update(self, rows: slice) -> None:
         """Compute the observations of the robots ``rows`` after a step."""
@@ -160,6 +176,8 @@ class Observer:
             rates[:, self._angular] = (turns + np.pi) % (2.0 * np.pi) - np.pi
         self.values[rows] = values
         observations = self.observations[rows]
+        if self.history:
+            observations[:, self.width :] = observations[:, : -self.width].copy()
         observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
         for block, at in self._plain:
