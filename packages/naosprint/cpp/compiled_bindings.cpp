@@ -174,6 +174,24 @@ class Step {
   std::vector<Any> flags_;
 };
 
+// One 64-bit hash of three keys (the finalizer of splitmix64), as naosprint.tasks.randomness.hashed.
+std::uint64_t hashed(std::uint64_t seed, std::uint64_t first, std::uint64_t second, std::uint64_t third) {
+  std::uint64_t key = seed * 0x9E3779B97F4A7C15u + first * 0xD1B54A32D192ED03u + second * 0x8CB92BA72F3D8DD7u + third * 0xAEF17502108EF2D9u;
+  key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
+  key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
+  return key ^ (key >> 31);
+}
+
+// Sum of the twelve 16-bit numbers in three hashes, as a normal number.
+double normal(std::uint64_t seed, std::uint64_t stream, std::uint64_t draw, std::uint64_t number) {
+  std::uint64_t sum = 0;
+  for (std::uint64_t part = 0; part < 3; ++part) {
+    const std::uint64_t bits = hashed(seed, stream, draw, 3 * number + part);
+    sum += (bits & 0xFFFF) + (bits >> 16 & 0xFFFF) + (bits >> 32 & 0xFFFF) + (bits >> 48);
+  }
+  return (static_cast<double>(sum) + 6.0) / 65536.0 - 6.0;
+}
+
 Moments moments_of(const Doubles& mean, const Doubles& variance, const Doubles& count) {
   require(mean.size() == variance.size() && count.size() == 1, "moments: wrong shape");
   return {mean.data(), variance.data(), count.data(), static_cast<int>(mean.size())};
@@ -222,6 +240,16 @@ NB_MODULE(_compiled, m) {
                       static_cast<std::int64_t>(samples.shape(0)), clip, out.data(), threads);
         },
         nb::arg("mean"), nb::arg("variance"), nb::arg("samples"), nb::arg("clip"), nb::arg("out"), nb::arg("threads"));
+  m.def("normal",
+        [](std::uint64_t seed, const Index& streams, const Index& draws, const Doubles& out) {
+          require(out.ndim() == 2 && out.shape(0) == streams.size() && streams.size() == draws.size(), "streams, draws: one per row is needed");
+          const std::size_t width = out.shape(1);
+          for (std::size_t k = 0; k < streams.size(); ++k)
+            for (std::size_t c = 0; c < width; ++c)
+              out.data()[k * width + c] =
+                  normal(seed, static_cast<std::uint64_t>(streams.data()[k]), static_cast<std::uint64_t>(draws.data()[k]), c);
+        },
+        nb::arg("seed"), nb::arg("streams"), nb::arg("draws"), nb::arg("out"));
   m.def("scale_rewards",
         [](const Doubles& mean, const Doubles& variance, const Doubles& count, const Doubles& returns, const Inputs& rewards, const Flags& dones,
            double gamma, double clip, const Floats& out) {

@@ -50,6 +50,7 @@ def merge(
 def standardize(
     mean: FloatArray, variance: FloatArray, samples: FloatArray, clip: float, out: Float32Array, threads: int
 ) -> None: ...
+def normal(seed: int, streams: IntArray, draws: IntArray, out: FloatArray) -> None: ...
 def scale_rewards(
     mean: FloatArray,
     variance: FloatArray,

@@ -14,6 +14,7 @@ from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
 from naosprint.tasks.compiled import Operation
 from naosprint.tasks.environment import Environment
+from naosprint.tasks.randomness import hashed, normal
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
 
 NAO = robots.get("nao-0")
@@ -169,6 +170,14 @@ def test_an_unknown_or_incomplete_operation_is_named() -> None:
         Operation("gravity", {"quaternion": np.zeros((3, 3))}).build()
     with pytest.raises(ValueError, match="side by side"):
         Operation("gravity", {"quaternion": np.zeros((4, 3)).T}).build()
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**63 + 5])
+def test_normal_numbers_are_sums_of_hashed_ones(seed: int) -> None:
+    streams, draws, count = np.arange(9) * 17 - 3, np.arange(9) + 99, 5
+    keys = (np.repeat(streams, 3 * count), np.repeat(draws, 3 * count), np.tile(np.arange(3 * count), 9))
+    sums = hashed(seed, *keys).view(np.uint16).reshape(9, count, 12).sum(axis=2, dtype=np.float64)
+    np.testing.assert_array_equal(normal(seed, streams, draws, count), (sums + 6.0) / 2.0**16 - 6.0)
 
 
 def reference_merge(moments: RunningMoments, batch: np.ndarray) -> None:

@@ -267,7 +267,8 @@ class MujocoSimulator(Simulator):
         """Add (k, 2) horizontal velocities in m/s, world frame, to those of the torsos of the robots ``rows``."""
         self.require_open()
         first = 6 if self.world.ball else 0
-        for data, (x, y) in zip(self.batch.data[rows], velocities_mps.tolist(), strict=True):
+        pushed = np.flatnonzero(velocities_mps.any(axis=1)).tolist()
+        for data, (x, y) in zip((self.batch.data[rows.start + k] for k in pushed), velocities_mps[pushed].tolist()):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint import _compiled
+
 if TYPE_CHECKING:
     from naosprint.arrays import Float32Array, FloatArray, IntArray
 
@@ -42,11 +44,9 @@ def normal(seed: int, streams: IntArray, draws: IntArray, count: int) -> FloatAr
 
     Each is the sum of twelve uniform numbers, so that it has the same bits on every processor and is at most 6.
     """
-    k, column = len(streams), np.arange(3 * count)
-    keys = (np.repeat(streams, 3 * count), np.repeat(draws, 3 * count), np.tile(column, k))
-    parts = hashed(seed, *keys).view(np.uint16).reshape(k, count, 12)
-    sums: FloatArray = parts.sum(axis=2, dtype=np.float64)
-    return (sums + 6.0) / 2.0**16 - 6.0
+    numbers: FloatArray = np.empty((len(streams), count))
+    _compiled.normal(seed % 2**64, streams, draws, numbers)
+    return numbers
 
 
 class Normals:
