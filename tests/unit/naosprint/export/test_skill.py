@@ -25,7 +25,7 @@ from naosprint.rl.policy import NetworkPolicy, load_policy
 from naosprint.tasks.environment import open_environment
 
 
-def random_policy(robot: dict[str, Any], task: str) -> tuple[NetworkPolicy, Manifest]:
+def random_policy(robot: dict[str, Any], task: Any) -> tuple[NetworkPolicy, Manifest]:
     """Return a policy of random weights for a task."""
     spec = TrainingSpec.model_validate({"robot": robot, "task": task})
     environment = open_environment(spec, 1, threads=1)
@@ -77,11 +77,12 @@ def folder_of(robot: str, directory: Path) -> Path:
         ({"name": "k1"}, "sprint1"),
         ({"name": "t1"}, "getup"),
         ({"name": "nao-4"}, "sprint2"),
-        ({"name": "nao-0", "ground_velocity": True}, "sprint1"),
+        ({"name": "nao-0", "ground_velocity": True}, {"name": "sprint1", "history_steps": 2}),
+        ({"name": "t1"}, {"name": "velocity", "history_steps": 3}),
     ],
-    ids=["t1", "k1", "t1-getup", "nao-4", "nao-0-velocity"],
+    ids=["t1", "k1", "t1-getup", "nao-4", "nao-0-velocity-history", "t1-history"],
 )
-def test_the_skill_is_the_policy(robot: dict[str, Any], task: str, tmp_path: Path, numpy_alone: Path) -> None:
+def test_the_skill_is_the_policy(robot: dict[str, Any], task: Any, tmp_path: Path, numpy_alone: Path) -> None:
     policy, manifest = random_policy(robot, task)
     write_skill(policy, manifest, tmp_path)
     folder = folder_of(robot["name"], tmp_path)

@@ -268,7 +268,9 @@ class MujocoSimulator(Simulator):
         self.require_open()
         first = 6 if self.world.ball else 0
         pushed = np.flatnonzero(velocities_mps.any(axis=1)).tolist()
-        for data, (x, y) in zip((self.batch.data[rows.start + k] for k in pushed), velocities_mps[pushed].tolist()):
+        for data, (x, y) in zip(
+            (self.batch.data[rows.start + k] for k in pushed), velocities_mps[pushed].tolist(), strict=True
+        ):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 

@@ -14,7 +14,7 @@ class Runner:
 
     def __init__(self, path):
         self.__dict__.update(np.load(path))
-        self.names = [str(name) for name in self.observation_names]
+        self.names = [str(name) for name in self.observation_names if "_ago" not in str(name)]
         self.commanded = "command_forward" in self.names
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
@@ -25,7 +25,7 @@ class Runner:
         """Begin a run along `heading`, the torso's own if it is None; `lane` is a point of the path, (x, y) metres."""
         self.heading, self.lane, self.position = heading, lane, None
         self.offset, self.command, self.action = 0.0, np.zeros(3), np.zeros(len(self.action_names))
-        self.cycles = 0
+        self.cycles, self.past = 0, []
 
     def observe(self, position, quaternion, gyro_deg, angles_deg, speeds_deg, command=None):
         """Return the observation, once per cycle.
@@ -60,7 +60,9 @@ class Runner:
             seen.update(zip((f"{name}_{axis}" for axis in "xyz"), vector))
         for name, values in zip(("", "speed_", "action_"), (*joints, self.action)):
             seen.update(zip((f"{name}{joint}" for joint in self.action_names), values))
-        return np.array([seen[name] for name in self.names])
+        now = np.array([seen[name] for name in self.names])
+        self.past = [now, *(self.past or [now] * 10)][:11]  # before a run everything was as it is at its start
+        return np.concatenate(self.past[: len(self.observation_names) // len(now)])
 
     def _aside(self, way):
         return np.cos(self.heading) * way[1] - np.sin(self.heading) * way[0]

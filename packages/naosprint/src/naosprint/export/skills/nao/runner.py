@@ -23,7 +23,7 @@ class Runner:
 
     def begin(self, heading=0.0):
         """Begin a run."""
-        self.heading, self.before, self.position = heading, None, None
+        self.heading, self.before, self.position, self.past = heading, None, None, []
 
     def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None, position=None):
         """Return the observation, once per cycle.
@@ -57,13 +57,16 @@ class Runner:
         self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
         self.before, self.loaded = now, loaded
         velocity = self.velocity(position) if self.sees_velocity else []
-        return np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
+        seen = np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
+        self.past = [seen, *(self.past or [seen] * 10)][:11]  # before a run everything was as it is at its start
+        return np.concatenate(self.past[: len(self.observation_names) // len(seen)])
 
     def known(self):
         """Return the names of the observations that `observe` can return."""
         names = [str(name) for name in self.observation_names]
         rated = [name for name in names if f"{name.removesuffix('_rate')}_rate" in names]
-        return [*rated, "step", "right_foot_counter", "left_foot_counter", "forward_velocity", "lateral_velocity"]
+        now = [*rated, "step", "right_foot_counter", "left_foot_counter", "forward_velocity", "lateral_velocity"]
+        return [*now, *(name for name in names if name.split("_ago")[0] in now)]
 
     def velocity(self, position):
         """Return the velocity (2,) in m/s, ahead and to the left, since the last cycle."""
