@@ -10,8 +10,10 @@ import secrets
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,41 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 STANDINS = Path(__file__).parent / "standins.yml"
+#: Prints which of the given addresses answer as SeaweedFS, its stand-in, or :func:`listening` does: behind the proxy of
+#: some networks every address answers something.
+REACH = """
+import socket, sys
+for address in sys.argv[1:]:
+    host, _, port = address.rpartition(":")
+    try:
+        with socket.create_connection((host, int(port)), 2) as connection:
+            connection.settimeout(2)
+            connection.sendall(b"GET / HTTP/1.0\\r\\n\\r\\n")
+            answer = b"".join(iter(lambda: connection.recv(4096), b""))
+    except OSError:
+        continue
+    if b"naosprint" in answer or b"SeaweedFS" in answer:
+        print(address)
+"""
+
+
+@contextlib.contextmanager
+def listening() -> Iterator[int]:
+    """Answer at a port of every address of this machine; yield the port."""
+
+    class Answer(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.wfile.write(b"naosprint")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("0.0.0.0", 0), Answer) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}).start()
+        try:
+            yield server.server_port
+        finally:
+            server.shutdown()
 
 
 @functools.cache
@@ -156,7 +193,7 @@ def open_project(settings_file: Path, empty: Path) -> Iterator[Project]:
     compose_file = ROOT / "docker-compose.yml"
     name = f"naosprint-e2e-{secrets.token_hex(4)}"
     project = Project(name, (compose_file,), settings_file, True, environment)
-    official = ("postgres", "broker", "store")
+    official = ("postgres", "broker", "seaweedfs", "store")
     if project.compose("pull", "--quiet", *official, check=False, timeout_s=600).returncode != 0:
         project = Project(name, (compose_file, STANDINS), settings_file, False, environment)
     try:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import json
+import re
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
+
+from .conftest import REACH, ROOT, listening, run
 
 Naoctl = Callable[..., Any]
 
@@ -46,10 +52,16 @@ sys.exit("the store is open to all")
 """
 
 
+def reached(project: Any, service: str, addresses: list[str]) -> set[str]:
+    """Return which of the addresses a service's container can connect to."""
+    answer = project.compose("exec", "-T", service, "python", "-c", REACH, *addresses)
+    return set(answer.stdout.split())
+
+
 def test_everything_is_healthy_and_roles_and_migrations_have_ended(project: Any) -> None:
     states = {one["Config"]["Labels"]["com.docker.compose.service"]: one["State"] for one in project.containers()}
     assert [states.pop(name)["ExitCode"] for name in ("roles", "migrate")] == [0, 0]
-    assert set(states) == {"postgres", "broker", "store", "api", "worker"}
+    assert set(states) == {"postgres", "broker", "seaweedfs", "store", "api", "worker"}
     assert {name: state["Health"]["Status"] for name, state in states.items()} == dict.fromkeys(states, "healthy")
     ready = httpx.get(f"{project.url}/readyz", timeout=20).json()
     assert ready == {"ready": True, "database": "ok", "schema_revision": "ok", "store": "ok", "broker": "ok"}
@@ -150,3 +162,59 @@ def test_the_database_cannot_be_reached_from_outside_its_network(project: Any) -
     reach = "import socket; socket.create_connection(('1.1.1.1', 443), 3)"
     answer = project.compose("exec", "-T", "worker", "python", "-c", reach, check=False)
     assert answer.returncode != 0 and "OSError" in answer.stderr
+
+
+def test_ports_of_the_store_that_need_no_key_are_reached_by_its_proxy_alone(project: Any) -> None:
+    (network,) = project.container("seaweedfs")["NetworkSettings"]["Networks"].values()
+    hosts = ("store", "seaweedfs", network["IPAddress"])
+    addresses = [f"{host}:{port}" for host in hosts for port in (8888, 9333, 9340)]
+    for service in ("api", "worker"):
+        assert reached(project, service, addresses) == set()
+    # There is something to reach.
+    port = "wget -q -O /dev/null http://127.0.0.1:8888/" if project.has_registry else ": >/dev/tcp/127.0.0.1/8888"
+    project.compose("exec", "-T", "seaweedfs", "sh" if project.has_registry else "bash", "-c", port)
+
+
+def test_internal_networks_do_not_reach_the_host(project: Any) -> None:
+    found = json.loads(run(["docker", "network", "inspect", "bridge", *project.owned("network")]).stdout)
+    with listening() as port:
+        gateways = {
+            one["Name"].removeprefix(f"{project.name}_"): f"{config.get('Gateway') or first(config['Subnet'])}:{port}"
+            for one in found
+            for config in one["IPAM"]["Config"]
+        }
+        assert {"data", "storage", "front", "bridge"} <= set(gateways)
+        assert reached(project, "worker", list(gateways.values())) == set()
+        # The API's published port needs a network with a gateway, which shows that the host can be reached.
+        assert gateways["front"] in reached(project, "api", list(gateways.values()))
+
+
+def test_the_superuser_connects_on_its_socket_only(project: Any) -> None:
+    lines = project.settings.read_text(encoding="utf-8").splitlines()
+    password = dict(line.split("=", 1) for line in lines if line[:1].isupper())["POSTGRES_PASSWORD"]
+    code = "import psycopg, sys; psycopg.connect(sys.argv[1]).close()"
+    url = f"postgresql://naosprint:{password}@postgres:5432/naosprint"
+    refused = project.compose("exec", "-T", "api", "python", "-c", code, url, check=False)
+    assert refused.returncode != 0 and "no pg_hba.conf entry" in refused.stderr
+
+
+def first(subnet: str) -> str:
+    """Return the address that the engine gives to a bridge."""
+    return str(next(ipaddress.ip_network(subnet).hosts()))
+
+
+@pytest.mark.parametrize(
+    "secret", ["POSTGRES_PASSWORD", "POSTGRES_WORKER_PASSWORD", "BROKER_API_PASSWORD", "S3_SECRET_ACCESS_KEY"]
+)
+def test_compose_names_the_secret_that_is_missing(engine: str, secret: str, tmp_path: Path) -> None:
+    path = tmp_path / "some.env"
+    subprocess.run([ROOT / "deploy" / "new-env", path], check=True, timeout=20)
+    path.write_text(re.sub(rf"^{secret}=.*$", f"{secret}=", path.read_text(), flags=re.MULTILINE))
+    answer = subprocess.run(
+        [engine, "compose", "--project-directory", ROOT, "--env-file", path, "config", "--quiet"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert answer.returncode != 0
+    assert secret in answer.stderr and "deploy/new-env" in answer.stderr

@@ -24,22 +24,19 @@ def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
     inspected = subprocess.run(["docker", "network", "inspect", "bridge"], capture_output=True, check=True, timeout=60)
     address = json.loads(inspected.stdout)[0]["IPAM"]["Config"][0]["Gateway"]
     subprocess.run([ROOT / "deploy" / "new-certificates", address], check=True, timeout=60)
-    standins = () if project.has_registry else (Path(__file__).parent / "standins-hosts.yml",)
     secrets = dict(line.split("=", 1) for line in project.settings.read_text().splitlines() if line[:1].isupper())
     opened = dataclasses.replace(
         project,
-        files=(project.files[0], ROOT / "deploy" / "hosts.yml", *project.files[1:], *standins),
+        files=(project.files[0], ROOT / "deploy" / "hosts.yml", *project.files[1:]),
         environment={
             **project.environment,
             **{"HOSTS_BIND": address, "POSTGRES_PORT": "0", "BROKER_PORT": "0", "STORE_PORT": "0"},
         },
     )
-    if standins:
-        opened.compose("build", "store-tls")
-    opened.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store-tls", "api", "worker")
+    opened.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store", "api", "worker")
     postgres, broker, store = (
         opened.compose("port", service, port).stdout.strip()
-        for service, port in (("postgres", "5432"), ("broker", "6380"), ("store-tls", "8333"))
+        for service, port in (("postgres", "5432"), ("broker", "6380"), ("store", "8334"))
     )
     settings = tmp_path_factory.mktemp("hosts") / "worker.env"
     settings.write_text(
@@ -58,12 +55,9 @@ def remote(project: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[A
         yield other
     finally:
         other.compose("down", "--volumes", "--timeout", "60", check=False)
-        opened.compose("rm", "--stop", "--force", "store-tls", check=False)
         project.compose("up", "--detach", "--no-build", "--wait", "postgres", "broker", "store", "api", "worker")
-        for kind, name in (("network", "hosts"), ("volume", "superuser")):
-            subprocess.run(
-                ["docker", kind, "rm", f"{project.name}_{name}"], check=True, capture_output=True, timeout=60
-            )
+        hosts = ["docker", "network", "rm", f"{project.name}_hosts"]
+        subprocess.run(hosts, check=True, capture_output=True, timeout=60)
     assert not other.owned("container")
 
 

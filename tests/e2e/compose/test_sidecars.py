@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from ipaddress import ip_network
 from typing import Any
 
 import pytest
+from docker import APIClient, errors
+from naosim.sidecars import Sidecars
+
+from .conftest import REACH, listening
 
 Naoctl = Callable[..., Any]
 
@@ -141,3 +147,32 @@ def test_the_worker_has_no_way_to_the_engine(sidecars: Any) -> None:
     # otherwise it could refuse all of the above for another reason
     assert ask("POST", "/servers", json.dumps(order)).startswith("200")
     assert sidecars.container("postgres")["State"]["Running"]
+
+
+def test_many_networks_fit_and_none_reaches_the_host(sidecars: Any) -> None:
+    """The engine's own pools have room for about 30."""
+    api = APIClient()
+    service = Sidecars(api, {}, sidecars.container("launcher")["Id"])
+    names = [f"naosim-e2e-{index}" for index in range(40)]
+    worker = sidecars.container("sidecar-worker")["Id"]
+    made = []
+    try:
+        for name in names:
+            service._create_network(name, {"test": "networks"})
+            made.append(name)
+        api.connect_container_to_network(worker, names[-1])
+        with listening() as port:
+            networks = [json.loads(docker("network", "inspect", name))[0] for name in (names[-1], "bridge")]
+            subnet = ip_network(networks[0]["IPAM"]["Config"][0]["Subnet"])
+            # Every address of the network that is no container's: one of them would be the host's.
+            addresses = [str(one) for one in list(subnet.hosts())[:8]] + [networks[1]["IPAM"]["Config"][0]["Gateway"]]
+            asked = [f"{address}:{port}" for address in addresses]
+            assert sidecars.compose("exec", "-T", "sidecar-worker", "python", "-c", REACH, *asked).stdout == ""
+            # A network of the engine's own making does reach it.
+            assert sidecars.compose("exec", "-T", "api", "python", "-c", REACH, asked[-1]).stdout.split() == asked[-1:]
+    finally:
+        with contextlib.suppress(errors.APIError):
+            api.disconnect_container_from_network(worker, names[-1])
+        for name in made:
+            api.remove_network(name)
+        api.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,14 +61,14 @@ def test_profiles_are_chosen_by_a_setting_so_that_down_stops_them() -> None:
         assert set(named) <= {"'*'"}, page
 
 
-def test_on_shared_hosts_postgres_refuses_the_superuser_and_connections_in_the_clear() -> None:
+def test_postgres_refuses_the_superuser_except_on_sockets() -> None:
     lines = [line.split() for line in ACCESS.read_text(encoding="utf-8").splitlines() if line and line[0] != "#"]
     sockets, remote = ([line for line in lines if (line[0] == "local") is local] for local in (True, False))
     assert sockets == [["local", "all", "all", "trust"]]
     (line,) = remote
     roles = sorted(role for role in Role if role is not Role.BACKUP)
     assert [line[0], line[1], sorted(line[2].split(",")), *line[3:]] == [
-        "hostssl",
+        "host",
         "naosprint",
         roles,
         "all",
@@ -74,23 +76,77 @@ def test_on_shared_hosts_postgres_refuses_the_superuser_and_connections_in_the_c
     ]
 
 
-def test_on_shared_hosts_the_superuser_s_socket_is_shared_with_one_service() -> None:
-    opened = services(HOSTS)
-    server, settings = opened["postgres"], opened["roles"]["environment"]
-    sharing = {name for name, each in opened.items() if any("superuser:" in one for one in each.get("volumes", ()))}
-    assert sharing == {"postgres", "roles"}
-    assert "./deploy/postgres:/etc/naosprint:ro" in server["volumes"]
-    start = server["entrypoint"][-2]
-    assert f"hba_file=/etc/naosprint/{ACCESS.name}" in start and "ssl=on" in start
-    url = urlsplit(settings["NAOSPRINT_DATABASE_URL"])
+def test_the_superuser_s_socket_is_shared_with_one_service() -> None:
+    here, opened = services(SERVICE), services(HOSTS)
+    sharing = [
+        name
+        for each in (here, opened)
+        for name, one in each.items()
+        if any("superuser:" in volume for volume in one.get("volumes", ()))
+    ]
+    assert sharing == ["postgres", "roles"]
+    url = urlsplit(here["roles"]["environment"]["NAOSPRINT_DATABASE_URL"])
     assert url.hostname is None and url.query == "host=/run/superuser"
-    assert "unix_socket_directories=/var/run/postgresql,/run/superuser" in start
     # nothing else connects as the superuser, and nothing that connects asks for a connection in the clear
-    for name, each in services(SERVICE).items():
+    for name, each in here.items():
         environment = each.get("environment", {}) | opened.get(name, {}).get("environment", {})
         text = " ".join(map(str, environment.values()))
         assert ("postgresql://naosprint:" in text) == (name == "roles"), name
         assert "sslmode=disable" not in text, name
+
+
+@pytest.mark.parametrize("certificate", [False, True])
+def test_postgres_is_started_with_its_list_of_who_may_connect(certificate: bool, tmp_path: Path) -> None:
+    """The script itself, below another root and with programs that print what they are given."""
+    script = (ROOT / "deploy" / "postgres" / "start").read_text(encoding="utf-8")
+    for folder in ("etc/naosprint", "run", "certificates", "tmp", "bin"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "etc/naosprint/pg_hba.conf").write_text(ACCESS.read_text(encoding="utf-8"), encoding="utf-8")
+    for name in ("install", "docker-entrypoint.sh"):
+        (tmp_path / "bin" / name).write_text(f'#!/bin/sh\necho {name} "$@"\n', encoding="utf-8")
+        (tmp_path / "bin" / name).chmod(0o755)
+    if certificate:
+        (tmp_path / "certificates" / "server.crt").touch()
+    local = re.sub(r"(?<=[ =>\"])/(?=etc|run|tmp|certificates)", f"{tmp_path}/", script)
+    environment = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["sh", "-c", local, "start", "postgres", "-c", "x=1"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=True,
+    )
+    started = done.stdout.splitlines()[-1]
+    assert started.startswith("docker-entrypoint.sh postgres -c x=1 ")
+    assert "unix_socket_directories=/var/run/postgresql,/run/superuser" in started
+    (used,) = re.findall(r"hba_file=(\S+)", started)
+    kinds = {line.split()[0] for line in Path(used).read_text(encoding="utf-8").splitlines() if line[:1].isalpha()}
+    assert kinds == ({"local", "hostssl"} if certificate else {"local", "host"})
+    assert ("ssl=on" in started) is certificate
+
+
+def networks(name: str) -> set[str]:
+    """Return the networks of a service, with and without the file for several hosts."""
+    return {one for file in (SERVICE, HOSTS) for one in services(file).get(name, {}).get("networks", ())}
+
+
+def test_ports_of_the_store_that_need_no_key_are_reached_by_its_proxy_alone() -> None:
+    (own,) = networks("seaweedfs")
+    assert {name for name in services(SERVICE) | services(HOSTS) if own in networks(name)} == {"seaweedfs", "store"}
+    assert not services(SERVICE)["seaweedfs"].get("ports") and "seaweedfs" not in services(HOSTS)
+    passed_on: set[str] = set()
+    for file in (ROOT / "deploy" / "proxy").glob("store*.Caddyfile"):
+        passed_on.update(re.findall(r"reverse_proxy (\S+)$", file.read_text(encoding="utf-8"), re.MULTILINE))
+    assert passed_on == {"seaweedfs:8333", "seaweedfs:9327"}  # S3 and metrics
+
+
+@pytest.mark.parametrize("file", [SERVICE, WORKERS, HOSTS], ids=lambda file: file.name)
+def test_internal_networks_do_not_reach_the_host(file: Path) -> None:
+    found = yaml.safe_load(file.read_text(encoding="utf-8"))["networks"]
+    for name, network in found.items():
+        if network and network.get("internal"):
+            assert network["driver_opts"] == {"com.docker.network.bridge.inhibit_ipv4": "true"}, name
 
 
 @pytest.mark.parametrize("name", [name for name in services(SERVICE) if name.endswith("-exporter")])

@@ -7,8 +7,6 @@ import stat
 import subprocess
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[3]
 #: A variable of a container that has its value, if any, from the settings.
 PASSED_ON = re.compile(r"^ +(NAOSPRINT_[A-Z_]+):$", re.MULTILINE)
@@ -68,20 +66,3 @@ def test_new_env_fills_in_secrets_of_its_own_and_keeps_a_file_that_is_there(tmp_
     again = subprocess.run([ROOT / "deploy" / "new-env", made[0]], capture_output=True, text=True, timeout=20)
     assert again.returncode == 1 and "exists already" in again.stderr
     assert made[0].read_text() == before
-
-
-@pytest.mark.parametrize(
-    "secret", ["POSTGRES_PASSWORD", "POSTGRES_WORKER_PASSWORD", "BROKER_API_PASSWORD", "S3_SECRET_ACCESS_KEY"]
-)
-def test_compose_names_the_secret_that_is_missing(engine: str, secret: str, tmp_path: Path) -> None:
-    path = tmp_path / "some.env"
-    subprocess.run([ROOT / "deploy" / "new-env", path], check=True, timeout=20)
-    path.write_text(re.sub(rf"^{secret}=.*$", f"{secret}=", path.read_text(), flags=re.MULTILINE))
-    answer = subprocess.run(
-        [engine, "compose", "--project-directory", ROOT, "--env-file", path, "config", "--quiet"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert answer.returncode != 0
-    assert secret in answer.stderr and "deploy/new-env" in answer.stderr
