@@ -13,6 +13,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterator
@@ -399,6 +400,28 @@ def test_postgres_is_reached_by_a_socket_of_short_name_only(tmp_path: Path) -> N
         assert len(str(far.socket_dir)) < 60
         assert far.socket_dir == Postgres(Layout.at(tmp_path / name), "other").socket_dir
         assert far.socket_dir != near.socket_dir
+
+
+def test_folders_of_others_are_neither_used_nor_given_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link that another user has put where the socket, or the data folder, will be."""
+    shared, victim = tmp_path / "tmp", tmp_path / "victim"
+    for folder, mode in ((shared, 0o1777), (victim, 0o755)):
+        folder.mkdir()
+        folder.chmod(mode)
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
+    before = victim.stat()
+    server = Postgres(Layout.at(tmp_path / ("x" * 120)), "secret")
+    server.layout.make()
+    server.socket_dir.symlink_to(victim)
+    with pytest.raises(StackError, match="not a folder of this user alone"):
+        server.make()
+    assert (victim.stat().st_uid, victim.stat().st_mode) == (before.st_uid, before.st_mode)
+    assert not any(victim.iterdir())
+    taken = shared / "stack"
+    taken.mkdir()
+    taken.chmod(0o777)
+    with pytest.raises(StackError, match="not a folder of this user alone"):
+        Layout.at(taken).make()
 
 
 def test_a_root_without_its_rights_is_told_from_one_with_them(tmp_path: Path) -> None:

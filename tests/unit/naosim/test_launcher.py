@@ -120,7 +120,7 @@ def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_locks_of_ports_change_no_file_of_others(shared: Path, tmp_path: Path) -> None:
-    """A link in the place of a lock is neither followed nor emptied, and a link for the folder is refused."""
+    """A link in the place of a lock is neither followed nor emptied, and a link for the folder is not used."""
     victim = tmp_path / "victim"
     victim.write_text("precious", encoding="utf-8")
     locks = private_folder(shared / f"naosim-ports-{os.getuid()}")
@@ -133,8 +133,13 @@ def test_locks_of_ports_change_no_file_of_others(shared: Path, tmp_path: Path) -
     elsewhere.mkdir()
     (elsewhere / "precious").write_text("precious", encoding="utf-8")
     locks.symlink_to(elsewhere)
-    with pytest.raises(OSError, match="not a folder of this user alone"):
-        PortLease(2)
+    leases = [PortLease(2), PortLease(2)]
+    assert len({port for lease in leases for port in lease.ports}) == 4
+    assert [path.name for path in elsewhere.iterdir()] == ["precious"]
+    (own,) = {Path(lock.name).parent for lease in leases for lock in lease._locks}
+    assert own.parent == shared and own != locks and own.stat().st_mode & 0o777 == 0o700
+    for lease in leases:
+        lease.release()
     assert (elsewhere / "precious").read_text(encoding="utf-8") == "precious"
 
 
@@ -146,14 +151,24 @@ def test_a_folder_that_others_may_write_to_is_refused(shared: Path) -> None:
         folder.chmod(mode)
         with pytest.raises(OSError, match="not a folder of this user alone"):
             private_folder(folder)
+    folder.chmod(0o755)
+    deep = private_folder(folder / "attempts" / "first")  # below a folder that is nobody else's
+    folder.chmod(0o757)
+    with pytest.raises(OSError, match=r"not a folder of this user alone.*worker'"):
+        private_folder(deep)
+    (shared / "link").symlink_to(shared / "worker")
+    with pytest.raises(OSError, match=r"not a folder of this user alone.*link'"):
+        private_folder(shared / "link" / "new")
     shared.chmod(0o700)
     assert private_folder(folder) == folder
     if os.getuid() == 0:
         shared.chmod(0o1777)
         folder.chmod(0o700)
         os.chown(folder, 12345, 12345)
-        with pytest.raises(OSError, match="not a folder of this user alone"):
-            private_folder(folder)
+        for taken in (folder, folder / "attempts"):
+            with pytest.raises(OSError, match="not a folder of this user alone"):
+                private_folder(taken)
+        assert private_folder(folder, 12345) == folder
 
 
 def test_child_processes_do_not_import_from_the_current_folder() -> None:

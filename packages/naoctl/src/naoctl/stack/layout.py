@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import platformdirs
+from naospec.files import private_folder
 
 from naoctl.errors import StackError
 
@@ -91,8 +92,9 @@ class Layout:
             StackError: when it cannot be made or written.
         """
         try:
-            if not self.root.exists():
-                self.root.mkdir(parents=True)
+            is_new = not self.root.exists()
+            private_folder(self.root)
+            if is_new:
                 # Root's Postgres runs as another account, which must be able to pass; everything inside is closed.
                 self.root.chmod(0o711 if os.geteuid() == 0 else 0o700)
             for folder in (self.artifacts, self.work, self.logs, self.broker):

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+from naospec.files import private_folder
+
 from naoctl.errors import StackError
 from naoctl.stack import launch
 from naoctl.stack.layout import Layout
@@ -90,16 +92,20 @@ class Postgres:
         Raises:
             StackError: with the last words of ``initdb`` when that fails.
         """
-        self.socket_dir.mkdir(mode=0o700, exist_ok=True)
+        account = self.account.uid if self.account else None
+        try:
+            private_folder(self.socket_dir, account)
+        except OSError as error:
+            raise StackError(str(error), fix="Remove it, or name another --data-dir.") from None
         data = self.layout.postgres
         if not self.is_made and data.exists():
             _remove_tree(data)
         data.mkdir(mode=0o700, exist_ok=True)
         if self.account:
-            os.chown(self.socket_dir, self.account.uid, self.account.gid)
+            os.chown(self.socket_dir, self.account.uid, self.account.gid, follow_symlinks=False)
             if not self.is_made:
                 os.chown(data, self.account.uid, self.account.gid)
-        _check_socket_dir(self.socket_dir, self.account.uid if self.account else os.getuid())
+        self.socket_dir.chmod(0o700)
         if self.is_made:
             return
         with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=self.socket_dir, prefix=".pw") as file:
@@ -249,14 +255,6 @@ def _socket_dir(layout: Layout) -> Path:
     # The path of a socket is short; a deep data folder gets its socket elsewhere, always in the same place.
     key = hashlib.sha256(os.fsencode(layout.root)).hexdigest()[:16]
     return Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}-{key}"
-
-
-def _check_socket_dir(folder: Path, uid: int) -> None:
-    status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode) or status.st_uid != uid:
-        raise StackError(f"{folder} belongs to another user", fix="Remove it, or name another --data-dir.")
-    if status.st_mode & 0o077:
-        folder.chmod(0o700)
 
 
 def _remove_tree(folder: Path) -> None:

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from naospec.files import private_folder
+from naospec.files import user_folder
 
 from naosim.launchers.server import Address, ServerHandle, ServerProgram
 
@@ -40,7 +40,7 @@ class PortLease:
     def __init__(self, count: int, host: str = "127.0.0.1") -> None:
         self.ports: list[int] = []
         self._locks: list[IO[str]] = []
-        folder = private_folder(Path(tempfile.gettempdir()) / f"naosim-ports-{os.getuid()}")
+        folder = user_folder("naosim-ports")
         for left in folder.iterdir():  # by owners that were killed
             if (lock := _lock(left)) is not None:
                 left.unlink(missing_ok=True)
