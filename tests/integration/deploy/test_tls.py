@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 from collections.abc import Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
 import psycopg
 import pytest
+from naoctl.client import ApiError, Client
+from naoctl.config import Target
+from naoctl.errors import Unreachable
 from naojobs.database import make_engine
 from naojobs.notifications import Notifier, make_celery
 from naojobs.settings import ServiceSettings
@@ -45,6 +50,26 @@ def broker_port(broker: ValkeyServer, own: Path) -> Iterator[int]:
     """A port at which the broker speaks TLS."""
     with tls_before(broker.port, own) as port:
         yield port
+
+
+@pytest.mark.parametrize(("authority", "is_reached"), [("own", True), ("foreign", False), (None, False)])
+def test_naoctl_reaches_this_machine_by_the_authority_of_the_environment(
+    own: Path, foreign: Path, monkeypatch: pytest.MonkeyPatch, authority: str | None, is_reached: bool
+) -> None:
+    monkeypatch.setenv("HTTPS_PROXY", "http://127.0.0.1:1")
+    if authority is not None:
+        monkeypatch.setenv("SSL_CERT_FILE", str({"own": own, "foreign": foreign}[authority] / "ca.crt"))
+    with ThreadingHTTPServer(("127.0.0.1", 0), SimpleHTTPRequestHandler) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}).start()
+        try:
+            with (
+                tls_before(server.server_port, own) as port,
+                Client(Target(f"https://localhost:{port}", "nao_secret")) as client,
+                pytest.raises(ApiError if is_reached else Unreachable),
+            ):
+                client.get("/jobs")  # which the server does not have
+        finally:
+            server.shutdown()
 
 
 def sends(url: str) -> bool:

@@ -58,6 +58,7 @@ class Client:
         headers = {"User-Agent": f"naoctl/{__version__}", "Accept": "application/json"}
         if target.token:
             headers["Authorization"] = f"Bearer {target.token}"
+        url = httpx.URL(target.url)
         try:
             self._http = httpx.Client(
                 base_url=target.url,
@@ -65,8 +66,9 @@ class Client:
                 timeout=TIMEOUT_S,
                 transport=transport,
                 follow_redirects=False,
-                # proxies and certificates of the environment are for other machines
-                trust_env=not is_loopback(httpx.URL(target.url).host),
+                # proxies of the environment are for other machines, its certificates for all
+                trust_env=not is_loopback(url.host),
+                verify=httpx.create_ssl_context() if url.scheme == "https" else True,
             )
         except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
             raise InvalidInput(
