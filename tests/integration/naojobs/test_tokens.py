@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
-from naojobs.tokens import Scope, create_token, list_tokens, revoke, verify
-from sqlalchemy import text
+from naojobs.models import Token
+from naojobs.tokens import KEEP, Scope, create_token, forget, list_tokens, revoke, verify
+from sqlalchemy import text, update
 from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
@@ -35,6 +36,22 @@ def test_an_expired_or_revoked_token_is_no_token(sessions: Sessions) -> None:
     first = next(token for token in list_tokens(sessions) if token.id == token_id).revoked_at
     revoke(sessions, token_id)
     assert next(token for token in list_tokens(sessions) if token.id == token_id).revoked_at == first
+
+
+def test_tokens_are_forgotten_a_month_after_their_end(sessions: Sessions) -> None:
+    def make(**changes: datetime) -> str:
+        identifier, _ = create_token(sessions, name="", owner="old", scopes=[Scope.READ])
+        with sessions.begin() as session:
+            session.execute(update(Token).where(Token.id == identifier).values(changes or {"name": "valid"}))
+        return identifier
+
+    now = datetime.now(UTC)
+    long_ago, recently, soon = now - KEEP - timedelta(days=1), now - timedelta(days=1), now + timedelta(days=1)
+    kept = [make(), make(revoked_at=recently), make(expires_at=soon), make(expires_at=recently, revoked_at=recently)]
+    for end in ({"revoked_at": long_ago}, {"expires_at": long_ago}, {"revoked_at": long_ago, "expires_at": soon}):
+        make(**end)
+    assert forget(sessions) == 3
+    assert [token.id for token in list_tokens(sessions, "old")] == kept
 
 
 @pytest.mark.parametrize(("owner", "scopes"), [("", [Scope.READ]), ("a" * 201, [Scope.READ]), ("a", [])])

@@ -156,6 +156,7 @@ def add_event(
         )
     else:
         event = Event(kind=kind, attempt=work.attempt, message=message, data=dict(data or {}))
+        work.row_count += 1
     event.job_id = work.job_id
     session.add(event)
     notify(session, work.job_id)
@@ -313,10 +314,11 @@ def request_pause(sessions: Sessions, job_id: str) -> Job:
     return job
 
 
-def resume(sessions: Sessions, job_id: str) -> Job:
+def resume(sessions: Sessions, job_id: str, *, limits: Limits = NO_LIMITS) -> Job:
     """Queue a paused job again; it resumes from its last checkpoint.
 
-    Raises NotFoundError, and ConflictError if the job is not paused.
+    Raises NotFoundError, ConflictError if the job is not paused, and QuotaError if its owner's jobs have as many rows
+    as `limits` allow.
     """
     with sessions.begin() as session:
         job = _known(session, Job, job_id)
@@ -326,6 +328,7 @@ def resume(sessions: Sessions, job_id: str) -> Job:
             raise ConflictError(f"job {job_id} is {job.state}, not paused; use retry")
         if job.state is not WorkState.PAUSED:
             raise ConflictError(f"job {job_id} is {job.state}; only a paused job can be resumed")
+        require_room(session, job.owner, limits, Quota.ROWS)
         _change(job, WorkState.QUEUED)
         add_event(session, job, "queued", "resumed by a user")
         session.flush()

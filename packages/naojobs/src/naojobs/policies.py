@@ -110,7 +110,7 @@ def register(
             raise ConflictError(
                 f"{name}@{same} is this checkpoint already; set aliases of that version", "checkpoint_id"
             )
-        require_room(session, job.owner, limits, Quota.VERSIONS)
+        require_room(session, job.owner, limits, Quota.VERSIONS, Quota.ROWS)
         if wanted.notes:
             require_room(session, job.owner, limits, Quota.NOTES, more=len(storable(wanted.notes).encode()))
         spec = trained_by(job)

@@ -72,7 +72,7 @@ class Quota(Enum):
             _versions(_sum(func.octet_length(PolicyVersion.notes)), owner),
         ),
     )
-    #: Revoked tokens stay in the table, so those of the last day count, too: that bounds how fast it grows.
+    #: Revoked tokens stay in the table for a month, so those of the last day count, too: that bounds how fast it grows.
     TOKENS = _Kind(
         "tokens that are valid or less than a day old",
         "revoke older ones, or try again tomorrow",
@@ -91,7 +91,7 @@ class Quota(Enum):
         "versions of policies", "delete some", lambda owner: (_versions(func.count(PolicyVersion.number), owner),)
     )
     BYTES = _Kind("bytes in the store", "delete jobs", _sizes)
-    #: Rows of metrics, logs and events that workers have written.
+    #: Rows of metrics, logs and events of jobs.
     ROWS = _Kind(
         "rows in the database", "delete jobs", lambda owner: (select(_sum(Job.row_count)).where(Job.owner == owner),)
     )

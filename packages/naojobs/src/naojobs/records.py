@@ -127,7 +127,7 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
         for event in batch.events if not repeated else ():
             add_event(session, job, event.kind, event.message, event.data)
         ids = {stored.step: _write_checkpoint(session, job, stored) for stored in batch.checkpoints}
-        job.row_count += len(batch.metrics) + (0 if repeated else len(batch.logs) + len(batch.events))
+        job.row_count += len(batch.metrics) + (0 if repeated else len(batch.logs))
         notify(session, job.id)
     return ids
 

@@ -48,7 +48,7 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "policy_aliases": {Role.API: "SIUD", Role.WORKER: "S"},
     "policy_versions": {Role.API: "SID", Role.WORKER: "S"},
     "studies": {Role.API: "SIUD", Role.WORKER: "SU"},
-    "tokens": {Role.API: "SIU"},
+    "tokens": {Role.API: "SIUD"},
     "trials": {Role.API: "SU", Role.WORKER: "SIU"},
     # Workers write messages and see no key of signatures. Locking a row needs the right to update some column.
     "webhooks": {Role.API: "SIUD", Role.WORKER: ("SELECT (id, owner, events, disabled_at)", "UPDATE (created_at)")},

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
-from sqlalchemy import ColumnElement, func, select, update
+from sqlalchemy import ColumnElement, delete, func, select, update
 
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, NotFoundError
@@ -24,6 +24,7 @@ __all__ = [
     "Principal",
     "Scope",
     "create_token",
+    "forget",
     "get_token",
     "is_valid",
     "list_tokens",
@@ -34,6 +35,8 @@ __all__ = [
 ]
 
 _PREFIX = "nao_"
+#: Time for which tokens are listed that have been revoked or have expired.
+KEEP = timedelta(days=30)
 
 _INCLUDES = {
     Scope.READ: frozenset({Scope.READ}),
@@ -159,6 +162,13 @@ def revoke_shared(sessions: Sessions, job_id: str) -> int:
             update(Token).where(Token.job_id == job_id, Token.revoked_at.is_(None)).values(revoked_at=func.now())
         )
         return len(session.scalars(statement.returning(Token.id)).all())
+
+
+def forget(sessions: Sessions) -> int:
+    """Delete tokens that were revoked or have expired long ago; return how many."""
+    ended = func.least(Token.revoked_at, Token.expires_at)  # of null and a time the time
+    with sessions.begin() as session:
+        return len(session.scalars(delete(Token).where(ended < func.now() - KEEP).returning(Token.id)).all())
 
 
 def get_token(sessions: Sessions, token_id: str) -> Token:

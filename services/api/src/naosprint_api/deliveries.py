@@ -13,7 +13,7 @@ from http import HTTPStatus
 from typing import TypeVar
 
 import anyio
-from naojobs import webhooks
+from naojobs import tokens, webhooks
 from naojobs.database import Sessions
 from naojobs.webhooks import Message
 from sqlalchemy.exc import SQLAlchemyError
@@ -89,6 +89,7 @@ class Deliverer:
                 if time.monotonic() - forgotten_at > FORGET_S:
                     forgotten_at = time.monotonic()
                     await self._in_thread(partial(webhooks.forget, self._sessions))
+                    await self._in_thread(partial(tokens.forget, self._sessions))
             except SQLAlchemyError as error:
                 _log.warning("messages to webhooks wait for the database: %s", error)
             except Exception:

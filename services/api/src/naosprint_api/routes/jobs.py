@@ -212,7 +212,7 @@ def pause_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPu
 def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a paused job again; it resumes from its last checkpoint."""
     controllable(service, principal, job_id)
-    job = lifecycle.resume(service.sessions, job_id)
+    job = lifecycle.resume(service.sessions, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 
