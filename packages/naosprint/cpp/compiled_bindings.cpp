@@ -82,7 +82,8 @@ OperationHolder make_holder(const std::string& name, const std::map<std::string,
 class Step {
  public:
   Step(const std::vector<OperationHolder>& measurements, const nb::list& blocks, const nb::list& terms, const nb::list& ends, const nb::dict& arrays,
-       double scale, const std::vector<double>& nominal, bool around_nominal, const std::vector<std::vector<double>>& joints, int width) {
+       double scale, const std::vector<double>& nominal, bool around_nominal, const std::vector<std::vector<double>>& joints, int width,
+       int seen) {
     const auto given = [&](const char* name) { return nb::cast<Any>(arrays[name]); };
     const auto reals = [&](const char* name) { return kept(table_of<double>(given(name), name)); };
     const auto flags = [&](const char* name) { return kept(table_of<bool>(given(name), name)); };
@@ -103,7 +104,8 @@ class Step {
     arrays_ = arrays;
     program_.scale = scale;
     program_.width = width;
-    require(width > 0 && a.observations.width % width == 0, "observations: not a whole number of steps");
+    program_.seen = seen;
+    require(width > 0 && seen % width == 0 && seen <= a.observations.width, "observations: not a whole number of steps");
     program_.nominal = nominal;
     program_.around_nominal = around_nominal;
     require(static_cast<int>(nominal.size()) == a.targets.width && static_cast<int>(joints.size()) == a.actions.width &&
@@ -117,7 +119,7 @@ class Step {
     for (nb::handle each : blocks) {
       const auto [holder, first, rates, angular, value] = nb::cast<std::tuple<OperationHolder, int, bool, bool, int>>(each);
       const int columns = holder.operation->width() * (rates ? 2 : 1);
-      require(first >= 0 && first + columns <= width, "blocks: column out of range");
+      require(first >= 0 && first + columns <= a.observations.width, "blocks: column out of range");
       require(!rates || (value >= 0 && value + holder.operation->width() <= a.values.width), "blocks: value out of range");
       program_.blocks.push_back({kept(holder), first, rates, angular, value});
     }
@@ -211,9 +213,9 @@ NB_MODULE(_compiled, m) {
       .def_prop_ro("width", [](const OperationHolder& self) { return self.operation->width(); });
   nb::class_<Step>(m, "Step")
       .def(nb::init<const std::vector<OperationHolder>&, const nb::list&, const nb::list&, const nb::list&, const nb::dict&, double,
-                    const std::vector<double>&, bool, const std::vector<std::vector<double>>&, int>(),
+                    const std::vector<double>&, bool, const std::vector<std::vector<double>>&, int, int>(),
            nb::arg("measurements"), nb::arg("blocks"), nb::arg("terms"), nb::arg("ends"), nb::arg("arrays"), nb::arg("scale"),
-           nb::arg("nominal"), nb::arg("around_nominal"), nb::arg("joints"), nb::arg("width"))
+           nb::arg("nominal"), nb::arg("around_nominal"), nb::arg("joints"), nb::arg("width"), nb::arg("seen"))
       .def("act", &Step::act<Inputs>, nb::arg("first"), nb::arg("actions"))  // first: what is neither type becomes this one
       .def("act", &Step::act<FloatInputs>, nb::arg("first"), nb::arg("actions"))
       .def("step", &Step::step, nb::arg("first"), nb::arg("count"), nb::arg("lost").none(), nb::arg("max_steps"), nb::arg("short_steps"),

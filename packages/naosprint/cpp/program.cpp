@@ -36,10 +36,10 @@ void Program::step_rows(const Rows& rows, const bool* lost, const Limits& limits
   for (int k = 0; k < rows.count; ++k) ++*a.steps[rows[k]];
   for (const auto& measurement : measurements) measurement->update(rows);
   for (const Block& block : blocks) block.operation->update(rows);
-  const int past = a.observations.width - width;
+  const int past = seen - width;
   for (int k = 0; past > 0 && k < rows.count; ++k) {
-    double* seen = a.observations[rows[k]];
-    std::copy_backward(seen, seen + past, seen + past + width);
+    double* row = a.observations[rows[k]];
+    std::copy_backward(row, row + past, row + past + width);
   }
   for (const Block& block : blocks) {
     const int width = block.operation->width();
@@ -115,8 +115,8 @@ void Program::begin(const Rows& rows) const {
   }
   // before its episode a robot has seen what it sees at the start
   for (int k = 0; k < rows.count; ++k) {
-    double* seen = a.observations[rows[k]];
-    for (int past = width; past < a.observations.width; past += width) std::copy_n(seen, width, seen + past);
+    double* row = a.observations[rows[k]];
+    for (int past = width; past < seen; past += width) std::copy_n(row, width, row + past);
   }
 }
 

@@ -46,7 +46,8 @@ class Program {
   std::vector<double> nominal;  // target angles of joints that no action moves
   Arrays arrays;
   double scale = 1.0;
-  int width = 0;  // observations of one step; those of earlier steps follow, the latest first
+  // Observations of a policy at one step, and at all that it sees: those of earlier steps follow, the latest first. Those of a critic are last.
+  int width = 0, seen = 0;
 
   // When episodes end by their length.
   struct Limits {

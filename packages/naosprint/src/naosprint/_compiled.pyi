@@ -24,6 +24,7 @@ class Step:
         around_nominal: bool,
         joints: Sequence[Sequence[float]],
         width: int,
+        seen: int,
     ) -> None: ...
     def act(self, first: int, actions: FloatArray | Float32Array) -> None: ...
     def step(

@@ -13,6 +13,7 @@ from naospec import TrainingSpec
 from naosprint.mirror import Mirror
 from naosprint.rl import schedules
 from naosprint.rl.learner import TrainingDivergedError
+from naosprint.rl.policy import actor_of
 from naosprint.rl.ppo import PPO, Rollout
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.rl.symmetry import tie_weights
@@ -405,6 +406,54 @@ def test_symmetric_policy_stays_symmetric(open_learner: Open, robot: str) -> Non
     np.testing.assert_allclose(pair[1].numpy(), done.apply(pair[0].numpy()), atol=1e-6)
     np.testing.assert_allclose(values[1].numpy(), values[0].numpy(), atol=1e-6)
     assert np.abs(pair[0].numpy()).max() > 1e-3
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_privileged_critic_sees_what_the_policy_does_not(open_learner: Open, compiled: bool) -> None:
+    """The critic's weights for it change, the actor's stay 0, and the policy acts without it."""
+    learner = open_learner(critic_observations=True, batch_size=32, robot="t1", compiled_update=compiled)
+    observer = learner.environment.environment.observer
+    names = ("true_height", "true_forward_velocity", "true_lateral_velocity")
+    assert observer.critic_names == names
+    d = len(observer.names)
+    before = learner.policy.get_parameter("mlp_extractor.value_net.0.weight").detach().numpy()[:, d:].copy()
+    for _ in range(2):
+        assert learner.collect()
+        learner.update()
+    assert np.ptp(learner.rollout.observations[:, :, d:], axis=(0, 1)).min() > 0.0
+    state = learner.policy_state()
+    assert np.abs(learner.policy.get_parameter("mlp_extractor.policy_net.0.weight").detach().numpy()[:, d:]).max() == 0
+    assert np.abs(state["mlp_extractor.value_net.0.weight"][:, d:] - before).max() > 0.0
+    assert state["mlp_extractor.policy_net.0.weight"].shape[1] == len(state["observation_mean"]) == d
+    policy = actor_of(state, learner.settings, d, learner.environment.n_actions)
+    with torch.no_grad():
+        learner.policy.load_state_dict(learner._average)
+        normalized = torch.from_numpy(learner.normalizer.observations(learner.environment.observations))
+        mean = learner.policy.action_net(learner.policy.mlp_extractor.policy_net(normalized)).numpy()
+    raw = np.ascontiguousarray(learner.environment.observations[:, :d])
+    np.testing.assert_allclose(policy.act(raw), np.clip(mean, -1.0, 1.0), atol=1e-5)
+
+
+def test_a_policy_goes_on_with_another_critic(open_learner: Open) -> None:
+    """A privileged critic begins with weight 0 for what the other did not see; a plain one forgets it."""
+    plain, privileged = open_learner(robot="t1"), open_learner(robot="t1", critic_observations=True, seed=5)
+    for learner in (plain, privileged):
+        assert learner.collect()
+        learner.update()
+    actor, first = "mlp_extractor.policy_net.0.weight", "mlp_extractor.value_net.0.weight"
+    d = plain.environment.n_observations
+    for giver, taker in ((plain, privileged), (privileged, plain), (privileged, open_learner(robot="t1"))):
+        given = giver.policy_state()
+        taker.load_policy_state(given)
+        taken = taker.policy_state()
+        np.testing.assert_array_equal(taken[actor], given[actor])
+        np.testing.assert_array_equal(taken["observation_mean"], given["observation_mean"])
+        np.testing.assert_array_equal(taken[first][:, :d], given[first][:, :d])
+        assert np.abs(taken[first][:, d:]).max(initial=0.0) == 0.0
+    again = open_learner(robot="t1", critic_observations=True)
+    given = {**privileged.policy_state(), first: np.ones_like(privileged.policy_state()[first])}
+    again.load_policy_state(given)
+    np.testing.assert_array_equal(again.policy_state()[first], given[first])
 
 
 def test_tied_gradient_is_that_of_data_and_mirrored_data(open_learner: Open) -> None:

@@ -68,7 +68,15 @@ def test_same_seed_gives_the_same_weights(make_spec: Make, tmp_path: Path, recor
 @pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorder: Any, preset: str) -> None:
     """Training 2k steps, and being stopped after 1k and then resumed, end in the same state in every array."""
-    settings = {"preset": preset, "n_steps": 128, "final_log_std": -2.0 if preset == "fast" else None}
+    fast = preset == "fast"
+    settings = {
+        "preset": preset,
+        "n_steps": 128,
+        "final_log_std": -2.0 if fast else None,
+        "critic_observations": fast,
+        "history_steps": int(fast),
+        "extra_delay_max": 2 if fast else 0,
+    }
     whole = train(make_spec(total_steps=2048, **settings), workdir=tmp_path / "whole", reporter=recorder)
     updates = len(recorder.rows)
     half = train(
@@ -86,6 +94,8 @@ def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorde
     )
     assert rest.steps == whole.steps == 2048
     assert_same(rest.checkpoint, whole.checkpoint)
+    policy, manifest = load_policy(rest.checkpoint)
+    assert policy.act(np.zeros((1, len(manifest.observations)))).shape == (1, len(manifest.actions))
 
 
 def test_threads_change_nothing_in_the_simulator(make_spec: Make, tmp_path: Path, recorder: Any) -> None:

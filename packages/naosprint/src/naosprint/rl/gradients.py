@@ -141,6 +141,7 @@ class KernelGradients:
         settings: PPO's settings.
         symmetry: mirrors of the networks if their weights are tied.
         kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
+        seen: number of observations that the actor sees, the first ones; by default all.
     """
 
     def __init__(
@@ -149,6 +150,7 @@ class KernelGradients:
         settings: Any,
         symmetry: Symmetry | None = None,
         kernel: str = "",
+        seen: int | None = None,
     ) -> None:
         from naosprint.rl import _kernel
 
@@ -178,6 +180,7 @@ class KernelGradients:
 
         actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
         critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
+        self._unseen = self._gradients[actor[0].weight][:, seen or actor[0].in_features :]
         self._actor_gradients = self._of(parameter for layer in actor for parameter in (layer.weight, layer.bias))
         self._critic_gradients = self._of(parameter for layer in critic for parameter in (layer.weight, layer.bias))
         if policy.log_std.requires_grad:
@@ -210,6 +213,7 @@ class KernelGradients:
             settings.advantage_normalization == "minibatch",
             settings.clip_range,
         )
+        self._unseen.zero_()
         if spread is not None:
             spread -= settings.entropy_coefficient
             if self._pairs is not None:

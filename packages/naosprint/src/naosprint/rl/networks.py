@@ -15,6 +15,7 @@ from torch import nn
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from stable_baselines3.common.policies import ActorCriticPolicy
     from torch import Tensor
 
     from naosprint.arrays import Float32Array
@@ -34,6 +35,18 @@ def linear_layers(modules: Iterable[nn.Module]) -> tuple[nn.Linear, ...]:
     if len(chain) != 2 * len(layers) - 1 or not all(isinstance(module, nn.Tanh) for module in chain[1::2]):
         raise ValueError(f"expected linear layers with tanh between them, got {chain}")
     return layers
+
+
+def blind(policy: ActorCriticPolicy, seen: int) -> None:
+    """Give the actor weight 0 for all but the first ``seen`` observations, now and after every gradient step."""
+    first = cast("nn.Linear", policy.mlp_extractor.policy_net[0]).weight
+    if seen == first.shape[1]:
+        return
+    mask = torch.zeros(first.shape[1])
+    mask[:seen] = 1.0
+    with torch.no_grad():
+        first.mul_(mask)
+    first.register_hook(lambda gradient: gradient * mask)  # type: ignore[no-untyped-call]
 
 
 def run_network(layers: Sequence[nn.Linear], inputs: Tensor, *, fused: bool = True) -> Tensor:

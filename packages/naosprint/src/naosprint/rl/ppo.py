@@ -25,7 +25,7 @@ from naosprint.rl.adam import Adam
 from naosprint.rl.forward import Forward
 from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
-from naosprint.rl.networks import FEW_ROWS, TorchForward, linear_layers
+from naosprint.rl.networks import FEW_ROWS, TorchForward, blind, linear_layers
 from naosprint.rl.normalization import STATISTICS, Normalizer
 from naosprint.rl.symmetry import Symmetry, tie_weights
 from naosprint.rl.warm_start import adapt
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _IMITATION_RATE, _LEAST_RATE = 1e-3, 0.05
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
+_FIRST, _FIRST_OF_CRITIC = (f"mlp_extractor.{name}_net.0.weight" for name in ("policy", "value"))
 
 
 class Rollout:
@@ -116,7 +117,7 @@ class PPO(Learner):
         self.policy, symmetry = _build_policy(spec, environment)
         self._optimizer = cast("Adam", self.policy.optimizer)
         self._gradients: Gradients = (
-            KernelGradients(self.policy, settings, symmetry)
+            KernelGradients(self.policy, settings, symmetry, seen=len(environment.environment.observer.names))
             if spec.runtime.compiled_update
             else TorchGradients(self.policy, settings)
         )
@@ -154,6 +155,7 @@ class PPO(Learner):
         self.updates = 0
         self.rate_factor = 1.0
         self._n_passes = 0
+        self._n_seen = len(environment.environment.observer.names)
         self._average = {name: tensor.clone() for name, tensor in self.policy.state_dict().items()}
         self._averaged = 0
         self._other_thread: ThreadPoolExecutor | None = None
@@ -393,18 +395,37 @@ class PPO(Learner):
 
     def policy_state(self) -> dict[str, AnyArray]:
         """Return the moving average of the weights, by stable-baselines3's names, and the observations' statistics."""
-        statistics = self.normalizer.state()
-        return {
-            **{name: tensor.numpy().copy() for name, tensor in self._average.items()},
-            **{name: statistics[name] for name in STATISTICS},
-        }
+        statistics, seen = self.normalizer.state(), self._n_seen
+        state: dict[str, AnyArray] = {name: tensor.numpy().copy() for name, tensor in self._average.items()}
+        state[_FIRST] = state[_FIRST][:, :seen].copy()
+        for name in STATISTICS:
+            state[name] = statistics[name]
+        if seen < self.environment.n_observations:
+            for name in STATISTICS[:2]:
+                state[name], state[f"critic_{name}"] = statistics[name][:seen], statistics[name][seen:]
+        return state
 
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Continue with these weights, as the latest ones and as their average, and with these statistics."""
-        weights = {name: torch.from_numpy(np.array(value)) for name, value in state.items() if name not in STATISTICS}
+        """Continue with these weights, as the latest ones and as their average, and with these statistics.
+
+        A critic begins with weight 0 for observations that the other training's critic had not, and without those that
+        only that one had.
+        """
+        seen, own = self._n_seen, self.environment.n_observations - self._n_seen
+        found = {name: np.array(value) for name, value in state.items() if not name.startswith("critic_")}
+        statistics = {**self.normalizer.state(), **{name: found.pop(name) for name in STATISTICS}}
+        for name, usual in zip(STATISTICS[:2], (0.0, 1.0), strict=True):
+            more = state.get(f"critic_{name}", ())
+            statistics[name] = np.append(statistics[name], more if len(more) == own else np.full(own, usual))
+        for name in _FIRST, _FIRST_OF_CRITIC:
+            more = found[name][:, seen:]
+            if more.shape[1] != own:
+                more = np.zeros((len(more), own), np.float32)
+            found[name] = np.concatenate([found[name][:, :seen], more], axis=1)
+        weights = {name: torch.from_numpy(value) for name, value in found.items()}
         self.policy.load_state_dict(weights)
         self._average = {name: tensor.clone() for name, tensor in weights.items()}
-        self.normalizer.load_statistics({**self.normalizer.state(), **{name: state[name] for name in STATISTICS}})
+        self.normalizer.load_statistics(statistics)
 
     def adapt_policy(
         self,
@@ -482,6 +503,7 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple
             inner = environment.environment
             actions = Mirror.of_names(inner.actuation.names, *inner.actuation.mirror)
             symmetry = tie_weights(policy, inner.observer.mirror, actions)
+        blind(policy, len(environment.environment.observer.names))
     if settings.final_log_std is not None:
         policy.log_std.requires_grad_(False)
     return policy, symmetry
@@ -507,5 +529,6 @@ def _require_finite(environment: TrainingEnvironment, observations: Float32Array
     if np.isfinite(observations.sum()):
         return
     row, column = np.argwhere(~np.isfinite(observations))[0]
-    name = environment.environment.observer.names[column]
+    observer = environment.environment.observer
+    name = (*observer.names, *observer.critic_names)[column]
     raise TrainingDivergedError(f"observation {name!r} of environment {group.start + row} is no longer finite")

@@ -68,7 +68,7 @@ class TrainingEnvironment:
         self.processes = processes
         self.n = environment.n
         self.n_actions = environment.actuation.n_actions
-        self.n_observations = len(environment.observer.names)
+        self.n_observations = environment.observations.shape[1]
         self.window = EpisodeWindow(
             [metric.name for metric in (*EPISODE_METRICS, *environment.task.metrics) if metric.live]
         )

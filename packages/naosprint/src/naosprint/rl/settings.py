@@ -154,6 +154,12 @@ class PPOSettings(LearnerSettings):
         title="EMA decay",
         description="Decay per update of the weights' moving average, which checkpoints contain; 0: no averaging.",
     )
+    critic_observations: bool = Field(
+        default=False,
+        title="Privileged critic",
+        description="The critic also observes what a policy cannot: the torso's true height and velocity, the friction "
+        "of the floor, gravity and delay. It is needed in training only, so a policy acts and is exported as before.",
+    )
     normalize_observations: bool = Field(
         default=_fast("normalize_observations"),
         title="Normalize observations",

@@ -43,7 +43,8 @@ def adapt(
     moved, still = _indices(*actions)
     fitted = dict(policy)
     for name in _FIRST_LAYERS:
-        fitted[name] = np.where(unseen, np.float32(0.0), policy[name][:, seen])
+        critic = policy[name][:, len(observations[0]) :]  # what only a critic observes stays as it is
+        fitted[name] = np.append(np.where(unseen, np.float32(0.0), policy[name][:, seen]), critic, axis=1)
     fitted["action_net.weight"] = np.where(still[:, None], np.float32(0.0), policy["action_net.weight"][moved])
     fitted["action_net.bias"] = np.where(still, rest, policy["action_net.bias"][moved]).astype(np.float32)
     fitted["log_std"] = np.where(still, policy["log_std"].mean(), policy["log_std"][moved]).astype(np.float32)

@@ -235,6 +235,15 @@ class Task:
 
         return blocks(self.world, self.robot.observations)
 
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what a critic observes besides, in training only; the torso's true height and velocity by default.
+
+        What disturbs a robot (friction, gravity, delay) follows by itself.
+        """
+        from naosprint.tasks.observations import blocks
+
+        return blocks(self.world, ("true_height", "true_velocity"))
+
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return the terms of the reward."""
         return ()

@@ -12,9 +12,13 @@ from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from naosprint.tasks.compiled import columns
+from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.randomness import normal, uniform
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from naosim.simulator import Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
@@ -171,13 +175,15 @@ class Disturbances:
             for name in simulator.perceptors
             if settings.sensor_noise and name in NOISE
         }
+        self._world: FloatArray = np.ones((n, 2))  # factors of friction and gravity
+        self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation
         self.arrays: dict[str, AnyArray] = {}
         if settings.push_mps or self._noise:
             self.arrays["count"] = self._count
         if self._most:
             self.arrays["waiting"] = self._waiting
         if self._drawn:
-            self.arrays.update(delay=self._delay, episode=self._episode)
+            self.arrays.update(delay=self._delay, episode=self._episode, acts=self._acts)
         self._varies = bool(
             settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
         )
@@ -185,7 +191,8 @@ class Disturbances:
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
             gravities, rows = np.linspace(settings.gravity_min, 1.0, n), np.flatnonzero(self._disturbed)
-            simulator.vary(settings.mass_variation, frictions[rows], gravities[rows], rng, rows)
+            self._world[rows] = np.stack([frictions, gravities], axis=1)[rows]
+            simulator.vary(settings.mass_variation, self._world[rows, 0], self._world[rows, 1], rng, rows)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 
@@ -205,6 +212,7 @@ class Disturbances:
                 if not disturbed:
                     friction[:] = gravity[:] = 1.0
                 masses = settings.mass_variation if disturbed else 0.0
+                self._world[row] = float(friction[0]), float(gravity[0])
                 self._simulator.vary(masses, friction, gravity, rng, np.array([row]))
 
     def _draw_disturbed(self, rows: slice | IntArray) -> BoolArray:
@@ -222,6 +230,16 @@ class Disturbances:
             part = uniform(self._seed + _STREAM - 2, self._streams[rows], self._episode[rows], 1)[:, 0]
             drawn = self._least + (part * (self._most + 1 - self._least)).astype(np.int64)
             self._delay[rows] = np.where(self._disturbed[rows], drawn, 0)
+            self._acts[rows, 0] = self._delay[rows]
+
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what disturbs the robots, for critics: factors of friction and gravity, and the delay in steps."""
+        names, arrays = (("friction", "gravity"), ("extra_delay",)), (self._world, self._acts)
+        return [
+            ObservationBlock(each, lambda rows, array=array: array[rows], operation=columns(array))  # type: ignore[misc]
+            for each, array, needed in zip(names, arrays, (self._varies, self._most > 0), strict=True)
+            if needed
+        ]
 
     def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:
         """Return the (k, J) targets that act now, and keep the new ones for later."""

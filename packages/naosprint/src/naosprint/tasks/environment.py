@@ -41,9 +41,10 @@ class Environment:
         parameters: its settings.
         seed: seed of what the task draws.
         compiled: whether steps run compiled if every part of the task has a compiled form; the bits are the same.
+        critic: whether observations contain those that only a critic has.
 
     Attributes:
-        observations: (n, D) the latest observations.
+        observations: (n, D) the latest observations of a policy; with those of a critic (n, D + C).
         rewards: (n,) rewards of the latest step.
         terminated: (n,) whether the latest step ended the episode by one of the task's ends, or at its horizon.
         truncated: (n,) whether the latest step truncated the episode: by a time limit that does not belong to the task,
@@ -57,7 +58,14 @@ class Environment:
     """
 
     def __init__(
-        self, simulator: Simulator, task_class: type[Task], parameters: Any, seed: int = 0, *, compiled: bool = True
+        self,
+        simulator: Simulator,
+        task_class: type[Task],
+        parameters: Any,
+        seed: int = 0,
+        *,
+        compiled: bool = True,
+        critic: bool = False,
     ) -> None:
         n = simulator.n
         self.n = n
@@ -65,8 +73,6 @@ class Environment:
         self.world = World(simulator)
         self.actuation = self.world.actuation
         self.task = task_class(parameters, self.world, seed)
-        self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps)
-        require_plain_names("observations", self.observer.names)
         require_plain_names("joints", self.world.robot.joint_names)
         self._terms = [term for term in self.task.reward_terms() if term.weight != 0.0]
         self._scale = float(parameters.reward_scale)
@@ -74,6 +80,9 @@ class Environment:
             parameters if isinstance(parameters, DisturbanceSettings) else DisturbanceSettings(name=task_class.name)
         )
         self.disturbances = Disturbances(settings, simulator, seed, self.world.streams)
+        privileged = [*self.task.critic_blocks(), *self.disturbances.critic_blocks()] if critic else []
+        self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps, privileged)
+        require_plain_names("observations", (*self.observer.names, *self.observer.critic_names))
         self._new = {name: array.copy() for name, array in self.task.arrays.items()}
         self.rewards: FloatArray = np.zeros(n)
         self.simulator_s = 0.0
@@ -129,11 +138,12 @@ class Environment:
             reach is not None,
             np.stack([*joints, actuation.nominal, actuation.sign], axis=1).tolist(),
             self.observer.width,
+            len(self.observer.names),
         )
 
     @property
     def observations(self) -> FloatArray:
-        """The latest (n, D) observations."""
+        """The latest (n, D) observations, or (n, D + C) with those of a critic."""
         return self.observer.observations
 
     @property
@@ -323,7 +333,13 @@ class Environment:
 
 
 def open_environment(
-    spec: TrainingSpec, n: int, *, threads: int, standby_servers: bool = False, seed: int | None = None
+    spec: TrainingSpec,
+    n: int,
+    *,
+    threads: int,
+    standby_servers: bool = False,
+    seed: int | None = None,
+    critic: bool = False,
 ) -> Environment:
     """Open n environments with the task, robot and simulator of ``spec``, and no starts yet.
 
@@ -333,6 +349,7 @@ def open_environment(
         threads: threads of an embedded simulator.
         standby_servers: whether each robot on a server has a second one that prepares its next start.
         seed: seed of what the task draws; the specification's by default.
+        critic: whether observations contain those that only a critic has.
 
     Raises:
         ValueError: if this machine cannot run this number of robots; the message states what to change.
@@ -344,7 +361,7 @@ def open_environment(
     )
     simulator = kind.open(spec.robot_description, n, spec.simulator, options, spec.task_class.scene)
     try:
-        return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed)
+        return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed, critic=critic)
     except BaseException:
         simulator.close()
         raise
@@ -358,7 +375,13 @@ def open_training_environment(spec: TrainingSpec) -> tuple[Environment, int]:
     """
     runtime = spec.runtime
     n = spec.algorithm.n_envs
-    environment = open_environment(spec, n, threads=runtime.simulator_threads, standby_servers=runtime.standby_servers)
+    environment = open_environment(
+        spec,
+        n,
+        threads=runtime.simulator_threads,
+        standby_servers=runtime.standby_servers,
+        critic=getattr(spec.algorithm, "critic_observations", False),
+    )
     try:
         environment.short[: round(spec.task.start_episode_fraction * n)] = True
         starts = environment.task.starts(TRAINING_STARTS, spec.seed, spec.task.start_noise_deg)

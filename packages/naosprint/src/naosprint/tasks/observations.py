@@ -79,69 +79,63 @@ class Observer:
         blocks: what is observed at a step, in order.
         history: earlier steps that are observed besides the present one, the latest first; those before an episode are
             like its first.
+        critic: what a critic observes besides.
 
     Attributes:
-        names: names of the D observations.
-        width: observations of one step.
-        observations: (n, D) the latest observations.
+        names: names of the D observations of a policy.
+        critic_names: names of the C observations that only a critic has.
+        width: observations of a policy at one step.
+        observations: (n, D + C) the latest observations.
         values: (n, V) the latest values of the observations whose rates follow.
         mirror: their mirror image.
     """
 
-    def __init__(self, n: int, blocks: Sequence[ObservationBlock], history: int = 0) -> None:
-        self.blocks = tuple(blocks)
+    def __init__(
+        self,
+        n: int,
+        blocks: Sequence[ObservationBlock],
+        history: int = 0,
+        critic: Sequence[ObservationBlock] = (),
+    ) -> None:
+        self.blocks = (*blocks, *critic)
         self.history = history
         self._beginning = [block for block in self.blocks if block.begin is not None]
         self._updating = [block for block in self.blocks if block.update is not None]
-        names: list[str] = []
-        partners: list[str] = []
-        signs: list[float] = []
-        value_columns: list[int] = []
-        rate_columns: list[int] = []
-        angular: list[int] = []
-        self._rated: list[tuple[ObservationBlock, slice]] = []
-        self._plain: list[tuple[ObservationBlock, slice]] = []
-        for block in self.blocks:
-            first, width = len(names), len(block.names)
-            names += block.names
-            partners += block.partners
-            signs += block.signs
-            if not block.rates:
-                self._plain.append((block, slice(first, first + width)))
-                continue
-            values = slice(len(value_columns), len(value_columns) + width)
-            self._rated.append((block, values))
-            angular += range(values.start, values.stop) if block.angular else ()
-            value_columns += range(first, first + width)
-            rate_columns += range(first + width, first + 2 * width)
-            names += [f"{name}_rate" for name in block.names]
-            partners += [f"{name}_rate" for name in block.partners]
-            signs += block.signs
-        doubled = {name for name in names if names.count(name) > 1}
-        if doubled:
-            raise ValueError(f"observations: {', '.join(sorted(doubled))}: two blocks have a number of this name")
+        names, partners, signs = _numbers(blocks)
         self.width = len(names)
         for ago in range(1, history + 1):
             names += [f"{name}{PAST}{ago}" for name in names[: self.width]]
             partners += [f"{name}{PAST}{ago}" for name in partners[: self.width]]
             signs += signs[: self.width]
         self.names = tuple(names)
+        for numbers, more in zip((names, partners, signs), _numbers(critic), strict=True):
+            numbers += more  # type: ignore[operator]
+        self.critic_names = tuple(names[len(self.names) :])
+        doubled = {name for name in names if names.count(name) > 1}
+        if doubled:
+            raise ValueError(f"observations: {', '.join(sorted(doubled))}: two blocks have a number of this name")
         self.observations: FloatArray = np.zeros((n, len(names)))
         self._mirror = (partners, signs)
+        self._places: list[tuple[ObservationBlock, int, int]] = []
+        first = value = 0
+        for number, block in enumerate(self.blocks):
+            first = len(self.names) if number == len(blocks) else first
+            self._places.append((block, first, value))
+            first += len(block.names) * (2 if block.rates else 1)
+            value += len(block.names) if block.rates else 0
+        self._plain = [(block, slice(at, at + len(block.names))) for block, at, _ in self._places if not block.rates]
+        self._rated = [(block, slice(at, at + len(block.names))) for block, _, at in self._places if block.rates]
+        value_columns = [at + k for block, at, _ in self._places if block.rates for k in range(len(block.names))]
+        widths = [len(block.names) for block, _, _ in self._places if block.rates for _ in block.names]
+        angular = [k for block, at in self._rated if block.angular for k in range(at.start, at.stop)]
         self._value_columns = np.array(value_columns, dtype=np.int64)
-        self._rate_columns = np.array(rate_columns, dtype=np.int64)
+        self._rate_columns = self._value_columns + np.array(widths, dtype=np.int64)
         self._angular = np.array(angular, dtype=np.int64)
-        self.values: FloatArray = np.zeros((n, len(value_columns)))
+        self.values: FloatArray = np.zeros((n, value))
 
     def places(self) -> list[tuple[ObservationBlock, int, int]]:
         """Return each block with its first column, and with that of its values among those whose rates follow."""
-        first = value = 0
-        found = []
-        for block in self.blocks:
-            found.append((block, first, value))
-            first += len(block.names) * (2 if block.rates else 1)
-            value += len(block.names) if block.rates else 0
-        return found
+        return self._places
 
     @property
     def mirror(self) -> Mirror:
@@ -150,7 +144,7 @@ class Observer:
         Raises:
             ValueError: if a block names a mirror image that is not observed.
         """
-        return Mirror.of_names(self.names, *self._mirror)
+        return Mirror.of_names((*self.names, *self.critic_names), *self._mirror)
 
     def begin(self, rows: IntArray) -> None:
         """Compute the first observation of an episode for the robots ``rows``; the others do not change."""
@@ -158,11 +152,13 @@ class Observer:
             block.begin(rows)  # type: ignore[misc]
         values = self._measure(rows)
         self.values[rows] = values
-        first = np.zeros((len(rows), self.width))
+        first = np.zeros((len(rows), self.observations.shape[1]))
         first[:, self._value_columns] = values
         for block, at in self._plain:
             first[:, at] = block.measure(rows)
-        self.observations[rows] = np.tile(first, self.history + 1)
+        for past in range(self.width, len(self.names), self.width):
+            first[:, past : past + self.width] = first[:, : self.width]
+        self.observations[rows] = first
 
     def update(self, rows: slice) -> None:
         """Compute the observations of the robots ``rows`` after a step."""
@@ -176,8 +172,9 @@ class Observer:
             rates[:, self._angular] = (turns + np.pi) % (2.0 * np.pi) - np.pi
         self.values[rows] = values
         observations = self.observations[rows]
-        if self.history:
-            observations[:, self.width :] = observations[:, : -self.width].copy()
+        past = len(self.names) - self.width
+        if past:
+            observations[:, self.width : len(self.names)] = observations[:, :past].copy()
         observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
         for block, at in self._plain:
@@ -204,6 +201,19 @@ class Observer:
         for block in self.blocks:
             for name, array in block.arrays.items():
                 array[:] = state[name]
+
+
+def _numbers(blocks: Sequence[ObservationBlock]) -> tuple[list[str], list[str], list[float]]:
+    """Return names, mirror images and their signs of all numbers of some blocks."""
+    names: list[str] = []
+    partners: list[str] = []
+    signs: list[float] = []
+    for block in blocks:
+        for suffix in ("", "_rate") if block.rates else ("",):
+            names += [f"{name}{suffix}" for name in block.names]
+            partners += [f"{name}{suffix}" for name in block.partners]
+            signs += block.signs
+    return names, partners, signs
 
 
 def blocks(world: World, names: Sequence[str]) -> list[ObservationBlock]:
@@ -575,6 +585,23 @@ def _ground_velocity(world: World) -> ObservationBlock:
     )
 
 
+def _true_height(world: World) -> ObservationBlock:
+    """Return the true height of the torso in metres."""
+    return ObservationBlock(
+        ("true_height",),
+        lambda rows: world.position(rows)[:, 2:3],
+        operation=columns(world.simulator.truth.torso_position, [2]),
+    )
+
+
+def _true_velocity(world: World) -> ObservationBlock:
+    """Return the true forward and lateral velocity in m/s on the field."""
+    block = _ground_velocity(world)
+    block.names = block.partners = ("true_forward_velocity", "true_lateral_velocity")
+    block.arrays = {f"true_{name}": array for name, array in block.arrays.items()}
+    return block
+
+
 def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
     """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
     if "torso_quat" not in world.perceptors:
@@ -618,6 +645,8 @@ BLOCKS: dict[str, Callable[[World], ObservationBlock]] = {
     "gravity": _gravity,
     "velocity": _velocity,
     "ball": _ball,
+    "true_height": _true_height,
+    "true_velocity": _true_velocity,
     "ground_velocity": _ground_velocity,
 }
 """Blocks by name."""
