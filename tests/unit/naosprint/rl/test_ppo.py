@@ -444,7 +444,8 @@ def test_a_policy_goes_on_with_another_critic(open_learner: Open) -> None:
     d = plain.environment.n_observations
     for giver, taker in ((plain, privileged), (privileged, plain), (privileged, open_learner(robot="t1"))):
         given = giver.policy_state()
-        taker.load_policy_state(given)
+        names = giver.environment.environment.observer.names, giver.environment.environment.actuation.names
+        taker.load_policy_state(taker.adapt_policy(given, observations=(names[0],) * 2, actions=(names[1],) * 2))
         taken = taker.policy_state()
         np.testing.assert_array_equal(taken[actor], given[actor])
         np.testing.assert_array_equal(taken["observation_mean"], given["observation_mean"])

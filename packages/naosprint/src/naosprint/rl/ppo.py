@@ -28,7 +28,7 @@ from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import FEW_ROWS, TorchForward, blind, linear_layers
 from naosprint.rl.normalization import STATISTICS, Normalizer
 from naosprint.rl.symmetry import Symmetry, tie_weights
-from naosprint.rl.warm_start import adapt
+from naosprint.rl.warm_start import adapt, with_critic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _IMITATION_RATE, _LEAST_RATE = 1e-3, 0.05
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
-_FIRST, _FIRST_OF_CRITIC = (f"mlp_extractor.{name}_net.0.weight" for name in ("policy", "value"))
+_FIRST = "mlp_extractor.policy_net.0.weight"
 
 
 class Rollout:
@@ -406,23 +406,14 @@ class PPO(Learner):
         return state
 
     def load_policy_state(self, state: Mapping[str, AnyArray]) -> None:
-        """Continue with these weights, as the latest ones and as their average, and with these statistics.
-
-        A critic begins with weight 0 for observations that the other training's critic had not, and without those that
-        only that one had.
-        """
-        seen, own = self._n_seen, self.environment.n_observations - self._n_seen
-        found = {name: np.array(value) for name, value in state.items() if not name.startswith("critic_")}
+        """Continue with these weights, as the latest ones and as their average, and with these statistics."""
+        found = {name: np.array(value) for name, value in state.items()}
         statistics = {**self.normalizer.state(), **{name: found.pop(name) for name in STATISTICS}}
-        for name, usual in zip(STATISTICS[:2], (0.0, 1.0), strict=True):
-            more = state.get(f"critic_{name}", ())
-            statistics[name] = np.append(statistics[name], more if len(more) == own else np.full(own, usual))
-        for name in _FIRST, _FIRST_OF_CRITIC:
-            more = found[name][:, seen:]
-            if more.shape[1] != own:
-                more = np.zeros((len(more), own), np.float32)
-            found[name] = np.concatenate([found[name][:, :seen], more], axis=1)
-        weights = {name: torch.from_numpy(value) for name, value in found.items()}
+        for name in STATISTICS[:2]:
+            statistics[name] = np.append(statistics[name], found.pop(f"critic_{name}", ()))
+        first = np.zeros((len(found[_FIRST]), self.environment.n_observations), np.float32)
+        first[:, : self._n_seen] = found[_FIRST]
+        weights = {name: torch.from_numpy(value) for name, value in {**found, _FIRST: first}.items()}
         self.policy.load_state_dict(weights)
         self._average = {name: tensor.clone() for name, tensor in weights.items()}
         self.normalizer.load_statistics(statistics)
@@ -435,8 +426,10 @@ class PPO(Learner):
         actions: tuple[Sequence[str], Sequence[str]],
     ) -> Mapping[str, AnyArray]:
         """Return the policy of another training rearranged by names; see :func:`naosprint.rl.warm_start.adapt`."""
-        rest = self.environment.environment.actuation.rest
-        return adapt(state, observations=observations, actions=actions, rest=rest)
+        if (observations[0], actions[0]) != (observations[1], actions[1]):
+            rest = self.environment.environment.actuation.rest
+            state = adapt(state, observations=observations, actions=actions, rest=rest)
+        return with_critic(state, self._n_seen, self.environment.n_observations - self._n_seen)
 
     def state(self) -> dict[str, AnyArray]:
         """Return optimizer, generator, episode starts, normalization, and the latest weights."""

@@ -369,15 +369,14 @@ class _Session:
                     f"set algorithm.{name} to {theirs.get(name)}"
                 )
         policy: Mapping[str, AnyArray] = read_file(directory, manifest, POLICY)
-        if (manifest.observations, manifest.actions) != (environment.observer.names, environment.actuation.names):
-            try:
-                policy = self.learner.adapt_policy(
-                    policy,
-                    observations=(manifest.observations, environment.observer.names),
-                    actions=(manifest.actions, environment.actuation.names),
-                )
-            except ValueError as error:
-                raise CheckpointError(f"{directory}: {error}") from error
+        try:
+            policy = self.learner.adapt_policy(
+                policy,
+                observations=(manifest.observations, environment.observer.names),
+                actions=(manifest.actions, environment.actuation.names),
+            )
+        except ValueError as error:
+            raise CheckpointError(f"{directory}: {error}") from error
         require_like(directory / POLICY, policy, self.learner.policy_state())
         self.learner.load_policy_state(policy)
         if self.candidates.count > 1:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, FloatArray
 
+_CRITIC = ("critic_observation_mean", "critic_observation_variance")
 _FIRST_LAYERS = ("mlp_extractor.policy_net.0.weight", "mlp_extractor.value_net.0.weight")
 
 
@@ -60,6 +61,22 @@ def adapt(
         new = [name + suffix for name in actions[1]]
         guess[[name in new for name in present]] = typical
     fitted["observation_variance"] = np.where(unseen, guess, variance[seen])
+    return fitted
+
+
+def with_critic(policy: Mapping[str, AnyArray], seen: int, own: int) -> Mapping[str, AnyArray]:
+    """Fit a policy's arrays to a critic with ``own`` observations besides the policy's ``seen``.
+
+    If the other training's critic had as many, they stay; otherwise they get weight 0 at first.
+    """
+    means, weights = policy.get(_CRITIC[0], np.zeros(0)), policy.get(_FIRST_LAYERS[1], np.zeros(0))
+    if len(means) == own or weights.ndim != 2:
+        return policy
+    fitted = {name: array for name, array in policy.items() if name not in _CRITIC}
+    blank = np.zeros((len(weights), own), np.float32)
+    fitted[_FIRST_LAYERS[1]] = np.append(weights[:, :seen], blank, axis=1)
+    if own:
+        fitted |= {_CRITIC[0]: np.zeros(own), _CRITIC[1]: np.ones(own)}
     return fitted
 
 
