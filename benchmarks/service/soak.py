@@ -35,7 +35,7 @@ from typing import Any
 import httpx
 from naojobs import retention
 from naojobs.history import violations
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Worker
+from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, Metric, Worker
 from naojobs.states import ENDED, WorkState
 from naojobs.store import Manifest, StoreError
 from naospec.flat import nest
@@ -159,7 +159,7 @@ class Nemesis:
         def jump() -> None:
             # Shifting the times of all rows has the effect of a clock that jumps.
             with contextlib.suppress(Exception), self._stack.sessions.begin() as session:
-                for table in (Job.__table__, Worker.__table__):
+                for table in (Job.__table__, Worker.__table__, LeaseClock.__table__):
                     dates = [column for column in table.columns if isinstance(column.type, DateTime)]
                     moved = {date: date - timedelta(seconds=seconds) for date in dates}
                     session.execute(update(table).values(moved))

@@ -29,7 +29,7 @@ from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent
-from sqlalchemy import func, select, update
+from sqlalchemy import func, select, text, update
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 #: How a child may end by itself, beside by a stop that it was asked for.
@@ -132,10 +132,9 @@ class World:
 
     def expire(self) -> None:
         """Expire the lease, as if its worker had died."""
-        past = func.now() - timedelta(seconds=1)
         with self.sessions.begin() as session:
             leased = (Job.id == self.job_id, Job.lease_owner.is_not(None))
-            session.execute(update(Job).where(*leased).values(lease_expires_at=past))
+            session.execute(update(Job).where(*leased).values(lease_expires_at=text("'epoch'")))
         lifecycle.requeue_stale(self.sessions)
 
     def check(self) -> WorkState | None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import pytest
@@ -13,12 +15,12 @@ from naojobs import backups, lifecycle, records, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
-from naojobs.models import Evaluation, Event, Job, Metric
+from naojobs.models import Evaluation, Event, Job, LeaseClock, Metric
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
 from naospec import EvaluationSpec, TrainingSpec
-from sqlalchemy import event, text
+from sqlalchemy import event, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -56,9 +58,7 @@ def kinds(sessions: Sessions, job_id: str) -> list[str]:
 def expire_lease(sessions: Sessions, job_id: str) -> None:
     """Expire the lease, as if its worker had been silent."""
     with sessions.begin() as session:
-        session.execute(
-            text("UPDATE jobs SET lease_expires_at = now() - interval '1 ms' WHERE id = :id"), {"id": job_id}
-        )
+        session.execute(text("UPDATE jobs SET lease_expires_at = 'epoch' WHERE id = :id"), {"id": job_id})
 
 
 def test_submit_keeps_what_was_asked_for(sessions: Sessions, submit: Callable[..., Job]) -> None:
@@ -133,6 +133,53 @@ def test_an_expired_lease_that_nobody_took_can_be_renewed(sessions: Sessions, ru
     expire_lease(sessions, running.lease.job_id)
     lifecycle.heartbeat(sessions, running.lease)
     assert lifecycle.requeue_stale(sessions) == []
+
+
+def move_clock(sessions: Sessions, seconds: float) -> None:
+    """Set the time of the last reading, which has the effect of setting the database's clock."""
+    with sessions.begin() as session:
+        session.execute(update(LeaseClock).values(read_at=LeaseClock.read_at - timedelta(seconds=seconds)))
+
+
+@pytest.mark.parametrize("seconds", [3600.0, 7 * 86_400.0, -3600.0, -7 * 86_400.0])
+def test_a_step_of_the_databases_clock_ends_no_lease_and_lengthens_none(
+    sessions: Sessions, submit: Callable[..., Job], seconds: float
+) -> None:
+    """Nor does time in which the server or its machine was suspended, which looks like a step forward."""
+    lost, held = (lifecycle.claim(sessions, Job, submit().id, worker, lease_s=1.5) for worker in ("lost", "held"))
+    assert lost is not None
+    assert held is not None
+
+    def requeued() -> list[str]:
+        found = {item.id for item in lifecycle.requeue_stale(sessions, lease_s=1.5)}
+        return [claim.lease.id for claim in (lost, held) if claim.lease.id in found]
+
+    requeued()
+    for lease in (lost.lease, held.lease):
+        move_clock(sessions, seconds)
+        lifecycle.heartbeat(sessions, lease, lease_s=1.5)  # before anyone has read the clock since
+        assert requeued() == []
+    deadline = time.monotonic() + 30
+    while not (ended := requeued()):
+        assert time.monotonic() < deadline
+        lifecycle.heartbeat(sessions, held.lease, lease_s=1.5)
+        time.sleep(0.05)
+    assert ended == [lost.lease.id]
+    lifecycle.transition(sessions, held.lease, WorkState.CANCELLED)
+
+
+def test_readings_of_many_workers_do_not_hurry_the_clock_of_leases(sessions: Sessions) -> None:
+    def read(_: int) -> None:
+        for _ in range(50):
+            lifecycle.requeue_stale(sessions, lease_s=0.3)
+
+    with sessions() as session:
+        clock = select(func.clock_timestamp(), LeaseClock.time)
+        began, first = session.execute(clock).one()
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(read, range(4)))
+        ended, last = session.execute(clock).one()
+    assert last - first <= ended - began + timedelta(seconds=0.1)
 
 
 def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(

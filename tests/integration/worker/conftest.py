@@ -22,7 +22,7 @@ import psycopg
 import pytest
 from naojobs import submission
 from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
-from naojobs.models import Checkpoint, Event, Job, Metric, Worker
+from naojobs.models import Checkpoint, Event, Job, LeaseClock, Metric, Worker
 from naojobs.notifications import Notifier, make_celery
 from naojobs.roles import Role, create_roles
 from naojobs.states import ENDED, WorkState
@@ -106,6 +106,33 @@ class Postgres:
     def start(self) -> None:
         """Start it again with the data it had."""
         self._server.ensure_postgres_running()
+
+    @contextlib.contextmanager
+    def suspended(self) -> Iterator[None]:
+        """Suspend all processes of the server; they keep their connections."""
+        postmaster = psutil.Process(self._server.get_pid())
+        processes = [postmaster, *postmaster.children()]
+        for process in processes:
+            process.suspend()
+        try:
+            yield
+        finally:
+            for process in reversed(processes):
+                process.resume()
+
+    @contextlib.contextmanager
+    def read_only(self, database: str) -> Iterator[None]:
+        """Make a database read-only, as after a failover, and cut its connections."""
+        change = sql.SQL("ALTER DATABASE {} {} default_transaction_read_only {}")
+        cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = %s"
+        with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
+            name = sql.Identifier(database)
+            connection.execute(change.format(name, sql.SQL("SET"), sql.SQL("= on")))
+            connection.execute(cut, (database,))
+            try:
+                yield
+            finally:
+                connection.execute(change.format(name, sql.SQL("RESET"), sql.SQL("")))
 
     def close(self) -> None:
         """Stop it and delete its data."""
@@ -267,7 +294,7 @@ class Service:
     def move_clock(self, seconds: float) -> None:
         """Shift the times of all rows, which has the effect of setting the database's clock."""
         with self.sessions.begin() as session:
-            for table in (Job.__table__, Worker.__table__):
+            for table in (Job.__table__, Worker.__table__, LeaseClock.__table__):
                 dates = [column for column in table.columns if isinstance(column.type, DateTime)]
                 session.execute(update(table).values({date: date - timedelta(seconds=seconds) for date in dates}))
 

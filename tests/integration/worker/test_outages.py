@@ -61,6 +61,43 @@ def test_postgres_restarts_in_the_middle(service: Service, worker: WorkerProcess
     assert_whole(service, job_id, steps)
 
 
+def test_postgres_that_is_suspended_for_longer_than_a_lease_costs_no_attempt(service: Service) -> None:
+    """No call fails meanwhile; afterwards, the reaper of another worker may be the first to look at the lease."""
+    service.start_worker()
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 1)
+    service.start_worker(NAOSPRINT_WORKER_QUEUES="server", NAOSPRINT_WORKER_REAP_S="0.1")
+    with service.sessions() as session:
+        service.until(lambda: session.scalar(text("SELECT count(*) FROM workers")) == 2, what="for the second worker")
+    for _ in range(2):
+        with service.postgres.suspended():
+            time.sleep(service.settings.lease_s + 1)
+        service.until_checkpoints(job_id, len(service.checkpoints(job_id)) + 1)
+    lifecycle.request_pause(service.sessions, job_id)
+    job = service.until_state(job_id, WorkState.PAUSED)
+    assert (job.attempt, job.failures) == (1, 0), service.report()
+    assert_whole(service, job_id, job.progress_step)
+
+
+def test_a_database_that_is_read_only_for_a_while_costs_no_attempt(service: Service, worker: WorkerProcess) -> None:
+    """As one that is away: the training continues, and its records wait."""
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    training = service.until_training(worker)
+    with service.postgres.read_only(str(service.engine.url.database)):
+        service.until(lambda: "has not answered for" in worker.output(), what="for a heartbeat that fails")
+        time.sleep(service.settings.lease_s + 1)
+        assert training.is_running()
+        known = len(service.checkpoints(job_id))
+    service.engine.dispose()  # connections of this test to the server that is gone
+    service.until_checkpoints(job_id, known + 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    job = service.until_state(job_id, WorkState.PAUSED)
+    assert (job.attempt, job.failures) == (1, 0), service.report()
+    assert_whole(service, job_id, job.progress_step)
+    assert "Traceback" not in worker.output()
+
+
 def test_a_transaction_of_a_suspended_process_is_a_temporary_error(service: Service) -> None:
     """A machine that was suspended during a write retries; its job does not fail."""
     settings = service.settings.model_copy(update={"lease_s": 0.3})

@@ -35,7 +35,7 @@ _REST = re.compile(
 _END_OF_DATA, _COMPLETE = b"\\.\n", "-- PostgreSQL database dump complete"
 
 #: Tables whose rows a restored database has of its own.
-_OWN = frozenset({"alembic_version", "generations"})
+_OWN = frozenset({"alembic_version", "generations", "lease_clocks"})
 
 #: Constraints between tables. Jobs and checkpoints refer to each other, so no order of the tables would do.
 _FOREIGN_KEYS = """

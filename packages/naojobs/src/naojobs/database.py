@@ -35,7 +35,7 @@ _NOTIFY = text(
 )
 
 #: The revision of the schema that this code is written for.
-REVISION = "0020"
+REVISION = "0021"
 
 #: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F
@@ -95,10 +95,10 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
     ) -> tuple[str, Any]:
         return statement, storable(parameters)
 
-    @event.listens_for(engine, "handle_error")
-    def drop_read_only(context: ExceptionContext) -> None:
-        # The driver counts it among internal errors; after a failover, a new connection reaches the new server.
-        context.is_disconnect |= isinstance(context.original_exception, psycopg.errors.ReadOnlySqlTransaction)
+    @event.listens_for(engine, "handle_error", retval=True)
+    def leave_read_only(context: ExceptionContext) -> Exception | None:
+        # After a failover, a new connection reaches the new server.
+        return _unavailable(context, psycopg.errors.ReadOnlySqlTransaction)
 
     return engine
 
@@ -153,13 +153,17 @@ def limit_transactions(engine: Engine, seconds: float) -> None:
 
     @event.listens_for(engine, "handle_error", retval=True)
     def distinguish_limit(context: ExceptionContext) -> Exception | None:
-        # The driver counts a transaction that lasted too long among internal errors, as it does wrong use. This process
-        # has only been suspended: the next attempt succeeds, or the lease is lost.
-        error = context.original_exception
-        if not isinstance(error, _TOO_LONG):
-            return None
-        context.is_disconnect = True
-        return OperationalError(context.statement, context.parameters, error, connection_invalidated=True)
+        # This process has only been suspended: the next attempt succeeds, or the lease is lost.
+        return _unavailable(context, *_TOO_LONG)
+
+
+def _unavailable(context: ExceptionContext, *kinds: type[psycopg.Error]) -> Exception | None:
+    """Return errors of these kinds as those of an unavailable database; the driver counts them among internal ones."""
+    error = context.original_exception
+    if not isinstance(error, kinds):
+        return None
+    context.is_disconnect = True
+    return OperationalError(context.statement, context.parameters, error, connection_invalidated=True)
 
 
 def make_sessions(engine: Engine, *, read_only: bool = False) -> Sessions:
@@ -208,13 +212,6 @@ def _notify_after_commits(sessions: Sessions, engine: Engine) -> None:
                     connection.execute(_NOTIFY, {"channel": CHANNEL, "changed": list(changed)})
             except SQLAlchemyError as error:
                 _log.info("a notification was lost: %s", error)
-
-
-def database_uptime(sessions: Sessions) -> timedelta | None:
-    """Return how long the database server has run by its own clock: negative if the clock was set back since."""
-    with one_statement(sessions) as session:
-        uptime: timedelta | None = session.scalar(text("SELECT clock_timestamp() - pg_postmaster_start_time()"))
-    return uptime
 
 
 def notify(session: Session, job_id: str, *, deleted_from: str | None = None) -> None:

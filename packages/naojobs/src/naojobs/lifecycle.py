@@ -1,7 +1,8 @@
 """Life cycle of work, the same for jobs and evaluations: every function is one small transaction.
 
 The state of a piece of work changes only in `_change`, which checks it against `naojobs.states.TRANSITIONS`, under a
-lock on its row. Times come from the database's clock, never from a host's. Events are written under the lock on the
+lock on its row. Times come from the database's clock, never from a host's, those of leases from their own
+(`naojobs.models.lease_time`). Events are written under the lock on the
 job's row, so their ids ascend in the order of their commits; a function that locks an evaluation's row and writes an
 event locks the job's row first.
 """
@@ -10,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 from typing import Any, TypeAlias, TypeVar, cast, overload
 
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
 from pydantic import ValidationError
-from sqlalchemy import ColumnElement, Select, and_, func, or_, select, update
+from sqlalchemy import ColumnElement, ScalarSelect, Select, and_, func, or_, select, update
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
@@ -29,11 +30,13 @@ from naojobs.models import (
     Evaluation,
     Event,
     Job,
+    LeaseClock,
     Metric,
     Policy,
     PolicyVersion,
     WorkKind,
     generation,
+    lease_time,
 )
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
@@ -492,7 +495,7 @@ def _take(session: Session, work: Job | Evaluation, worker: str, lease_s: float)
     work.attempt += 1
     work.lease_owner = worker
     work.lease_generation = session.scalars(select(generation())).one()
-    work.lease_expires_at = func.now() + timedelta(seconds=lease_s)
+    work.lease_expires_at = _lease_end(lease_s)
     work.heartbeat_at = func.now()
     work.started_at = func.coalesce(type(work).started_at, func.now())
     lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt, work.lease_generation)
@@ -557,7 +560,7 @@ def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEAS
         row = session.execute(
             update(model)
             .where(_held_by(lease))
-            .values(heartbeat_at=func.now(), lease_expires_at=func.now() + timedelta(seconds=lease_s))
+            .values(heartbeat_at=func.now(), lease_expires_at=_lease_end(lease_s))
             .returning(model.state, model.cancel_requested),
         ).one_or_none()
     if row is None:
@@ -754,24 +757,24 @@ def _lose(session: Session, work: Job | Evaluation, reason: str, *, counts: bool
     return target
 
 
-def shorten_leases(sessions: Sessions, longest_s: float) -> None:
-    """Shorten every lease that lasts longer to `longest_s`.
-
-    Such a lease dates from before the database's clock was set back; that of a dead worker would last until the clock
-    has caught up.
-    """
-    longest = func.now() + timedelta(seconds=longest_s)
-    with sessions.begin() as session:
-        for model in WORK.values():
-            session.execute(
-                update(model)
-                .where(model.lease_owner.is_not(None), model.lease_expires_at > longest)
-                .values(lease_expires_at=longest)
-                .execution_options(synchronize_session=False)
-            )
+def _lease_end(lease_s: float) -> ScalarSelect[datetime]:
+    """Return the query of the time at which a lease of now expires."""
+    return select(lease_time(lease_s) + timedelta(seconds=lease_s)).scalar_subquery()
 
 
-def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
+def read_lease_clock(session: Session, lease_s: float) -> None:
+    """Advance the clock of leases; of many workers that call this at once, one changes its row."""
+    unread = func.clock_timestamp() - LeaseClock.read_at
+    due = or_(unread < timedelta(), unread > timedelta(seconds=lease_s / 30))
+    session.execute(
+        update(LeaseClock)
+        .where(due)
+        .values(time=lease_time(lease_s), read_at=func.clock_timestamp())
+        .execution_options(synchronize_session=False)
+    )
+
+
+def requeue_stale(sessions: Sessions, *, lease_s: float = DEFAULT_LEASE_S, limit: int = 100) -> list[Requeued]:
     """Count a failed attempt for all work whose lease has expired, and queue it again or end it; return the new states.
 
     An attempt whose last heartbeat is older than the database's start counts as none: the machine, the container engine
@@ -779,9 +782,12 @@ def requeue_stale(sessions: Sessions, *, limit: int = 100) -> list[Requeued]:
     Several workers may do so at once: each row is processed by one.
     """
     done = []
+    with one_statement(sessions) as session:
+        read_lease_clock(session, lease_s)
+    now = select(lease_time(lease_s)).scalar_subquery()
     for model in WORK.values():
         restored = model.lease_generation.is_distinct_from(generation())
-        expired = and_(model.state.in_(LEASED), or_(model.lease_expires_at < func.now(), restored))
+        expired = and_(model.state.in_(LEASED), or_(model.lease_expires_at < now, restored))
         with sessions() as session:
             stale = session.scalars(select(model.id).where(expired).order_by(model.lease_expires_at).limit(limit)).all()
         for work_id in stale:

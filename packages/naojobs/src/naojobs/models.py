@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import datetime
+from datetime import datetime, timedelta
 from enum import StrEnum
 from typing import Any, ClassVar
 
 from sqlalchemy import (
     BigInteger,
     CheckConstraint,
+    ColumnElement,
     DateTime,
     Double,
     Enum,
@@ -120,6 +121,7 @@ class Work:
     lease_owner: Mapped[str | None] = mapped_column(String(200))
     #: Generation of the database that gave the lease, see `generation`.
     lease_generation: Mapped[str | None] = mapped_column(String(80))
+    #: By the clock of leases, see `lease_time`.
     lease_expires_at: Mapped[datetime | None]
     heartbeat_at: Mapped[datetime | None]
     #: Since when leased work has made no step, once its worker has noticed; none while it makes steps.
@@ -535,6 +537,29 @@ def generation() -> ScalarSelect[str]:
     """
     timeline = func.left(func.pg_walfile_name(func.pg_current_wal_lsn()), 8)
     return select(func.concat(Generation.key, "-", timeline)).scalar_subquery()
+
+
+class LeaseClock(Base):
+    """Clock of leases, in one row: the time that it showed when the database's clock showed `read_at`."""
+
+    __tablename__ = "lease_clocks"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    time: Mapped[datetime] = mapped_column(server_default=func.now())
+    read_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    __table_args__ = (CheckConstraint("id = 1", name="one_row"),)
+
+
+def lease_time(lease_s: float) -> ColumnElement[datetime]:
+    """Return the expression of what the clock of leases shows now; `lease_s` is the length of a lease.
+
+    Workers read the clock every few seconds (`naojobs.lifecycle.read_lease_clock`), and from one reading to the next
+    it advances by a third of a lease at most, never backwards. So a lease runs while the database answers: not while
+    the server or its machine is stopped or suspended, nor with a step of its clock.
+    """
+    since = func.clock_timestamp() - LeaseClock.read_at
+    return LeaseClock.time + func.least(func.greatest(since, timedelta()), timedelta(seconds=lease_s / 3))
 
 
 class Token(Base):

@@ -11,6 +11,7 @@ from sqlalchemy.dialects.postgresql import insert
 
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions, one_statement
+from naojobs.lifecycle import read_lease_clock
 from naojobs.models import Job, Worker
 
 
@@ -43,6 +44,7 @@ def beat(
             .values(id=worker_id, host=host, pid=pid, **current)
             .on_conflict_do_update(index_elements=[Worker.id], set_={"heartbeat_at": func.now(), **current}),
         )
+        read_lease_clock(session, stale_s)
         alive = Worker.heartbeat_at > func.now() - timedelta(seconds=stale_s)
         return session.execute(select(func.count()).select_from(Worker).where(alive)).scalar_one()
 

@@ -42,6 +42,7 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "events": {Role.API: "SI", Role.WORKER: "SI"},
     "generations": {Role.API: "S", Role.WORKER: "S"},
     "jobs": {Role.API: "SIUD", Role.WORKER: "SIU"},
+    "lease_clocks": {Role.WORKER: "SU"},
     "logs": {Role.API: "S", Role.WORKER: "SI"},
     "metrics": {Role.API: "S", Role.WORKER: "SIUD"},
     "policies": {Role.API: "SIUD", Role.WORKER: "S"},

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import logging
 import random
-import time
-from datetime import timedelta
 
 from naojobs import lifecycle, registry
-from naojobs.database import Sessions, database_uptime
+from naojobs.database import Sessions
 from naosim.launchers import reap_servers
 
 from naosprint_worker.context import Context
@@ -16,8 +14,6 @@ from naosprint_worker.orphans import OrphanSweeper
 
 logger = logging.getLogger(__name__)
 
-#: Largest ratio between the lease times of two workers of one service.
-_LONGEST_LEASES = 5
 #: Workers that look for lost work in one interval, on average. All of a thousand would be a load by themselves.
 _TURNS = 10
 
@@ -28,33 +24,16 @@ class LostWork:
     def __init__(self, sessions: Sessions, lease_s: float) -> None:
         self._sessions = sessions
         self._lease_s = lease_s
-        self._outage_at: float | None = None
         #: Workers of the service that are alive, this one included.
         self.workers = 1
-
-    def database_failed(self) -> None:
-        """Record an outage of the database, which may have missed the heartbeats of other workers, too."""
-        self._outage_at = time.monotonic()
 
     def sweep(self) -> list[lifecycle.Requeued]:
         """Requeue what is lost, unless others of many workers look for it now; return it."""
         if random.random() * self.workers > _TURNS:  # noqa: S311 - no secret
             return []
-        requeued = self._requeue()
+        requeued = lifecycle.requeue_stale(self._sessions, lease_s=self._lease_s)
         registry.forget(self._sessions)
         return requeued
-
-    def _requeue(self) -> list[lifecycle.Requeued]:
-        """Requeue work with expired leases, once the owners have had time to renew them since the last outage."""
-        lease_s = self._lease_s
-        if self._outage_at is not None and time.monotonic() - self._outage_at < lease_s:
-            return []
-        uptime = database_uptime(self._sessions)
-        # Negative if its clock was set back since it started.
-        if uptime is None or timedelta() <= uptime < timedelta(seconds=lease_s):
-            return []
-        lifecycle.shorten_leases(self._sessions, _LONGEST_LEASES * lease_s)
-        return lifecycle.requeue_stale(self._sessions)
 
 
 class Reaper:

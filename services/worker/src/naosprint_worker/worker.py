@@ -242,7 +242,6 @@ class Worker:
             try:
                 duty()
             except DATABASE_ERRORS as error:
-                self._reaper.lost.database_failed()
                 logger.warning("%s: the database did not answer: %s", name, describe(error, 200))
             except Exception:
                 logger.exception("%s failed", name)
