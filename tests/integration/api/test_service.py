@@ -458,19 +458,24 @@ def test_a_task_describes_what_it_measures(client: httpx.Client) -> None:
         }
 
 
-@pytest.mark.parametrize("followers", [0, 3])
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(("followers", "idle"), [(0, 0), (2, 20)])
 def test_the_process_starts_from_its_environment_and_ends_on_a_signal(
     service_environment: dict[str, str],
     make_token: Callable[..., str],
     run_job: Callable[..., Lease],
     sessions: sessionmaker[Session],
     followers: int,
+    idle: int,
+    end: signal.Signals,
 ) -> None:
+    """At once, also with `idle` followers that read nothing and whose buffers are full."""
     port = free_port()
     environment = {**os.environ, **service_environment, "NAOSPRINT_API_PORT": str(port)}
     process = subprocess.Popen(
         [sys.executable, "-m", "naosprint_api"], env=environment, stderr=subprocess.PIPE, text=True
     )
+    deaf = [socket.socket() for _ in range(idle)]
     try:
         assert process.stderr is not None
         for line in process.stderr:
@@ -478,7 +483,7 @@ def test_the_process_starts_from_its_environment_and_ends_on_a_signal(
                 break
         headers = {"Authorization": f"Bearer {make_token('alice', 'read')}"}
         lease = run_job()
-        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers) as client:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=headers, timeout=30) as client:
             streams = [
                 client.send(client.build_request("GET", f"/jobs/{lease.job_id}/stream"), stream=True)
                 for _ in range(followers)
@@ -487,13 +492,29 @@ def test_the_process_starts_from_its_environment_and_ends_on_a_signal(
             for reader in readers:
                 next(reader)
             assert client.get("/jobs").status_code == 200
-            process.send_signal(signal.SIGTERM)
+            for follower in deaf:
+                follower.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+                follower.connect(("127.0.0.1", port))
+                request = f"GET /jobs/{lease.job_id}/stream HTTP/1.1\r\nHost: x\r\nAuthorization: "
+                follower.sendall(f"{request}{headers['Authorization']}\r\n\r\n".encode())
+            for follower in deaf:
+                assert b"200" in follower.recv(15)
+            if deaf:
+                records.append_logs(sessions, lease, [LogLine("info", "x" * 9000)] * 400)
+                for reader in readers:
+                    while "x" * 100 not in next(reader):
+                        pass
+            began = time.monotonic()
+            process.send_signal(end)
             for reader in readers:
                 assert not any("error" in line.split(":")[0] for line in reader), "a stream ends, it does not break"
         log = process.stderr.read()
         assert process.wait(20) in (0, -signal.SIGTERM)
+        assert time.monotonic() - began < 8, "it did not wait for what nobody reads"
         assert "Traceback" not in log
     finally:
+        for follower in deaf:
+            follower.close()
         process.kill()
         process.wait()
         if process.stderr is not None:

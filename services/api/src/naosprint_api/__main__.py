@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import logging
 import signal
@@ -88,7 +89,8 @@ def main() -> int:
         return 2
     server = make_server(settings)
     answer_evenly()
-    server.run()
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C; the server has ended in order
+        server.run()
     return 0 if server.started else 1
 
 
