@@ -298,6 +298,40 @@ def test_the_form_names_the_field_that_is_wrong(browser: Browser, token: str, cl
     assert client.get("/jobs").json()["items"] == []
 
 
+def test_the_form_offers_what_robot_and_simulator_can_do(browser: Browser, token: str, client: httpx.Client) -> None:
+    browser.sign_in(token)
+    browser.open("/submit")
+    browser.find("[name='spec.total_steps']")
+    browser.js("for (const d of document.querySelectorAll('details')) d.open = true")
+
+    def choose(section: str, name: str) -> None:
+        choose_text(browser, f"[name='spec.{section}.name']", name)
+
+    def offered(*names: str) -> list[bool]:
+        fields = (f"[data-field='spec.{name}']" for name in names)
+        return [browser.js("return !document.querySelector(arguments[0]).hidden", field) for field in fields]
+
+    settings = ("task.push_mps", "task.torque_penalty", "task.hop_penalty", "algorithm.imitation_steps")
+    assert offered(*settings, "task.sensor_noise") == [False] * 4 + [True]
+    choose("robot", "t1")
+    assert offered(*settings) == [True, True, True, False]
+    browser.set("[name='spec.task.push_mps']", "0.5")
+    choose("simulator", "server")
+    assert offered(*settings) == [False, True, True, False]
+    choose("simulator", "embedded")
+    choose("task", "getup")
+    assert offered(*settings) == [True] * 4
+    choose("robot", "k1")
+    assert offered("algorithm.imitation_steps") == [False]
+    choose("robot", "nao-0")
+    assert browser.js("return document.querySelector(\"[name='spec.task.name']\").selectedOptions[0].text") != "getup"
+    browser.set("[name='spec.total_steps']", "512")
+    browser.find("aside button[type=submit]").click()
+    browser.until(lambda: client.get("/jobs").json()["items"])
+    (job,) = client.get("/jobs").json()["items"]
+    assert job["spec"]["task"].get("push_mps", 0.0) == 0.0, "what was hidden is not sent"
+
+
 def test_presets_fill_the_form_and_keep_what_was_chosen(browser: Browser, token: str) -> None:
     browser.sign_in(token)
     browser.open("/submit")

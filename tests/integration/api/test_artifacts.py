@@ -278,6 +278,15 @@ def test_an_evaluation_of_what_is_not_there_is_refused(
     assert answer.json()["errors"][0]["field"] == "spec.episodes"
 
 
+def test_an_evaluation_that_cannot_run_is_refused(client: httpx.Client, lease: Lease, checkpoint: str) -> None:
+    assert checkpoint
+    body = {"spec": {"task": {"name": "sprint1", "push_mps": 0.5}}}
+    answer = client.post(f"/jobs/{lease.job_id}/evaluations", json=body)
+    (error,) = answer.json()["errors"]
+    assert (answer.status_code, error["field"]) == (422, "spec.task")
+    assert "task.push_mps: 0.5 needs pushes" in error["message"]
+
+
 def test_deleting_a_job_deletes_its_files(
     client: httpx.Client, lease: Lease, checkpoint: str, store: ArtifactStore, sessions: sessionmaker[Session]
 ) -> None:

@@ -107,6 +107,22 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
         ({"spec": {"task": {"drift_penalty": -1}}}, "spec.task.drift_penalty", "greater than or equal to 0"),
         ({"spec": {"robot": "r2"}}, "spec.robot", "choose one of"),
         ({"spec": {"robot": "nao-0", "simulator": "moon"}}, "spec.simulator", "choose one of"),
+        ({"spec": {"task": {"name": "sprint1", "push_mps": 0.5}}}, "spec.task.push_mps", "use robot k1 or t1"),
+        (
+            {"spec": {"robot": "k1", "task": "getup", "algorithm": {"imitation_steps": 9}}},
+            "spec.algorithm.imitation_steps",
+            "needs demonstrations",
+        ),
+        (
+            {"spec": {"robot": "t1", "task": "getup"}, "evaluation": {"simulator": "server"}},
+            "evaluation.simulator",
+            "getup needs lying starts",
+        ),
+        (
+            {"evaluation": {"task": {"name": "sprint1", "gravity_min": 0.5}}},
+            "evaluation.task",
+            "task.gravity_min: 0.5 needs other gravity",
+        ),
         ({"spec": {"runtime": {"simulator_threads": 0}}}, "spec.runtime.simulator_threads", "greater than or equal"),
         ({"spec": {"stages": [{"steps": 0}]}}, "spec.stages.0.steps", "greater than or equal to 1"),
         ({"spec": {"stages": [{"steps": 9, "algorithm": {"gamma": 2}}]}}, "spec.stages.0.algorithm.gamma", "less than"),

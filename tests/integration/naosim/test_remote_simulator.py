@@ -7,7 +7,7 @@ import signal
 
 import numpy as np
 import pytest
-from naosim import robots
+from naosim import kinds, robots
 from naosim.conformance import CHECKS, Check, Subject
 from naosim.simspark import EmbeddedSimulator, RemoteSimulator, embedded_launcher, protocol
 from naosim.simulator import ServerLostError, Starts
@@ -36,7 +36,7 @@ def lose(simulator: RemoteSimulator, row: int) -> None:
     kill(simulator, int(simulator._servers[row]))
 
 
-SERVERS = Subject(remote, lose, tolerance_deg=1.0)
+SERVERS = Subject(remote, lose, tolerance_deg=1.0, abilities=kinds.get("server").abilities(NAO))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)

@@ -173,7 +173,7 @@ def test_scripts_that_documents_name_are_shell_without_mistakes() -> None:
 def test_python_in_the_documents_runs(name: str, tmp_path: Path) -> None:
     # the first blocks are the package, which test_extending.py and an integration test run
     texts = [text for text in documents.blocks(ROOT / "docs" / "how-to" / name, "python") if "import" in text][1:]
-    assert len(texts) == 2
+    assert len(texts) == 3
     for number, text in enumerate(texts):
         path = tmp_path / f"example_{number}.py"
         path.write_text(text)

@@ -20,7 +20,7 @@ from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 def embedded(name: str, scene: Scene = PLAIN, *, exact: bool = False, **parameters: object) -> Subject:
     robot, kind = robots.get(name).with_parameters(parameters), kinds.get("embedded")
     settings = kind.parameters(robot)(exact=True) if exact else kind.parameters(robot)()
-    return Subject(lambda n: kind.open(robot, n, settings, scene=scene))
+    return Subject(lambda n: kind.open(robot, n, settings, scene=scene), abilities=kind.abilities(robot))
 
 
 SUBJECTS = {

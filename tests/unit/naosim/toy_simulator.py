@@ -56,6 +56,8 @@ class CrawlerSimulator(Simulator):
 
     def load_starts(self, starts):
         self.require_open()
+        if starts.orientations is not None:
+            raise ValueError("starts: crawlers start upright; leave orientations out")
         place = [*starts.position_m, self.robot.standing_height_m, starts.heading_rad]
         self.starts = np.column_stack([starts.poses_rad, np.tile(place, (len(starts), 1))])
 

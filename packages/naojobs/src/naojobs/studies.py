@@ -22,7 +22,7 @@ from naojobs.ids import new_id
 from naojobs.lifecycle import cancel_open
 from naojobs.models import Study, StudyState, Trial, TrialState
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
-from naojobs.submission import JobRequest, check_fit, free_name, same_request
+from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request
 from naojobs.webhooks import MessageType, publish
 
 #: Trials in a row that may fail before the study fails.
@@ -66,6 +66,7 @@ def submit_study(
         InvalidError: a setting or an objective does not exist, or a value of a setting is refused.
         QuotaError: `owner` has as many studies, or jobs, as `limits` allow.
     """
+    check_evaluation(request.job.evaluation, request.job.spec, "job.evaluation")
     search = complete(request.search, request.job)
     for name, parameter in search.space.items():
         ends = [trial_job(request.job, {name: value}, field=f"search.space.{name}") for value in parameter.ends()]

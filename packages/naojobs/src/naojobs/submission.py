@@ -26,6 +26,7 @@ from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
+from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Policy, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import OPEN, WorkState
@@ -184,6 +185,7 @@ def add_job(
             return same_request(earlier, digest), False
     require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
     request = _with_parent(session, request, owner, see_all)
+    check_evaluation(request.evaluation, request.spec, "evaluation")
     job_id = session.scalar(
         insert(Job)
         .values(
@@ -286,6 +288,17 @@ def free_name(session: Session, model: type[Job] | type[Study], owner: str, name
     return next(text for text in itertools.chain([name], numbered) if text not in taken)
 
 
+def check_evaluation(evaluation: EvaluationSpec | None, trained: TrainingSpec, field: str) -> None:
+    """Raise InvalidError if what is trained cannot be evaluated so, for example on another simulator."""
+    if evaluation is None:
+        return
+    try:
+        evaluation.applied_to(trained)
+    except ValidationError as error:
+        part = ".simulator" if evaluation.simulator else ".task" if evaluation.task else ""
+        raise InvalidError(validation_words(error.errors()), field + part) from None
+
+
 def _with_parent(session: Session, request: JobRequest, owner: str, see_all: bool) -> JobRequest:
     """Return the request with the job, checkpoint and version that its parent policy names, after a check that it fits.
 
@@ -372,8 +385,8 @@ def request_evaluation(
 ) -> Evaluation:
     """Queue an evaluation of a job's checkpoint, of the newest if none is named.
 
-    Raises NotFoundError, ConflictError if the job has no checkpoint yet or too many open evaluations, and QuotaError if
-    its owner has as many evaluations as `limits` allow.
+    Raises NotFoundError, InvalidError if the policy cannot be evaluated so, ConflictError if the job has no checkpoint
+    yet or too many open evaluations, and QuotaError if its owner has as many evaluations as `limits` allow.
     """
     with sessions.begin() as session:
         job = lock(session, Job, job_id)
@@ -393,6 +406,8 @@ def request_evaluation(
             raise ConflictError(f"job {job_id} has {waiting} open evaluations; wait until some finish, or cancel some")
         require_room(session, job.owner, limits, Quota.EVALUATIONS)
         spec = spec or EvaluationSpec()
+        if (trained := trained_by(job)) is not None:
+            check_evaluation(spec, trained, "spec")
         evaluation = Evaluation(
             id=new_id("eval"),
             job_id=job_id,

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import BALL, STEP_S, TOUCHING, Simulator, SimulatorClosedError, Starts
+from naosim.simulator import BALL, STEP_S, TOUCHING, Ability, Simulator, SimulatorClosedError, Starts
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -51,11 +51,13 @@ class Subject:
         lose: makes the simulator lose a robot, for example by killing its server; None if it cannot lose any.
         tolerance_deg: largest difference of a joint angle between two runs that should be the same; 0 if they are equal
             to the last bit, as in a simulator that computes in this process.
+        abilities: what its SimulatorKind states for the robot.
     """
 
     open: Callable[[int], Simulator]
     lose: Callable[[Simulator, int], None] | None = None
     tolerance_deg: float = 0.0
+    abilities: frozenset[Ability] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,10 @@ def check(
     *,
     lose: Callable[[Simulator, int], None] | None = None,
     tolerance_deg: float = 0.0,
+    abilities: frozenset[Ability] = frozenset(),
 ) -> list[Result]:
     """Run all checks and return their results; see :class:`Subject` for the arguments."""
-    subject = Subject(open_simulator, lose, tolerance_deg)
+    subject = Subject(open_simulator, lose, tolerance_deg, abilities)
     results = []
     for one in CHECKS:
         name = getattr(one, "__name__", str(one))
@@ -279,6 +282,37 @@ def latency_is_what_it_says(subject: Subject) -> None:
         _require(steps == expected, f"latency_steps: {expected}, but commands show after {steps} steps")
 
 
+# abilities
+
+
+def abilities_are_as_declared(subject: Subject) -> None:
+    """Check that the simulator can do what its kind declares, and raises ValueError for everything else."""
+
+    def vary(simulator: Simulator, mass_variation: float = 0.0, friction: float = 1.0, gravity: float = 1.0) -> None:
+        rng = np.random.default_rng(0)
+        simulator.vary(mass_variation, np.full(N, friction), np.full(N, gravity), rng)
+
+    everyone, level = np.arange(N), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]])
+    uses: Mapping[Ability, Callable[[Simulator], object]] = {
+        Ability.PUSHES: lambda simulator: simulator.push(np.full((N, 2), 0.1), slice(0, N)),
+        Ability.MASSES: lambda simulator: vary(simulator, mass_variation=0.1),
+        Ability.FRICTION: lambda simulator: vary(simulator, friction=0.9),
+        Ability.GRAVITY: lambda simulator: vary(simulator, gravity=0.9),
+        Ability.TORQUES: lambda simulator: simulator.torque_shares(slice(0, N)),
+        Ability.LYING: lambda simulator: simulator.load_starts(
+            Starts(simulator.robot.nominal[None], POSITION_M, HEADING_RAD, level)
+        ),
+        Ability.MOVING: lambda simulator: simulator.set_motion(everyone, simulator.motion(everyone)),
+    }
+    with _started(subject) as simulator:
+        for ability, use in uses.items():
+            if ability in subject.abilities:
+                use(simulator)
+            else:
+                with _raising(ValueError, f"{ability}, which the kind does not declare"):
+                    use(simulator)
+
+
 # snapshots
 
 
@@ -371,6 +405,7 @@ CHECKS: tuple[Check, ...] = (
     robots_are_independent,
     inactive_robots_keep_still,
     latency_is_what_it_says,
+    abilities_are_as_declared,
     snapshots_are_complete,
     lost_robots_can_be_started_again,
     robots_are_kept_alive,

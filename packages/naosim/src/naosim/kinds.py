@@ -15,6 +15,7 @@ from naosim.launchers import most_servers
 from naosim.simulator import (
     DEFAULT_OPTIONS,
     PLAIN,
+    Ability,
     RuntimeOptions,
     Scene,
     Simulator,
@@ -67,6 +68,10 @@ class _FamilyKind(SimulatorKind):
     def refusal(self, robot: Robot, scene: Scene) -> str:
         """Return why the family's simulator cannot open this scene; empty if it can."""
         return self._of(robot).refusal(robot, scene)
+
+    def abilities(self, robot: Robot) -> frozenset[Ability]:
+        """Return what the family's simulator can do with the robot."""
+        return self._of(robot).abilities(robot)
 
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings that the family's simulator takes."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -87,6 +88,25 @@ BALL_PERCEPTOR = PerceptorDescription(
     BALL, 3, "m, deg, deg", "distance, azimuth and elevation of the ball from the camera; NaN where it is not reported"
 )
 """What a robot perceives of the ball, in addition to ``robot.perceptors``."""
+
+
+class Ability(StrEnum):
+    """What only some simulators can do with a robot; settings name what they need, see :mod:`naospec.abilities`."""
+
+    PUSHES = "pushes"
+    """:meth:`Simulator.push`."""
+    MASSES = "other masses"
+    """:meth:`Simulator.vary` with other masses."""
+    FRICTION = "other friction"
+    """:meth:`Simulator.vary` with other friction."""
+    GRAVITY = "other gravity"
+    """:meth:`Simulator.vary` with other gravity."""
+    TORQUES = "motor torques"
+    """:meth:`Simulator.torque_shares`."""
+    LYING = "lying starts"
+    """Starts with ``orientations``."""
+    MOVING = "moving starts"
+    """:meth:`Simulator.set_motion`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -543,6 +563,11 @@ class SimulatorKind(ABC):
         if scene == PLAIN:
             return ""
         return f"simulator: {self.name} has no ball, no goals and reports no motion of bodies for {robot.name}"
+
+    def abilities(self, robot: Robot) -> frozenset[Ability]:
+        """Return what it can do with a robot that it supports, whatever its parameters; by default nothing of it."""
+        del robot
+        return frozenset()
 
     def require_scene(self, robot: Robot, scene: Scene) -> None:
         """Raise ValueError if :meth:`refusal` has a reason."""

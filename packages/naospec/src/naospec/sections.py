@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, Validation
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
 
 from naospec import plugins
+from naospec.abilities import provided
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -72,17 +73,24 @@ def section_models(group: str, name: str, robot: Any = None) -> type[Section]:
 def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]:
     """Yield every settings model of a group: plug-in, model, and the robots it applies to (empty: all of them)."""
     for name in plugins.names(group):
-        if group != plugins.SIMULATORS:
+        if group not in (plugins.SIMULATORS, plugins.TASKS):
             yield name, section_models(group, name), ()
             continue
-        kind = plugins.load(group, name)
+        plugin = plugins.load(group, name)
         by_model: dict[type[Section], list[str]] = {}
         for robot_name in plugins.names(plugins.ROBOTS):
             robot = plugins.load(plugins.ROBOTS, robot_name)
-            if kind.supports(robot):
-                by_model.setdefault(kind.parameters(robot), []).append(robot_name)
+            if plugin.supports(robot):
+                by_model.setdefault(section_models(group, name, robot), []).append(robot_name)
         for model, robots in by_model.items():
             yield name, model, tuple(robots)
+
+
+def _provided(group: str, name: str, robots: Iterable[str]) -> dict[str, list[str]]:
+    """Return what a plug-in provides, by robot."""
+    plugin = plugins.load(group, name)
+    by_robot = {robot: provided(group, plugin, plugins.load(plugins.ROBOTS, robot)) for robot in robots}
+    return {robot: sorted(there) for robot, there in by_robot.items() if there}
 
 
 def as_mapping(value: Any) -> Any:
@@ -174,5 +182,7 @@ class PluginSection:
             option["title"] = name
             if robots:
                 option["x-robots"] = list(robots)
+            if there := _provided(self.group, name, robots or ([name] if self.group == plugins.ROBOTS else [])):
+                option["x-provides"] = there
             options.append(option)
         return {"oneOf": options, "x-plugin-group": self.group}

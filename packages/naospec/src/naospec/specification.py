@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import formats, plugins, presets
+from naospec.abilities import lacking
 from naospec.flat import GROUPS, MOVED
 from naospec.sections import PluginSection, Section, as_mapping
 
@@ -323,9 +324,13 @@ class TrainingSpec(_Specification):
             )
         # frozen for all other code: a task fills in what depends on the robot
         object.__setattr__(self, "task", task.resolve(self.task, robot))
-        refusal = plugins.load(plugins.SIMULATORS, self.simulator.name).refusal(robot, task.scene)
+        simulator = plugins.load(plugins.SIMULATORS, self.simulator.name)
+        refusal = simulator.refusal(robot, task.scene)
         if refusal:
             raise PydanticCustomError("scene", "{refusal} (task {task})", {"refusal": refusal, "task": task.name})
+        sections = {name: getattr(self, name) for name in DEFAULTS}
+        if errors := list(lacking(robot, simulator, task, sections)):
+            raise ValidationError.from_exception_data(type(self).__name__, errors)
         if self.stages:
             total = sum(stage.steps * stage.candidates for stage in self.stages)
             if self.total_steps != total:

@@ -77,12 +77,14 @@ def test_servers_conform(check: Check, robot: Robot) -> None:
     # A robot at rest does not change if it waits for another simulator's servers. A K1 sways on its ankles for 10 s,
     # and the targets amplify it.
     settle_steps, tolerance_deg = {"t1": (150, 0.1), "k1": (450, 1.0)}[robot.name]
-    check(Subject(lambda n: remote(robot, n, settle_steps=settle_steps), lose, tolerance_deg=tolerance_deg))
+    abilities = kinds.get("server").abilities(robot)
+    check(Subject(lambda n: remote(robot, n, settle_steps=settle_steps), lose, tolerance_deg, abilities))
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_servers_with_a_ball_conform(check: Check) -> None:
-    check(Subject(lambda n: remote(n=n, settle_steps=150, scene=Scene(ball=True)), lose, tolerance_deg=0.1))
+    abilities = kinds.get("server").abilities(T1)
+    check(Subject(lambda n: remote(n=n, settle_steps=150, scene=Scene(ball=True)), lose, 0.1, abilities))
 
 
 def test_a_server_and_an_embedded_world_report_the_same_ball() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 from naosim import kinds, robots
 from naosim.mujoco import world
 from naosim.simulator import Scene
-from naospec import TrainingSpec, plugins, validation_words
+from naospec import TrainingSpec, plugins, specification, validation_words
 from naospec.plugins import UnknownPluginError
+from naosprint.rl.settings import PPOSettings
 from naosprint.tasks.environment import open_environment
 from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
 ROBOTS = "k1, nao-0, nao-1, nao-2, nao-3, nao-4, t1"
 
@@ -62,6 +65,30 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"robot": "k1", "task": {"name": "sprint1", "min_height_m": 0.6}},
         "task.min_height_m: 0.6 m is not below the standing height of robot k1, 0.552 m; use a smaller min_height_m",
     ),
+    "pushes in a world that has none": (
+        {"robot": "nao-0", "task": {"name": "sprint1", "push_mps": 0.5}},
+        "task.push_mps: 0.5 needs pushes, which robot nao-0 with simulator embedded and task sprint1 lacks: leave it "
+        "out, or use robot k1 or t1",
+    ),
+    "another friction on servers": (
+        {"robot": "t1", "simulator": "server", "task": {"name": "sprint1", "friction_min": 0.5}},
+        "task.friction_min: 0.5 needs other friction, which robot t1 with simulator server and task sprint1 lacks: "
+        "leave it out, or use simulator embedded",
+    ),
+    "lying starts on servers": (
+        {"robot": "t1", "simulator": "server", "task": "getup"},
+        "task: getup needs lying starts, which robot t1 with simulator server and task getup lacks: use another task, "
+        "or use simulator embedded",
+    ),
+    "imitation without a motion to imitate": (
+        {"robot": "k1", "task": "getup", "algorithm": {"imitation_steps": 1000}},
+        "algorithm.imitation_steps: 1000 needs demonstrations, which robot k1 with simulator embedded and task getup "
+        "lacks: leave it out, or use robot t1",
+    ),
+    "a stage with a robot that cannot do it": (
+        {"robot": "t1", "stages": [{"steps": 1, "robot": "nao-1", "task": {"torque_penalty": 0.1}}]},
+        "stages.0.task.torque_penalty: 0.1 needs motor torques, which robot nao-1",
+    ),
     "a range of speeds the wrong way round": (
         {"robot": "t1", "task": {"name": "velocity", "forward_min_mps": 1.0, "forward_max_mps": 0.5}},
         "task: forward_min_mps: 1.0 is above forward_max_mps, 0.5; exchange them",
@@ -85,6 +112,68 @@ def test_an_unknown_name_lists_the_known(find: Any, unknown: str) -> None:
 
 def opened(n: int = 1, **content: Any) -> Any:
     return open_environment(TrainingSpec.model_validate(content), n, threads=1)
+
+
+def other(name: str, info: FieldInfo) -> Any:
+    """Return a value of a setting between its default and one of its bounds; None for one that has none."""
+    low, high = (
+        next((getattr(part, end) for part in info.metadata for end in ends if hasattr(part, end)), None)
+        for ends in (("ge", "gt"), ("le", "lt"))
+    )
+    end = high if name.endswith("_max") or low == info.default else low
+    if isinstance(info.default, bool) or not isinstance(info.default, int | float) or end is None:
+        return None
+    return type(info.default)((info.default + end) / 2)
+
+
+def runs(content: dict[str, Any]) -> bool:
+    """Return whether a step of such a training can be taken, by taking it."""
+    spec = TrainingSpec.model_validate(content)
+    everyone = np.zeros(1, dtype=np.int64)
+    with contextlib.ExitStack() as stack:
+        try:
+            environment = open_environment(spec, 1, threads=1)
+            stack.callback(environment.close)
+            environment.load_starts(environment.task.starts(1, 0, 0.0))
+            environment.restart(everyone, everyone)
+            environment.step(np.zeros((1, environment.actuation.n_actions)))
+        except (ValueError, KeyError):
+            return False
+        return not spec.algorithm.imitation_steps or environment.task.demonstration(slice(0, 1)) is not None
+
+
+@pytest.mark.parametrize("task", plugins.names(plugins.TASKS))
+@pytest.mark.parametrize("robot", plugins.names(plugins.ROBOTS))
+def test_what_is_accepted_runs_and_what_is_refused_would_not(
+    monkeypatch: pytest.MonkeyPatch, robot: str, task: str
+) -> None:
+    if not plugins.load(plugins.TASKS, task).supports(robots.get(robot)):
+        with pytest.raises(ValidationError, match="is not possible with robot"):
+            TrainingSpec(robot=robot, task=task)
+        return
+    base = {"robot": robot, "simulator": "embedded", "task": {"name": task}, "algorithm": {"name": "ppo"}}
+    usual, special = {}, []
+    for section, model in (("task", plugins.load(plugins.TASKS, task).Parameters), ("algorithm", PPOSettings)):
+        for name, info in model.model_fields.items():
+            extra = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+            value = other(name, info)
+            if extra.get("needs"):
+                assert value is not None, name
+                special.append({**base, section: {**base[section], name: value}})
+            elif section == "task" and value is not None and name != "version":
+                usual[name] = value
+    assert runs({**base, "task": {"name": task, **usual}}), "no setting without a need can be impossible"
+    assert len(special) >= 8
+    for content in special:
+        try:
+            TrainingSpec.model_validate(content)
+            accepted = True
+        except ValidationError as error:
+            assert " needs " in str(error)
+            accepted = False
+        with monkeypatch.context() as patch:
+            patch.setattr(specification, "lacking", lambda *sections: ())
+            assert runs(content) is accepted, content
 
 
 @pytest.fixture
@@ -127,13 +216,6 @@ def test_more_servers_than_the_machine_runs_are_refused() -> None:
         opened(4096, robot="t1", simulator="server")
 
 
-def test_a_torque_penalty_needs_a_simulator_that_reports_torques() -> None:
-    with pytest.raises(
-        ValueError, match=r"torque_penalty: EmbeddedSimulator does not report motor torques; set it to 0"
-    ):
-        opened(robot="nao-0", task={"name": "sprint1", "torque_penalty": 0.1})
-
-
 def test_start_poses_that_do_not_stand_are_refused_with_gains_that_do() -> None:
     environment = opened(
         robot={"name": "t1", "kp": {"ankle_pitch": 10.0}}, simulator={"name": "embedded", "settle_steps": 200}
@@ -143,17 +225,6 @@ def test_start_poses_that_do_not_stand_are_refused_with_gains_that_do() -> None:
     ):
         environment.load_starts(environment.task.starts(1, 0, 0.0))
     environment.close()
-
-
-def test_lying_starts_are_for_the_embedded_simulator() -> None:
-    """The error is raised before a server is used."""
-    environment = opened(robot="t1", simulator="server", task="getup")
-    try:
-        with pytest.raises(ValueError, match="beams robots upright only; use the embedded simulator"):
-            environment.load_starts(environment.task.starts(4, 0, 0.0))
-        assert np.isfinite(environment.simulator.truth.torso_position).all()
-    finally:
-        environment.close()
 
 
 def test_a_task_with_a_ball_needs_a_simulator_that_has_one(monkeypatch: pytest.MonkeyPatch) -> None:

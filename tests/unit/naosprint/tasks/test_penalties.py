@@ -59,5 +59,7 @@ def test_the_reward_falls_by_the_penalty(simulator: Simulator) -> None:
 
 
 def test_a_robot_without_joint_speeds_is_refused_by_name() -> None:
-    with pytest.raises(ValidationError, match=r"task.hop_penalty: robot nao-0 does not perceive joint speeds; set it"):
+    with pytest.raises(
+        ValidationError, match=r"task.hop_penalty\n.*0.1 needs perceptor joint_speeds, which robot nao-0"
+    ):
         TrainingSpec.model_validate({"robot": "nao-0", "task": {"name": "sprint1", "hop_penalty": 0.1}})

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 from naospec import EvaluationSpec, TrainingSpec, plugins, presets
+from naospec.abilities import need_of
 from naospec.flat import GROUPS, Setting
 from pydantic import ValidationError
 from rich.console import Console
@@ -57,14 +58,14 @@ def spec(
     sections = settings_by_section()
     known = {name: setting for settings in sections.values() for name, setting in settings.items()}
     wanted = None if field is None else field.strip().lstrip("-").replace("-", "_")
-    by_path = {".".join(setting.path): name for name, setting in known.items()}
+    # A training and its evaluation may have settings of the same name; both are explained.
+    meant = {name: setting for name, setting in known.items() if wanted in (name, ".".join(setting.path))}
     if wanted is None:
         chosen = sections
     elif wanted in sections:
         chosen = {wanted: sections[wanted]}
-    elif by_path.get(wanted, wanted) in known:
-        chosen = {}
-        known = {by_path.get(wanted, wanted): known[by_path.get(wanted, wanted)]}
+    elif meant:
+        chosen, known = {}, meant
     else:
         raise InvalidInput(f"There is no setting {field!r}", fix="`naoctl spec` lists the settings.")
     if as_json:
@@ -73,8 +74,10 @@ def spec(
     elif chosen:
         page(_text(context.out, [_section(section, settings) for section, settings in chosen.items()]))
     else:
-        name, setting = next(iter(known.items()))
-        context.out.print(_details(describe(name, setting)))
+        for number, (name, setting) in enumerate(known.items()):
+            if number:
+                context.out.print()
+            context.out.print(_details(describe(name, setting)))
 
 
 def describe(name: str, setting: Setting) -> dict[str, Any]:
@@ -89,6 +92,7 @@ def describe(name: str, setting: Setting) -> dict[str, Any]:
         "choices": list(setting.choices or choices_of(setting.info)),
         "bounds": limits_text(setting.info),
         "only_for": [f"{setting.path[0]} {plugin}" for plugin in setting.plugins],
+        "needs": need_of(setting.info) or "",
         "defaults": {"": EvaluationSpec().model_dump(mode="json")[setting.name]} if evaluation else _defaults(setting),
     }
 
@@ -160,6 +164,7 @@ def _details(described: Mapping[str, Any]) -> Table:
         ("Values", ", ".join(described["choices"]) or described["bounds"]),
         ("Default", default),
         ("Only for", ", ".join(described["only_for"])),
+        ("Needs", described["needs"]),
     ]
     return pairs([(title, text.replace("[", "\\[")) for title, text in rows if text])
 

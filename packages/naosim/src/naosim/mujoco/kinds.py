@@ -11,6 +11,7 @@ from naosim.robots.booster import FAMILY
 from naosim.simulator import (
     DEFAULT_OPTIONS,
     PLAIN,
+    Ability,
     RuntimeOptions,
     Scene,
     Simulator,
@@ -77,6 +78,11 @@ class EmbeddedKind(SimulatorKind):
         del robot, scene
         return ""
 
+    def abilities(self, robot: Robot) -> frozenset[Ability]:
+        """Return everything."""
+        del robot
+        return frozenset(Ability)
+
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
@@ -133,6 +139,11 @@ class ServerKind(SimulatorKind):
             f"simulator: server cannot run {robot.name} with a ball, because its first touch of the ball ends "
             "rcssservermj 0.2.1; use the embedded simulator, or a T1"
         )
+
+    def abilities(self, robot: Robot) -> frozenset[Ability]:
+        """Return that motor torques follow from what the server reports."""
+        del robot
+        return frozenset({Ability.TORQUES})
 
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""

@@ -29,10 +29,9 @@ class PPOKind(LearnerKind):
 
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:
         """Return a new learner for these environments."""
-        from naosprint.rl.imitation import ImitatingPPO  # loads PyTorch
-        from naosprint.rl.ppo import PPO
+        from naosprint.rl.ppo import PPO  # loads PyTorch
 
-        return (ImitatingPPO if spec.algorithm.imitation_steps else PPO)(spec, environment)
+        return PPO(spec, environment)
 
     def load_policy(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 from naospec import LearnerSettings, presets
+from naospec.abilities import DEMONSTRATIONS
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
@@ -190,7 +191,7 @@ class PPOSettings(LearnerSettings):
         title="Imitation steps",
         description="Steps at the beginning in which the policy learns the actions that the task demonstrates, and the "
         "critic their value.",
-        json_schema_extra={"unit": "steps"},
+        json_schema_extra={"unit": "steps", "needs": DEMONSTRATIONS},
     )
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from naosim import robots
 from naosim.robots.actuation import Actuation
-from naosim.simulator import PLAIN, STEP_S, Scene, Starts
+from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
@@ -170,6 +170,7 @@ class Task:
         Parameters: its settings.
         scene: contents of its world besides the robot, for example a ball; a specification with a simulator that lacks
             them is refused.
+        needs: abilities that the simulator has to have, whatever the settings; see :mod:`naospec.abilities`.
         metrics: what is measured of an episode, besides its reward and length.
         results: what only evaluations report, so that a study can optimize it.
         ends: reasons for which an episode ends.
@@ -186,6 +187,7 @@ class Task:
     summary: ClassVar[str]
     Parameters: ClassVar[type[TaskSettings]] = TaskSettings
     scene: ClassVar[Scene] = PLAIN
+    needs: ClassVar[frozenset[Ability]] = frozenset()
     metrics: ClassVar[tuple[Metric, ...]] = ()
     results: ClassVar[tuple[Metric, ...]] = ()
     ends: ClassVar[tuple[End, ...]] = ()
@@ -201,6 +203,12 @@ class Task:
         """Return whether this robot can do the task."""
         del robot
         return True
+
+    @classmethod
+    def demonstrates(cls, robot: Robot) -> bool:
+        """Return whether :meth:`demonstration` shows actions to this robot; by default if a task overrides it."""
+        del robot
+        return cls.demonstration is not Task.demonstration
 
     @classmethod
     def resolve(cls, parameters: Any, robot: Robot) -> Any:

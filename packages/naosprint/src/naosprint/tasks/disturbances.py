@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from naosim.simulator import Ability
 from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -45,7 +46,7 @@ class DisturbanceSettings(TaskSettings):
         le=5.0,
         title="Pushes",
         description="Largest change of the torso's horizontal velocity by a push.",
-        json_schema_extra={"unit": "m/s"},
+        json_schema_extra={"unit": "m/s", "needs": Ability.PUSHES},
     )
     push_steps: int = Field(
         default=100,
@@ -61,6 +62,7 @@ class DisturbanceSettings(TaskSettings):
         le=0.5,
         title="Mass variation",
         description="Each body's mass differs by up to this fraction, drawn for each robot.",
+        json_schema_extra={"needs": Ability.MASSES},
     )
     friction_min: float = Field(
         default=1.0,
@@ -68,6 +70,7 @@ class DisturbanceSettings(TaskSettings):
         le=3.0,
         title="Lowest friction",
         description="Lower end of the factor of the friction between robot and ground, drawn for each robot.",
+        json_schema_extra={"needs": Ability.FRICTION},
     )
     friction_max: float = Field(
         default=1.0,
@@ -75,6 +78,7 @@ class DisturbanceSettings(TaskSettings):
         le=3.0,
         title="Highest friction",
         description="Upper end of that factor.",
+        json_schema_extra={"needs": Ability.FRICTION},
     )
     gravity_min: float = Field(
         default=1.0,
@@ -83,6 +87,7 @@ class DisturbanceSettings(TaskSettings):
         title="Lowest gravity",
         description="Gravity of the first robot as a fraction of normal gravity, rising evenly to 1 for the last. "
         "Light robots find a motion first, from which the others learn.",
+        json_schema_extra={"needs": Ability.GRAVITY},
     )
     extra_delay: int = Field(
         default=0,

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from naosprint.tasks.base import End
 from naosprint.tasks.metrics import Metric
-from naosprint.tasks.penalties import PenaltySettings, require_joint_speeds
+from naosprint.tasks.penalties import PenaltySettings
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -39,10 +39,8 @@ def with_min_height(parameters: Settings, robot: Robot, usual_m: float) -> Setti
     """Return the settings with ``usual_m`` as the minimum height if none is given.
 
     Raises:
-        ValueError: if the robot cannot stand above that height, or its hopping is to be penalized and cannot be.
+        ValueError: if the robot cannot stand above that height.
     """
-    if parameters.hop_penalty:
-        require_joint_speeds(robot)
     height = usual_m if parameters.min_height_m is None else parameters.min_height_m
     if height >= robot.standing_height_m:
         raise ValueError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from naosim.simulator import STEP_S, Starts
+from naosim.simulator import STEP_S, Ability, Starts
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task, World
@@ -156,16 +156,23 @@ class GetUp(Task):
         repeats=False,
     )
 
+    needs = frozenset({Ability.LYING})
+
     @classmethod
     def supports(cls, robot: Robot) -> bool:
-        """Return whether the robot perceives its orientation, and its simulators can start it lying."""
+        """Return whether the robot perceives its orientation."""
         return any(perceptor.name == "torso_quat" for perceptor in robot.perceptors)
+
+    @classmethod
+    def demonstrates(cls, robot: Robot) -> bool:
+        """Return whether there are scripted motions of the robot."""
+        return motions(cls.name, robot.name).keys() >= SIDES.keys()
 
     def __init__(self, parameters: GetUpSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
-        scripted = motions(self.name, self.robot.name)
         self._demonstrations: FloatArray | None = None  # (4, T, A)
-        if scripted.keys() >= SIDES.keys():
+        if self.demonstrates(self.robot):
+            scripted = motions(self.name, self.robot.name)
             moves = [*(scripted[side] for side in SIDES), scripted["right"].mirrored(self.robot)]
             self._demonstrations = self._actions(moves)
         self.max_steps = parameters.episode_steps

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim.simulator import Ability
+from naospec.abilities import perceptor
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
@@ -12,8 +14,6 @@ from naosprint.tasks.compiled import Operation
 from naosprint.tasks.disturbances import DisturbanceSettings
 
 if TYPE_CHECKING:
-    from naosim.robots import Robot
-
     from naosprint.arrays import FloatArray
     from naosprint.tasks.base import World
 
@@ -30,6 +30,7 @@ class PenaltySettings(DisturbanceSettings):
         le=1000.0,
         title="Torque penalty",
         description="Penalty per step for the mean square of the motors' torques as shares of their limits.",
+        json_schema_extra={"needs": Ability.TORQUES},
     )
     smoothness_penalty: float = Field(
         default=0.0,
@@ -51,25 +52,15 @@ class PenaltySettings(DisturbanceSettings):
         le=1000.0,
         title="Hop penalty",
         description="Penalty per step for left and right joints that move alike, as when hopping on both feet.",
+        json_schema_extra={"needs": perceptor("joint_speeds")},
     )
-
-
-def require_joint_speeds(robot: Robot) -> None:
-    """Check that hopping can be penalized.
-
-    Raises:
-        ValueError: if the robot does not perceive joint speeds.
-    """
-    if all(perceptor.name != "joint_speeds" for perceptor in robot.perceptors):
-        raise ValueError(f"task.hop_penalty: robot {robot.name} does not perceive joint speeds; set it to 0")
 
 
 def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]:
     """Return the shared penalties as reward terms.
 
     Raises:
-        ValueError: if torque is penalized and the simulator does not report motor torques, or hopping is and the robot
-            does not perceive joint speeds.
+        ValueError: if torque is penalized and the simulator does not report motor torques.
     """
     if settings.torque_penalty:
         world.torque_share(slice(0, 1))
@@ -101,11 +92,7 @@ def hopping(world: World, weight: float) -> RewardTerm:
     the motors' maximum torques as weights, it is sum(l r) / (sum(l^2 + r^2) / 2 + floor), or 0 where that is negative.
     A policy that treats left and right alike, from a start that is nearly symmetric, can learn to hop on both feet; it
     is then slower than one that steps.
-
-    Raises:
-        ValueError: if the robot does not perceive joint speeds.
     """
-    require_joint_speeds(world.robot)
     joints = {joint.name: (number, joint) for number, joint in enumerate(world.robot.joints)}
     pairs = [
         (number, *joints[joint.mirror]) for number, joint in joints.values() if joint.actuated and joint.side == "left"

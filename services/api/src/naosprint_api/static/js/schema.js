@@ -44,10 +44,14 @@ export const choices = (section, robot) => [
   ),
 ];
 
+/** What a plug-in provides for settings that need it, see `needs` of a field. */
+export const provided = (section, name, robot, root) =>
+  variant(section, name, robot, root)?.["x-provides"]?.[robot] ?? [];
+
 /**
  * Describe one property as a field.
  *
- * @returns {{name: string, label: string, hint: string, unit: string|null, kind:
+ * @returns {{name: string, label: string, hint: string, unit: string|null, needs: string|null, kind:
  *   "choice"|"flag"|"integer"|"number"|"list"|"json"|"text", nullable: boolean, choices?: any[], low?: number, high?:
  *   number, openLow?: boolean, openHigh?: boolean, fallback: any}}
  */
@@ -77,6 +81,7 @@ export function field(name, schema, root) {
     label: given ?? words(name),
     hint: outer.description ?? "",
     unit: outer.unit ?? null,
+    needs: outer.needs ?? null,
     nullable,
     low,
     high,

@@ -4,7 +4,7 @@ import { call } from "../api.js";
 import { descriptions } from "../descriptions.js";
 import { fill, h, setText, toast } from "../dom.js";
 import { compact, integer, words } from "../format.js";
-import { choices, field, fromText, resolve, seeds, toText, variant } from "../schema.js";
+import { choices, field, fromText, provided, resolve, seeds, toText, variant } from "../schema.js";
 import { loading, notice } from "./messages.js";
 import { presetValues } from "./spec-list.js";
 
@@ -122,6 +122,15 @@ class Field {
   choose(value) {
     this.touched = !sameValue(value, this.base);
     this.set(value);
+  }
+
+  /** Hide the field, with its default again, where its setting is not possible. */
+  allow(possible) {
+    this.element.hidden = !possible;
+    if (possible || !this.touched) return;
+    this.touched = false;
+    this.set(this.base);
+    this.fail("");
   }
 
   /** Return the value; throws when the text is none. */
@@ -446,11 +455,20 @@ class SubmitView {
     );
   }
 
-  /** Another plug-in has other settings; another robot, other simulators as well. */
+  /** Hide settings that need what the chosen robot, simulator and task lack. */
+  restrict() {
+    const robot = this.peek("spec.robot.name");
+    const there = new Set(
+      SECTIONS.flatMap(([name]) => provided(this.training[name], this.peek(`spec.${name}.name`), robot, this.schema)),
+    );
+    for (const f of this.fields.values()) if (f.spec.needs) f.allow(there.has(f.spec.needs));
+  }
+
+  /** Another plug-in has other settings; another robot, other simulators and tasks as well. */
   choosePlugin(name) {
     this.buildSection(name, { ...this.touched(name), name: this.peek(`spec.${name}.name`) });
     if (name === "robot") {
-      this.buildSection("simulator", this.touched("simulator"));
+      for (const other of ["simulator", "task"]) this.buildSection(other, this.touched(other));
       for (const [section] of SECTIONS) this.setBases(section);
     }
     this.fields.get(`spec.${name}.name`).control.focus();
@@ -536,6 +554,7 @@ class SubmitView {
 
   changed() {
     if (!this.preview) return;
+    this.restrict();
     const value = (name) => this.peek(`spec.${name}`);
     const task = this.known.task(value("task.name"));
     if (task) setText(this.fields.get("spec.task.name").element.querySelector(".hint"), task.summary);
