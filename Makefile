@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Without bytecode each of the tests' thousand processes would compile our packages anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo up test check lint js format types e2e soak fuzz audit readme docs bench sanitize clean
+.PHONY: help install demo up test check lint js format types e2e soak world fuzz audit readme docs bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -62,6 +62,9 @@ types: $(INSTALLED)
 
 soak: $(INSTALLED)  ## break a whole service of real processes 30 times, then check that nothing was lost (5 to 15 minutes)
 	$(BIN)/python benchmarks/service/soak.py --faults 30 --seed 30 --longest 3 --updates 150
+
+world: $(INSTALLED)  ## ten faults of the world around a service, two at a time: clocks, suspended parts, disks (about 2 minutes)
+	$(BIN)/python benchmarks/service/soak.py --world --faults 10 --seed 9 --longest 8 --updates 150
 
 fuzz: $(INSTALLED)  ## hostile requests to the API and hostile checkpoints, for two minutes; FUZZ_SEED begins elsewhere
 	FUZZ_EXAMPLES=$${FUZZ_EXAMPLES:-12} FUZZ_S=$${FUZZ_S:-60} $(BIN)/python -m pytest -q --timeout 400 \

@@ -29,7 +29,7 @@ quiet_openmp()
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from naospec import TrainingSpec, plugins  # noqa: E402
-from naosprint.rl.networks import linear_layers  # noqa: E402
+from naosprint.rl.networks import actor_of, critic_of, linear_layers  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
 from run import machine, spec_of  # noqa: E402
@@ -115,13 +115,7 @@ def main() -> None:
     passes = spec.algorithm.n_epochs * samples // batch
     policy = compiled.policy
     set_learner_threads(1)
-    networks = [
-        products(linear_layers((*body, head)), batch)
-        for body, head in (
-            (policy.mlp_extractor.policy_net, policy.action_net),
-            (policy.mlp_extractor.value_net, policy.value_net),
-        )
-    ]
+    networks = [products(linear_layers(network(policy)), batch) for network in (actor_of, critic_of)]
     with ThreadPoolExecutor(2, initializer=lambda: torch.set_num_threads(1)) as cores:
 
         def multiply(network: list[Callable[[], object]]) -> None:

@@ -2,11 +2,16 @@
 
     python benchmarks/service/soak.py --faults 100 --record benchmarks/service/soak-runs/rounds.jsonl
     python benchmarks/service/soak.py --faults 30 --seed 1 [--longest 8]
+    python benchmarks/service/soak.py --world --faults 300 [--longest 60]
 
 Starts Postgres, a broker, an S3 store, the API and two workers as real processes, with a TCP proxy in front of each
 service. Faults, alone and in pairs, are drawn from the seed, as are the requests of the user who submits, cancels,
 pauses, resumes, retries and deletes jobs meanwhile. When all faults are over, every job has to end. Exits with 1 if
 something was lost; prints what, and keeps all logs and the history of each job.
+
+With `--world` the faults are those of the world around a service, two at a time: steps of the clock, every part
+suspended, a store that answers with nonsense, a broker that comes and goes, full disks. Beside it a second service
+trains on the same machine; nothing may happen to its jobs.
 
 A long run is made of rounds, each with a new stack: `--record` appends the round to a file with one line each, and
 without `--seed` the next seed after those in the file is used.
@@ -33,6 +38,7 @@ from random import Random
 from typing import Any
 
 import httpx
+import psutil
 from naojobs import retention
 from naojobs.history import violations
 from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, Metric, Worker
@@ -40,7 +46,7 @@ from naojobs.states import ENDED, WorkState
 from naojobs.store import Manifest, StoreError
 from naospec.flat import nest
 from sqlalchemy import DateTime, func, select, update
-from stack import Stack, wait_until_ready
+from stack import SPOILED, Stack, wait_until_ready
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.integration.tiny import ROLLOUT, TINY
@@ -65,7 +71,8 @@ class Fault:
 class Nemesis:
     """Random sequence of faults."""
 
-    def __init__(self, stack: Stack, random: Random, longest_s: float) -> None:
+    def __init__(self, stack: Stack, random: Random, longest_s: float, *, world: bool = False) -> None:
+        self._world = world
         self._stack = stack
         self._random = random
         self._longest_s = longest_s
@@ -82,17 +89,31 @@ class Nemesis:
             self._postgres,
             self._clock,
         ]
+        if world:
+            self._kinds = [
+                self._clock,
+                self._clock_of_worker,
+                self._suspend,
+                self._suspend,
+                self._network,
+                self._spoil,
+                self._spoil,
+                self._flap,
+                self._fill,
+                self._kill_process,
+            ]
 
     def run(self, faults: int) -> None:
         """Apply faults, alone or in pairs, and repair each after a while."""
         left = faults
         while left > 0:
             chosen: dict[str, Fault] = {}
-            for _ in range(min(left, self._random.choice((1, 1, 2)))):
+            for _ in range(min(left, 2 if self._world else self._random.choice((1, 1, 2)))):
                 fault = self._random.choice(self._kinds)()
                 chosen.setdefault(fault.name.split(":")[0], fault)  # a pair breaks two different things
             left -= len(chosen)
-            hold_s = self._random.uniform(0.5, self._longest_s)
+            suspends = self._world and any("SIGSTOP" in fault.name for fault in chosen.values())
+            hold_s = self._random.uniform(min(5.0, self._longest_s) if suspends else 0.5, self._longest_s)
             rest_s = self._random.uniform(0.0, self._longest_s / 2)
             say(f"{', '.join(sorted(fault.name for fault in chosen.values()))} for {hold_s:.1f} s")
             for fault in chosen.values():
@@ -101,6 +122,8 @@ class Nemesis:
             time.sleep(hold_s)
             for fault in chosen.values():
                 fault.heal()
+            for name in self._stack.restart_ended():
+                say(f"{name} had ended and is started again")
             time.sleep(rest_s)
 
     def _kill_process(self) -> Fault:
@@ -145,8 +168,8 @@ class Nemesis:
         return Fault("broker: restarted, empty", self._stack.stop_broker, self._stack.start_broker)
 
     def _store(self) -> Fault:
-        if self._stack.can_fill_store and self._random.random() < 0.5:
-            return Fault("store: full", self._stack.fill_store, self._stack.free_store)
+        if self._stack.can_fill("store") and self._random.random() < 0.5:
+            return Fault("store: full", lambda: self._stack.fill("store"), lambda: self._stack.free("store"))
         return Fault("store: kill -9", lambda: self._stack.kill("store"), self._stack.start_store)
 
     def _postgres(self) -> Fault:
@@ -157,14 +180,70 @@ class Nemesis:
         seconds = self._random.choice((-3600.0, 3600.0))
 
         def jump() -> None:
-            # Shifting the times of all rows has the effect of a clock that jumps.
+            # Shifting the times of all rows has the effect of a clock that jumps; leases have a clock of their own.
             with contextlib.suppress(Exception), self._stack.sessions.begin() as session:
                 for table in (Job.__table__, Worker.__table__, LeaseClock.__table__):
-                    dates = [column for column in table.columns if isinstance(column.type, DateTime)]
+                    own = {"lease_expires_at", "time"}
+                    dates = [item for item in table.columns if isinstance(item.type, DateTime) and item.name not in own]
                     moved = {date: date - timedelta(seconds=seconds) for date in dates}
                     session.execute(update(table).values(moved))
 
-        return Fault(f"clock: {seconds:+.0f} s", jump, lambda: None)
+        return Fault(f"postgres: clock {seconds:+.0f} s", jump, lambda: None)
+
+    def _clock_of_worker(self) -> Fault:
+        name = self._random.choice(self._stack.worker_names)
+        seconds = self._random.choice((-86_400, -3600, -2, 2, 3600, 86_400))
+        return Fault(f"{name}: clock {seconds:+d} s", lambda: self._stack.step_clock(name, seconds), lambda: None)
+
+    def _suspend(self) -> Fault:
+        """Suspend any part, the services that others depend on included."""
+        name = self._random.choice(("process", "training", "postgres", "broker", "store"))
+        if name == "process":
+            return self._stop_process()
+        if name == "training":
+            return self._stop_training()
+        stopped: list[psutil.Process] = []
+
+        def strike() -> None:
+            if name == "postgres":
+                stopped.extend(self._stack.suspend_postgres())
+            else:
+                stopped.append(self._stack.broker if name == "broker" else self._stack.store_process)
+                stopped[0].suspend()
+
+        def heal() -> None:
+            for process in reversed(stopped):
+                process.resume()
+
+        return Fault(f"{name}: SIGSTOP", strike, heal)
+
+    def _spoil(self) -> Fault:
+        how, proxy = self._random.choice(tuple(SPOILED)), self._stack.proxies["store"]
+        return Fault(f"network of store: {how}", lambda: proxy.spoil(how), proxy.heal)
+
+    def _flap(self) -> Fault:
+        name = self._random.choice(("broker", "broker", "postgres"))
+        proxy, over = self._stack.proxies[name], threading.Event()
+
+        def flap() -> None:
+            while not over.wait(0.3):
+                proxy.cut()
+                over.wait(0.3)
+                proxy.heal()
+
+        thread = threading.Thread(target=flap, name="flap")
+
+        def heal() -> None:
+            over.set()
+            thread.join()
+
+        return Fault(f"network of {name}: comes and goes", thread.start, heal)
+
+    def _fill(self) -> Fault:
+        name = self._random.choice(("store", "work"))
+        if not self._stack.can_fill(name):
+            return self._store()
+        return Fault(f"{name}: full", lambda: self._stack.fill(name), lambda: self._stack.free(name))
 
 
 def send_signal(pid: int | None, number: int) -> None:
@@ -233,6 +312,14 @@ class User:
                     jobs += [] if made is None else [made]
             else:
                 self.request(action, self.random.choice(jobs))
+
+    def run_quietly(self, steps: int) -> None:
+        """Train one job after the other until stopped."""
+        jobs: list[str] = []
+        while not self.stop.wait(0.5):
+            if self._open(jobs) == 0:
+                made = self.submit(SEEDS[len(jobs) % len(SEEDS)], steps)
+                jobs += [] if made is None else [made]
 
     def _open(self, jobs: Iterable[str]) -> int:
         try:
@@ -311,6 +398,18 @@ def check(stack: Stack, user: User, weights: dict[int, str], steps: int) -> list
     return wrong
 
 
+def check_undisturbed(stack: Stack, user: User, weights: dict[int, str], steps: int, patience_s: float) -> list[str]:
+    """Return what happened to a service that nobody broke: its jobs succeed in one attempt."""
+    wrong = wait_until_ended(stack, user, patience_s)
+    stack.stop_services()
+    wrong += check(stack, user, weights, steps)
+    with stack.sessions() as session:
+        for job in session.scalars(select(Job)):
+            if (job.state, job.attempt) != (WorkState.SUCCEEDED, 1):
+                wrong.append(f"{job.id} is {job.state} after {job.attempt} attempts: {job.error}")
+    return wrong
+
+
 def final_weights(stack: Stack, job_id: str) -> str:
     """Return the SHA-256 of the policy in a job's last checkpoint."""
     with stack.sessions() as session:
@@ -354,7 +453,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--faults", type=int, default=30)
     parser.add_argument("--seed", type=int, help="left out: the one after those in the record")
-    parser.add_argument("--longest", type=float, default=8.0, help="seconds that a fault lasts at most")
+    parser.add_argument("--world", action="store_true", help="faults of the world around the service")
+    parser.add_argument("--longest", type=float, help="seconds that a fault lasts at most: 8; in the world 60")
     parser.add_argument("--updates", type=int, default=300, help="updates of each training")
     parser.add_argument(
         "--patience",
@@ -366,10 +466,12 @@ def main() -> int:
     options = parser.parse_args()
     if options.seed is None:
         options.seed = next_seed(options.record)
+    options.longest = options.longest or (60.0 if options.world else 8.0)
     random = Random(options.seed)
     steps = options.updates * ROLLOUT
     begun = time.monotonic()
-    stack = Stack()
+    stack = Stack(world=options.world)
+    neighbour = Stack(workers=1) if options.world else None
     try:
         user = User(stack, Random(options.seed + 1))
         ready = time.monotonic()
@@ -381,7 +483,11 @@ def main() -> int:
         say(f"undisturbed: {weights}")
         using = threading.Thread(target=user.run, args=(steps,), name="user", daemon=True)
         using.start()
-        nemesis = Nemesis(stack, random, options.longest)
+        if neighbour is not None:
+            other = User(neighbour, random)
+            training = threading.Thread(target=other.run_quietly, args=(steps,), name="neighbour", daemon=True)
+            training.start()
+        nemesis = Nemesis(stack, random, options.longest, world=options.world)
         nemesis.run(options.faults)
         user.stop.set()
         using.join()
@@ -395,6 +501,10 @@ def main() -> int:
             time.sleep(0.5)
         wrong += [f"a process is left: {process}" for process in stack.leftovers()]
         wrong += check(stack, user, weights, steps)
+        if neighbour is not None:
+            other.stop.set()
+            training.join()
+            wrong += [f"neighbour: {text}" for text in check_undisturbed(neighbour, other, weights, steps, patience_s)]
         with stack.sessions() as session:
             states = Counter(str(state) for state in session.scalars(select(Job.state)))
             attempts = session.scalar(select(func.sum(Job.attempt)))
@@ -408,6 +518,7 @@ def main() -> int:
             "fault_count": sum(nemesis.counts.values()),
             "jobs": dict(sorted(states.items())),
             "submitted": len(user.submitted),
+            **({} if neighbour is None else {"jobs_of_the_neighbour": len(other.submitted)}),
             "attempts": attempts,
             "acknowledged_requests": dict(Counter(action for action, _ in user.acknowledged)),
             "requests_without_an_answer": len(user.unknown),
@@ -421,9 +532,13 @@ def main() -> int:
                 file.write(json.dumps(results) + "\n")
         if wrong:
             print(f"logs: {keep_evidence(stack)}", file=sys.stderr)
+            if neighbour is not None:
+                print(f"logs of the neighbour: {keep_evidence(neighbour)}", file=sys.stderr)
         return 1 if wrong else 0
     finally:
         stack.close()
+        if neighbour is not None:
+            neighbour.close()
 
 
 if __name__ == "__main__":

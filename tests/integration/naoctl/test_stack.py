@@ -35,7 +35,8 @@ class Shell:
     """Run naoctl with a home folder of its own."""
 
     def __init__(self, home: Path) -> None:
-        self.layout = Layout.at(home / "data")
+        # Characters that have a meaning to programs which are given the path.
+        self.layout = Layout.at(home / "-a b'\"[c]*?$HOME%s%%#;&,(é)\\")
         self.home = home
         self.environment = {
             **{name: value for name, value in os.environ.items() if not name.startswith(("NAOCTL_", "NAOSPRINT_"))},

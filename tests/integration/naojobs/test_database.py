@@ -43,6 +43,21 @@ def test_connections_with_large_descriptors_are_used_again(service_settings: Ser
         engine.dispose()
 
 
+def test_a_connection_that_is_returned_after_the_engine_was_closed_is_closed(database_url: str) -> None:
+    """A thread whose request was given up may still use one while the service stops."""
+    engine = make_engine(database_url)
+    with engine.connect() as first, engine.connect() as second:
+        engine.dispose()
+        late = [connection.connection.driver_connection for connection in (first, second)]
+    assert [connection is not None and connection.closed for connection in late] == [True, True]
+    with engine.connect() as again:  # an engine may be used after it was closed
+        kept = again.connection.driver_connection
+        assert kept is not None
+    assert not kept.closed
+    engine.dispose()
+    assert kept.closed
+
+
 def test_notifications_follow_commits_and_only_those(sessions: Sessions, database_url: str) -> None:
     with psycopg.connect(database_url, autocommit=True) as listener, sessions() as session:
         listener.execute(f"LISTEN {CHANNEL}")

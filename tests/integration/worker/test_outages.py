@@ -254,7 +254,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
 
 def test_full_disk_under_a_worker_ends_the_attempt_but_not_the_job(small_work: SmallDisk, service: Service) -> None:
     """The state contains the reason, and the worker claims nothing until there is space again."""
-    # More than what the attempt has on the disk and frees at its end: the worker must not claim before the next filling.
+    # More than the attempt has on the disk and frees at its end: the worker must not claim before the next filling.
     worker = service.start_worker(NAOSPRINT_WORKER_MIN_FREE_MB="12", NAOSPRINT_WORKER_STOP_GRACE_S="5")
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)

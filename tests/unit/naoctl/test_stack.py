@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -99,6 +100,12 @@ def test_the_stop_command_names_the_data_folder_unless_it_is_the_usual_one(
     assert Layout.at(tmp_path / "naosprint").stop_command == "naoctl down"
     monkeypatch.setenv("NAOCTL_DATA_DIR", str(tmp_path / "other"))
     assert Layout.at(None).stop_command == f"naoctl down --data-dir {tmp_path}/other"
+
+
+@pytest.mark.parametrize("name", [b"a\nb", b"a\xff", b"a\x7f"], ids=["line break", "no UTF-8", "control"])
+def test_a_data_folder_whose_path_no_file_can_hold_is_refused(tmp_path: Path, name: bytes) -> None:
+    with pytest.raises(StackError, match="has a line break, or bytes that are no UTF-8"):
+        Layout.at(tmp_path / os.fsdecode(name)).make()
 
 
 def test_passwords_are_made_once_and_kept_private(layout: Layout) -> None:
@@ -321,6 +328,50 @@ def test_a_child_leads_a_session_that_is_killed_whole(layout: Layout) -> None:
     grandchild.wait(5)
 
 
+def broker_program(broker: Broker, port: int, command: list[str]) -> Program:
+    """A program of the broker that may listen on one port."""
+    return Program(
+        "broker",
+        "Broker",
+        command,
+        {},
+        broker.layout.log("broker"),
+        broker.is_ready,
+        listens=frozenset({(ports.HOST, port)}),
+        folder=broker.layout.broker,
+        stdin=broker.configuration,
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ((), ""),
+        (("--bind", "0.0.0.0"), r"listens on 0\.0\.0\.0 port \d+ instead of 127\.0\.0\.1 port"),
+        (("--port", "{other}"), r"listens on 127\.0\.0\.1 port \d+ instead of 127\.0\.0\.1 port"),
+        (("--requirepass", ""), "answers without a password"),
+    ],
+    ids=["as meant", "all addresses", "another port", "no password"],
+)
+def test_a_program_that_does_not_listen_as_meant_ends_the_start(
+    supervisor: tuple[Supervisor, list[str]], tmp_path: Path, options: tuple[str, ...], error: str
+) -> None:
+    layout = Layout.at(tmp_path / "x[b]* 'c'")
+    layout.make()
+    broker = Broker(layout, "secret", ports.choose([]))
+    broker.make()
+    command = [*broker.command(), *(option.format(other=ports.choose([])) for option in options)]
+    running = supervisor[0]
+    expected = pytest.raises(StackError, match=error) if error else contextlib.nullcontext()
+    with running._signals():
+        running._launch(broker_program(broker, broker.port, command))
+        try:
+            with expected:
+                running._await_ready("broker")
+        finally:
+            running.children["broker"].stop_now()
+
+
 @pytest.fixture
 def supervisor(layout: Layout) -> Iterator[tuple[Supervisor, list[str]]]:
     """A supervisor that has nothing to do yet, and what it says."""
@@ -395,7 +446,7 @@ def test_postgres_is_reached_by_a_socket_of_short_name_only(tmp_path: Path) -> N
     assert near.socket_dir == tmp_path / "run"
     assert "listen_addresses=" in near.command()
     assert near.url.startswith("postgresql://naosprint:secret@/naosprint?host=/")
-    for name in ("x" * 120, "a,b", 'a"b'):
+    for name in ("x" * 120, "a,b", 'a"b', "a\\b"):
         far = Postgres(Layout.at(tmp_path / name), "secret")
         assert len(str(far.socket_dir)) < 60
         assert far.socket_dir == Postgres(Layout.at(tmp_path / name), "other").socket_dir

@@ -16,6 +16,7 @@ from pydantic_core import PydanticSerializationError, from_json, to_json
 from sqlalchemy import ColumnElement, Engine, create_engine, event, func, or_, text
 from sqlalchemy.exc import InvalidatePoolError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session, SessionTransaction, sessionmaker
+from sqlalchemy.pool import ConnectionPoolEntry
 
 # Alembic is imported where it is used: every trainer imports this module and none migrates.
 if TYPE_CHECKING:
@@ -88,6 +89,22 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
         # An idle connection has nothing to read unless it has ended: checking its socket saves a query.
         if connection.closed or _has_input(connection.fileno()):
             raise InvalidatePoolError("the server has cut the connection")
+
+    pools = [0]  # how often the engine was closed, which makes another pool
+
+    @event.listens_for(engine, "engine_disposed")
+    def count(_engine: Engine) -> None:
+        pools[0] += 1
+
+    @event.listens_for(engine, "connect")
+    def note_pool(_connection: psycopg.Connection[Any], record: ConnectionPoolEntry) -> None:
+        record.info["pool"] = pools[0]
+
+    @event.listens_for(engine, "checkin")
+    def close_late(connection: psycopg.Connection[Any] | None, record: ConnectionPoolEntry) -> None:
+        # What a thread returns after the engine was closed goes to a pool that nobody closes any more.
+        if connection is not None and record.info.get("pool") != pools[0]:
+            connection.close()
 
     @event.listens_for(engine, "before_cursor_execute", retval=True)
     def make_storable(
@@ -232,7 +249,8 @@ def alembic_config(url: str, migrations: Path) -> Config:
     from alembic.config import Config
 
     config = Config()
-    config.set_main_option("script_location", str(migrations))
+    # "%" begins a reference in such a file
+    config.set_main_option("script_location", str(migrations).replace("%", "%%"))
     config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
     return config
 

@@ -30,8 +30,9 @@ from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 #: Seconds until the second attempt, doubled with each further one up to the longest.
 FIRST_DELAY_S, LONGEST_DELAY_S = 5.0, 3600.0
-#: Age at which a message that could not be delivered is given up.
-GIVE_UP_AFTER = timedelta(days=3)
+#: Age and number of attempts at which a message that could not be delivered is given up: the service may have been off
+#: for some of the time.
+GIVE_UP_AFTER, LEAST_ATTEMPTS = timedelta(days=3), 5
 #: Age at which messages are deleted that are delivered or given up.
 KEEP = timedelta(days=14)
 #: Seconds for which a sender has a message to itself; an attempt has to take less.
@@ -222,7 +223,8 @@ def settle(sessions: Sessions, message: Message, error: str | None, *, gone: boo
     delay_s = min(FIRST_DELAY_S * 2 ** min(message.attempt - 1, 30), LONGEST_DELAY_S)
     webhook = Webhook.id == message.webhook_id
     age = func.now() - Delivery.created_at
-    retry = case((age < GIVE_UP_AFTER, func.now() + timedelta(seconds=delay_s)))
+    early = or_(age < GIVE_UP_AFTER, Delivery.attempts < LEAST_ATTEMPTS)
+    retry = case((early, func.now() + timedelta(seconds=delay_s)))
     with sessions.begin() as session:
         if gone:
             _disable(session, message.webhook_id, error)

@@ -12,7 +12,8 @@ import torch
 from gymnasium import spaces
 from naosprint.mirror import Mirror
 from naosprint.rl import _kernel
-from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients
+from naosprint.rl.gradients import KernelGradients, Samples
+from naosprint.rl.ppo import Losses
 from naosprint.rl.symmetry import Symmetry, tie_weights
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor
@@ -59,7 +60,10 @@ def drawn(policy: ActorCriticPolicy) -> Samples:
 
 
 def gradients_of(
-    made: Callable[[ActorCriticPolicy], Gradients], policy: ActorCriticPolicy, samples: Samples, chosen: Tensor
+    made: Callable[[ActorCriticPolicy], KernelGradients | Losses],
+    policy: ActorCriticPolicy,
+    samples: Samples,
+    chosen: Tensor,
 ) -> tuple[tuple[float, ...], dict[str, Tensor]]:
     gradients = made(policy)
     samples = gradients.prepare(samples)
@@ -82,16 +86,13 @@ def doubled(samples: Samples) -> Samples:
     ],
 )
 def test_kernels_compute_the_gradients_of_double_precision(
-    kernel: str, layers: tuple[int, ...], count: int, changed: dict[str, object], monkeypatch: pytest.MonkeyPatch
+    kernel: str, layers: tuple[int, ...], count: int, changed: dict[str, object]
 ) -> None:
-    monkeypatch.setattr("naosprint.rl.networks.FUSED", False)  # oneDNN has no doubles here
     used = settings(**changed)
     samples = drawn(new_policy(layers))
     chosen = torch.randperm(N, generator=torch.Generator().manual_seed(1))[:count]
     results, found = gradients_of(lambda p: KernelGradients(p, used, None, kernel), new_policy(layers), samples, chosen)
-    known, wanted = gradients_of(
-        lambda p: TorchGradients(p, used), new_policy(layers).double(), doubled(samples), chosen
-    )
+    known, wanted = gradients_of(lambda p: Losses(p, used), new_policy(layers).double(), doubled(samples), chosen)
     assert results == pytest.approx(known, rel=1e-5, abs=1e-6)
     clipped = known[2]
     assert count < 10 or 0.0 < clipped < 1.0, "both cases are tested"
@@ -123,9 +124,8 @@ def mirror(width: int, singles: tuple[float, ...]) -> Mirror:
     ids=["pairs", "singles", "turned"],
 )
 def test_gradients_of_symmetric_networks_are_those_of_double_precision(
-    kernel: str, layers: tuple[int, ...], observations: Mirror, actions: Mirror, monkeypatch: pytest.MonkeyPatch
+    kernel: str, layers: tuple[int, ...], observations: Mirror, actions: Mirror
 ) -> None:
-    monkeypatch.setattr("naosprint.rl.networks.FUSED", False)  # oneDNN has no doubles here
     one = new_policy(layers)
     symmetry = tie_weights(one, observations, actions)
     with torch.no_grad():
@@ -137,7 +137,7 @@ def test_gradients_of_symmetric_networks_are_those_of_double_precision(
     other.load_state_dict({name: tensor.double() for name, tensor in one.state_dict().items()})
     samples, chosen = drawn(one), torch.randperm(N, generator=torch.Generator().manual_seed(1))[:200]
     results, found = gradients_of(lambda p: KernelGradients(p, settings(), symmetry, kernel), one, samples, chosen)
-    known, wanted = gradients_of(lambda p: TorchGradients(p, settings()), other, doubled(samples), chosen)
+    known, wanted = gradients_of(lambda p: Losses(p, settings()), other, doubled(samples), chosen)
     assert results == pytest.approx(known, rel=1e-5, abs=1e-6)
     assert found.keys() == wanted.keys()
     for name, gradient in wanted.items():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from naospec import TrainingSpec
 from naosprint import train
-from naosprint.rl.ppo import PPO
+from naosprint.rl.imitation import ImitatingPPO
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_training_environment
 
@@ -51,14 +51,14 @@ def test_demonstrations_lead_a_share_of_the_environments_that_goes_down_to_none(
     )
     environment, n_starts = open_training_environment(spec)
     try:
-        learner = PPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
+        learner = ImitatingPPO(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
         learner.begin()
         for led in (4, 2):
             learner.collect()
-            follows = np.isclose(learner.rollout.actions, learner.rollout.demonstrations, atol=1e-3).all(axis=(0, 2))
+            follows = np.isclose(learner.rollout.actions, learner.demonstrations, atol=1e-3).all(axis=(0, 2))
             assert follows.tolist() == [row < led for row in range(4)]
         learner.collect()
-        assert not len(learner.rollout.demonstrations)
+        assert not len(learner.demonstrations)
     finally:
         environment.close()
 

@@ -9,6 +9,7 @@ import redis
 
 from naoctl.config import write_private
 from naoctl.errors import StackError
+from naoctl.stack import ports
 from naoctl.stack.layout import Layout
 
 
@@ -30,20 +31,28 @@ class Broker:
     @property
     def url(self) -> str:
         """Address of the broker with its password."""
-        return f"redis://:{self.password}@127.0.0.1:{self.port}/0"
+        return f"redis://:{self.password}@{ports.HOST}:{self.port}/0"
 
     def command(self) -> list[str]:
-        """Return the command that runs the server in the foreground."""
-        return [str(self.program), str(self.layout.broker / "valkey.conf")]
+        """Return the command that runs the server in the foreground, in the folder of its data.
+
+        The server reads ``configuration`` as its standard input. It would take ``[``, ``*`` or ``?`` in a file's path
+        for a pattern, and where that matches nothing it would start without password on all addresses.
+        """
+        return [str(self.program), "-"]
+
+    @property
+    def configuration(self) -> Path:
+        """File of the settings."""
+        return self.layout.broker / "valkey.conf"
 
     def make(self) -> None:
         """Write the configuration file. It contains the password, because other users can see a command line."""
         settings = {
-            "bind": "127.0.0.1",
+            "bind": ports.HOST,
             "port": str(self.port),
             "protected-mode": "yes",
             "requirepass": self.password,
-            "dir": _quoted(str(self.layout.broker)),
             "appendonly": "yes",
             "appendfsync": "everysec",
             "save": '""',
@@ -53,21 +62,28 @@ class Broker:
             "loglevel": "notice",
         }
         text = "".join(f"{name} {value}\n" for name, value in settings.items())
-        write_private(self.layout.broker / "valkey.conf", text)
+        write_private(self.configuration, text)
 
     def is_ready(self) -> bool:
-        """Return whether the server answers and has loaded its data."""
+        """Return whether the server answers and has loaded its data.
+
+        Raises:
+            StackError: when it answers without a password.
+        """
         try:
-            client = redis.Redis.from_url(self.url, socket_timeout=2.0, socket_connect_timeout=2.0)
-            with client:
+            with redis.Redis(ports.HOST, self.port, socket_timeout=2.0, socket_connect_timeout=2.0) as stranger:
+                stranger.ping()
+        except redis.AuthenticationError:
+            pass
+        except redis.RedisError:
+            return False
+        else:
+            raise StackError("The broker answers without a password", fix=f"See {self.layout.log('broker')}.")
+        try:
+            with redis.Redis.from_url(self.url, socket_timeout=2.0, socket_connect_timeout=2.0) as client:
                 return bool(client.ping())
         except redis.RedisError:
             return False
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
 
 
 def find_program() -> Path:

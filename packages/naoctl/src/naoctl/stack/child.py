@@ -11,6 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import psutil
+
+from naoctl.stack.ports import Address
 from naoctl.stack.postgres import Account, launch_command
 from naoctl.stack.state import ProcessRecord
 
@@ -38,6 +41,9 @@ class Program:
         stop_grace_s: seconds it gets for that before it is killed.
         ready_within_s: seconds it gets to become ready.
         account: run as this account instead of the supervisor's.
+        listens: addresses of TCP that it listens on once it is ready, and no others.
+        folder: its current folder; None: that of its log.
+        stdin: file that it reads as its standard input; None: nothing.
     """
 
     name: str
@@ -51,6 +57,9 @@ class Program:
     stop_grace_s: float = 10.0
     ready_within_s: float = 60.0
     account: Account | None = None
+    listens: frozenset[Address] = frozenset()
+    folder: Path | None = None
+    stdin: Path | None = None
 
 
 @dataclass
@@ -75,14 +84,14 @@ class Child:
         rotate(program.log)
         death_signal = program.death_signal or program.stop_signal
         command = launch_command(program.command, account=program.account, death_signal=death_signal)
-        with program.log.open("ab") as log:
+        with program.log.open("ab") as log, (program.stdin or Path(os.devnull)).open("rb") as stdin:
             self.process = subprocess.Popen(
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=stdin,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **program.environment},
-                cwd=program.log.parent,
+                cwd=program.folder or program.log.parent,
                 start_new_session=True,
             )
         self.record = ProcessRecord.of(program.name, self.process.pid)
@@ -94,6 +103,14 @@ class Child:
     def is_alive(self) -> bool:
         """Whether the process runs."""
         return self.process is not None and self.process.poll() is None
+
+    def listening(self) -> frozenset[Address]:
+        """Return the addresses of TCP that the process listens on."""
+        with contextlib.suppress(psutil.Error):
+            if self.process is not None:
+                found = psutil.Process(self.process.pid).net_connections(kind="tcp")
+                return frozenset((c.laddr.ip, c.laddr.port) for c in found if c.status == psutil.CONN_LISTEN)
+        return frozenset()
 
     def note_death(self) -> float:
         """Record that the process died; return the seconds until its restart."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,9 @@ import platformdirs
 from naospec.files import private_folder
 
 from naoctl.errors import StackError
+
+#: Control characters, and bytes that are no UTF-8.
+_UNFIT = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
 
 
 def default_data_dir() -> Path:
@@ -89,8 +93,13 @@ class Layout:
         """Create the folders. A new folder is not accessible to other users.
 
         Raises:
-            StackError: when it cannot be made or written.
+            StackError: when it cannot be made or written, or its path has characters that settings cannot hold.
         """
+        if _UNFIT.search(str(self.root)):
+            raise StackError(
+                f"The data folder {str(self.root)!r} has a line break, or bytes that are no UTF-8, in its path",
+                fix="Name another with --data-dir.",
+            )
         try:
             is_new = not self.root.exists()
             private_folder(self.root)

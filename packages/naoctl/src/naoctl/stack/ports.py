@@ -6,6 +6,9 @@ import socket
 
 HOST = "127.0.0.1"
 
+#: IP address and port.
+Address = tuple[str, int]
+
 
 def is_free(port: int) -> bool:
     """Return whether a server could listen on the port; connections of a server that has just stopped do not matter."""

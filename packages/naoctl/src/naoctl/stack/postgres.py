@@ -140,7 +140,20 @@ class Postgres:
         return done.returncode == 0
 
     def ensure_database(self) -> None:
-        """Create the database if it is missing."""
+        """Create the database if it is missing.
+
+        Raises:
+            StackError: when the server has other data than this stack's, or lets somebody in without a password.
+        """
+        folder, trusting = self._psql(
+            "SHOW data_directory; SELECT count(*) FROM pg_hba_file_rules WHERE auth_method = 'trust'"
+        ).splitlines()
+        if folder != str(self.layout.postgres) or trusting != "0":
+            raise StackError(
+                f"Postgres runs on {folder} with {trusting} rules that need no password, instead of on "
+                f"{self.layout.postgres} with none",
+                fix=f"See {self.layout.postgres / 'pg_hba.conf'}.",
+            )
         known = self._psql("SELECT datname FROM pg_database").split()
         if DATABASE not in known:
             self._psql(f'CREATE DATABASE "{DATABASE}"')
@@ -248,13 +261,13 @@ def _open_to_all(path: Path) -> bool:
 
 
 def _socket_dir(layout: Layout) -> Path:
-    inside = layout.root / "run"
-    # A comma would make a list of the path, for the server and for its clients.
-    if len(os.fsencode(inside / ".s.PGSQL.5432.lock")) <= MAX_SOCKET_PATH and not set(str(inside)) & set(",\"'\\"):
-        return inside
     # The path of a socket is short; a deep data folder gets its socket elsewhere, always in the same place.
-    key = hashlib.sha256(os.fsencode(layout.root)).hexdigest()[:16]
-    return Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}-{key}"
+    name = f"naosprint-{os.getuid()}-{hashlib.sha256(os.fsencode(layout.root)).hexdigest()[:16]}"
+    for folder in (layout.root / "run", Path(tempfile.gettempdir()) / name):
+        # A comma would make a list of the path, for the server and for its clients.
+        if len(os.fsencode(folder / ".s.PGSQL.5432.lock")) <= MAX_SOCKET_PATH and not set(str(folder)) & set(",\"'\\"):
+            return folder
+    return Path("/tmp") / name  # noqa: S108 - checked like any other: a folder of this user alone
 
 
 def _remove_tree(folder: Path) -> None:

@@ -223,12 +223,23 @@ class Supervisor:
             {MARK: self.state.stack_id},
             self.layout.log("broker"),
             broker.is_ready,
+            listens=frozenset({(ports.HOST, broker.port)}),
+            folder=self.layout.broker,
+            stdin=broker.configuration,
         )
 
     def _api_program(self, environment: dict[str, str]) -> Program:
         command = [sys.executable, "-P", "-m", "naosprint_api"]
+        assert self.state.api_port is not None
         return Program(
-            "api", "API", command, environment, self.layout.log("api"), self._api_is_ready, stop_grace_s=15.0
+            "api",
+            "API",
+            command,
+            environment,
+            self.layout.log("api"),
+            self._api_is_ready,
+            stop_grace_s=15.0,
+            listens=frozenset({(ports.HOST, self.state.api_port)}),
         )
 
     def _worker_program(self, environment: dict[str, str]) -> Program:
@@ -278,7 +289,10 @@ class Supervisor:
         self._save_state()
 
     def _await_ready(self, *names: str) -> None:
-        """Wait until the named processes answer; one that dies or takes too long ends the start."""
+        """Wait until the named processes answer; one that dies or takes too long ends the start.
+
+        Nothing is asked, and no password sent, before the process itself listens on its addresses and on no others.
+        """
         waiting = {name: self.children[name] for name in names}
         pause_s = 0.02
         while waiting:
@@ -291,7 +305,13 @@ class Supervisor:
                         f"{program.title} ended with code {child.process.returncode}\n{child.last_words()}",
                         fix=f"The whole log is {program.log}.",
                     )
-                if program.is_ready():
+                listening = child.listening()
+                if listening - program.listens:
+                    raise StackError(
+                        f"{program.title} listens on {_addresses(listening)} instead of {_addresses(program.listens)}",
+                        fix=f"It was stopped at once. Its log is {program.log}.",
+                    )
+                if listening == program.listens and program.is_ready():
                     self.say(program.title, f"ready after {took_s:.1f} s")
                     del waiting[name]
                 elif took_s > program.ready_within_s:
@@ -511,6 +531,10 @@ def find_migrations() -> Path:
         f"No database migrations {'in ' + named if named else 'beside the installed service'}",
         fix="Name their folder with NAOSPRINT_MIGRATIONS.",
     )
+
+
+def _addresses(addresses: frozenset[ports.Address]) -> str:
+    return ", ".join(f"{ip} port {port}" for ip, port in sorted(addresses)) or "no address"
 
 
 def _user_name() -> str:

@@ -1,4 +1,4 @@
-"""Gradients of PPO's losses: by PyTorch, which is the reference, and by a compiled kernel, which is faster.
+"""Gradients of PPO's losses by a compiled kernel, in place of those of :class:`naosprint.rl.ppo.Losses`.
 
 Both compute the same; the last digits differ. The kernel (packages/naosprint/cpp) passes a minibatch through a network
 in tiles that stay in the processor's cache, forward and backward. It applies to layers of any number and width.
@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from naosprint.rl.networks import linear_layers, run_network
+from naosprint.rl.networks import linear_layers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,88 +49,6 @@ class Samples:
     log_probs: Tensor
     advantages: Tensor
     returns: Tensor
-
-
-class Gradients(Protocol):
-    """Fills in ``grad`` of a policy's parameters; actor and critic share nothing and may run at the same time."""
-
-    def prepare(self, samples: Samples) -> Samples:
-        """Return the samples of a rollout as :meth:`actor` and :meth:`critic` take them."""
-
-    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
-        """Compute the gradient of policy loss and entropy for the samples ``chosen``, (k,) indices.
-
-        Returns:
-            Policy loss, entropy, fraction of clipped samples, and approximate KL divergence from the old policy.
-        """
-
-    def critic(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the gradient of the value loss for the samples ``chosen``, (k,) indices, and return the loss."""
-
-
-class TorchGradients:
-    """Gradients by PyTorch.
-
-    Args:
-        policy: the networks.
-        settings: PPO's settings.
-    """
-
-    def __init__(self, policy: ActorCriticPolicy, settings: Any) -> None:
-        self._log_std = policy.log_std
-        self._settings = settings
-        self._actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
-        self._critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
-
-    def prepare(self, samples: Samples) -> Samples:
-        """Return the samples as they are."""
-        return samples
-
-    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
-        """Compute the actor's gradient; see :meth:`Gradients.actor`."""
-        settings, log_std = self._settings, self._log_std
-        _forget(self._actor, log_std)
-        mean = run_network(self._actor, samples.observations.index_select(0, chosen))
-        deviation = (samples.actions.index_select(0, chosen) - mean) * (-log_std).exp()
-        log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
-        advantages = samples.advantages.index_select(0, chosen)
-        if settings.advantage_normalization == "minibatch":
-            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        log_ratio = log_probs - samples.log_probs.index_select(0, chosen)
-        ratio = log_ratio.exp()
-        clip = settings.clip_range
-        policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-        entropy = gaussian_entropy(log_std)
-        (policy_loss - settings.entropy_coefficient * entropy).backward()
-        with torch.no_grad():
-            # Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
-            kl = float(((ratio - 1.0) - log_ratio).mean())
-            clipped = float(((ratio - 1.0).abs() > clip).float().mean())
-            return float(policy_loss), float(entropy), clipped, kl
-
-    def imitation(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the actor's gradient of the mean squared distance of its means from the samples' actions.
-
-        Args:
-            samples: a rollout's.
-            chosen: (k,) indices.
-
-        Returns:
-            The loss.
-        """
-        _forget(self._actor, self._log_std)
-        mean = run_network(self._actor, samples.observations.index_select(0, chosen))
-        loss = (mean - samples.actions.index_select(0, chosen)).square().mean()
-        torch.autograd.backward(loss)
-        return float(loss.detach())
-
-    def critic(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the critic's gradient; see :meth:`Gradients.critic`."""
-        _forget(self._critic)
-        values = run_network(self._critic, samples.observations.index_select(0, chosen)).squeeze(1)
-        value_loss = (samples.returns.index_select(0, chosen) - values).square().mean()
-        (self._settings.value_coefficient * value_loss).backward()
-        return float(value_loss.detach())
 
 
 class KernelGradients:
@@ -199,7 +117,7 @@ class KernelGradients:
         return replace(samples, observations=torch.from_numpy(self._halves))
 
     def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
-        """Compute the actor's gradient; see :meth:`Gradients.actor`."""
+        """Compute the actor's gradient; see :meth:`naosprint.rl.ppo.Losses.actor`."""
         settings, log_std = self._settings, self._log_std
         spread = self._gradients[log_std] if log_std.requires_grad else None
         loss, clipped, kl = self._actor.actor(
@@ -222,7 +140,7 @@ class KernelGradients:
         return loss, float(gaussian_entropy(log_std.detach())), clipped, kl
 
     def critic(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the critic's gradient; see :meth:`Gradients.critic`."""
+        """Compute the critic's gradient; see :meth:`naosprint.rl.ppo.Losses.critic`."""
         loss: float = self._critic.critic(
             samples.observations.numpy(), samples.returns.numpy(), chosen.numpy(), self._settings.value_coefficient
         )
@@ -242,8 +160,3 @@ def _hand_over(gradients: list[tuple[Tensor, Tensor]]) -> None:
 def gaussian_entropy(log_std: Tensor) -> Tensor:
     """Return the entropy of a Gaussian whose spread does not depend on the state."""
     return log_std.sum() + log_std.numel() * (0.5 + _HALF_LOG_TWO_PI)
-
-
-def _forget(layers: tuple[torch.nn.Linear, ...], *others: Tensor) -> None:
-    for parameter in (*(parameter for layer in layers for parameter in layer.parameters()), *others):
-        parameter.grad = None

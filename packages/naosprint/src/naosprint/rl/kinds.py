@@ -29,9 +29,10 @@ class PPOKind(LearnerKind):
 
     def open(self, spec: TrainingSpec, environment: TrainingEnvironment) -> Learner:
         """Return a new learner for these environments."""
-        from naosprint.rl.ppo import PPO  # loads PyTorch
+        from naosprint.rl.imitation import ImitatingPPO  # loads PyTorch
+        from naosprint.rl.ppo import PPO
 
-        return PPO(spec, environment)
+        return (ImitatingPPO if spec.algorithm.imitation_steps else PPO)(spec, environment)
 
     def load_policy(
         self,

@@ -23,9 +23,9 @@ from naosprint.mirror import Mirror
 from naosprint.rl import schedules
 from naosprint.rl.adam import Adam
 from naosprint.rl.forward import Forward
-from naosprint.rl.gradients import Gradients, KernelGradients, Samples, TorchGradients, gaussian_entropy
+from naosprint.rl.gradients import KernelGradients, Samples, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
-from naosprint.rl.networks import FEW_ROWS, TorchForward, blind, linear_layers
+from naosprint.rl.networks import TorchForward, actor_of, blind, critic_of, linear_layers
 from naosprint.rl.normalization import STATISTICS, Normalizer
 from naosprint.rl.symmetry import Symmetry, tie_weights
 from naosprint.rl.warm_start import adapt, with_critic
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array
     from naosprint.rl.rollout import TrainingEnvironment
+    from naosprint.rl.settings import PPOSettings
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
-_IMITATION_RATE, _LEAST_RATE = 1e-3, 0.05
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
 _FIRST = "mlp_extractor.policy_net.0.weight"
 
@@ -58,7 +58,6 @@ class Rollout:
         log_probs: (T, n) logarithms of the actions' probability densities.
         advantages: (T, n) estimated advantages.
         returns: (T, n) estimated returns.
-        demonstrations: (T, n, A) actions that the task would have taken, during imitation.
     """
 
     def __init__(self, n_steps: int, n_envs: int, n_observations: int, n_actions: int) -> None:
@@ -70,7 +69,6 @@ class Rollout:
         self.log_probs: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.advantages: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.returns: Float32Array = np.zeros((n_steps, n_envs), np.float32)
-        self.demonstrations: Float32Array = np.zeros((0, n_envs, n_actions), np.float32)
 
     def estimate_advantages(self, last_values: Float32Array, dones: BoolArray, gamma: float, gae_lambda: float) -> None:
         """Fill in advantages and returns by generalized advantage estimation (Schulman et al., 2016).
@@ -98,6 +96,62 @@ class Rollout:
         return torch.from_numpy(array.reshape(-1, *array.shape[2:]))
 
 
+class Losses:
+    """PPO's losses and their gradients by PyTorch, with which the compiled kernel is compared.
+
+    Actor and critic share nothing and may be computed at the same time.
+
+    Args:
+        policy: the networks, whose ``grad`` is filled in.
+        settings: PPO's settings.
+    """
+
+    def __init__(self, policy: ActorCriticPolicy, settings: PPOSettings) -> None:
+        self._log_std = policy.log_std
+        self._settings = settings
+        self._actor, self._critic = actor_of(policy), critic_of(policy)
+
+    def prepare(self, samples: Samples) -> Samples:
+        """Return the samples of a rollout as :meth:`actor` and :meth:`critic` take them."""
+        return samples
+
+    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
+        """Compute the gradient of policy loss and entropy for the samples ``chosen``, (k,) indices.
+
+        Returns:
+            Policy loss, entropy, fraction of clipped samples, and approximate KL divergence from the old policy.
+        """
+        settings, log_std = self._settings, self._log_std
+        _forget(*self._actor.parameters(), log_std)
+        # log pi(a|s) of a Gaussian: -1/2 sum(((a - mu(s)) / sigma)^2) - sum(log sigma) - A/2 log(2 pi)
+        mean = self._actor(samples.observations.index_select(0, chosen))
+        deviation = (samples.actions.index_select(0, chosen) - mean) * (-log_std).exp()
+        log_probs = -0.5 * deviation.square().sum(dim=1) - (log_std.sum() + log_std.numel() * _HALF_LOG_TWO_PI)
+        advantages = samples.advantages.index_select(0, chosen)
+        if settings.advantage_normalization == "minibatch":
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        # r = pi(a|s) / pi_old(a|s); L = -E[min(r A, clip(r, 1 - c, 1 + c) A)]
+        log_ratio = log_probs - samples.log_probs.index_select(0, chosen)
+        ratio, clip = log_ratio.exp(), settings.clip_range
+        policy_loss = -torch.min(advantages * ratio, advantages * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
+        entropy = gaussian_entropy(log_std)
+        (policy_loss - settings.entropy_coefficient * entropy).backward()
+        with torch.no_grad():
+            # KL = E[(r - 1) - log r], Schulman's low-variance estimate, http://joschu.net/blog/kl-approx.html
+            kl = float(((ratio - 1.0) - log_ratio).mean())
+            clipped = float(((ratio - 1.0).abs() > clip).float().mean())
+            return float(policy_loss), float(entropy), clipped, kl
+
+    def critic(self, samples: Samples, chosen: Tensor) -> float:
+        """Compute the gradient of the value loss for the samples ``chosen``, (k,) indices, and return the loss."""
+        _forget(*self._critic.parameters())
+        # L = E[(R - V(s))^2]
+        values = self._critic(samples.observations.index_select(0, chosen)).squeeze(1)
+        value_loss = (samples.returns.index_select(0, chosen) - values).square().mean()
+        (self._settings.value_coefficient * value_loss).backward()
+        return float(value_loss.detach())
+
+
 class PPO(Learner):
     """PPO for one training.
 
@@ -116,27 +170,20 @@ class PPO(Learner):
         self.processes = environment.processes
         self.policy, symmetry = _build_policy(spec, environment)
         self._optimizer = cast("Adam", self.policy.optimizer)
-        self._gradients: Gradients = (
-            KernelGradients(self.policy, settings, symmetry, seen=len(environment.environment.observer.names))
-            if spec.runtime.compiled_update
-            else TorchGradients(self.policy, settings)
-        )
-        actor = linear_layers((*self.policy.mlp_extractor.policy_net, self.policy.action_net))
-        critic = linear_layers((*self.policy.mlp_extractor.value_net, self.policy.value_net))
-        self._actor: Forward | TorchForward
-        self._critic: Forward | TorchForward
+        actor, critic = actor_of(self.policy), critic_of(self.policy)
+        self._losses: Losses | KernelGradients = Losses(self.policy, settings)
+        self._actor: Forward | TorchForward = TorchForward(actor)
+        self._critic: Forward | TorchForward = TorchForward(critic)
         if spec.runtime.compiled_update:
-            threads = environment.environment.simulator.threads_address
-            self._actor, self._critic = Forward.of(actor, threads), Forward.of(critic, threads)
-        else:
-            self._actor = TorchForward(actor, fused=environment.n >= FEW_ROWS)
-            self._critic = TorchForward(critic)
-        if settings.imitation_steps and environment.environment.task.demonstration(slice(0, 1)) is None:
-            raise ValueError(
-                f"algorithm.imitation_steps: task {spec.task.name} demonstrates nothing to robot {spec.robot.name}; "
-                "use 0"
+            seen, threads = (
+                len(environment.environment.observer.names),
+                environment.environment.simulator.threads_address,
             )
-        self._imitation = TorchGradients(self.policy, settings)
+            self._losses = KernelGradients(self.policy, settings, symmetry, seen=seen)
+            self._actor, self._critic = (
+                Forward.of(linear_layers(actor), threads),
+                Forward.of(linear_layers(critic), threads),
+            )
         inner = environment.environment
         self.normalizer = Normalizer(
             environment.n,
@@ -184,14 +231,12 @@ class PPO(Learner):
             if self.settings.final_log_std is not None:
                 policy.log_std.fill_(schedules.log_std(self.spec, self.steps))
             log_std = policy.log_std.detach()
+            # a = mu(s) + sigma * noise
             noise = torch.randn((n_steps, n, environment.n_actions), generator=self.generator)
             scaled_noise = (noise * log_std.exp()).numpy()
         # by what all groups and processes have contributed to the statistics
         observations, starts = normalizer.observations(environment.observations), self._starts.copy()
         _require_finite(environment, observations, slice(0, n))
-        imitates = self.steps < self.settings.imitation_steps
-        shown_to = round(self._imitation_left() * n)
-        rollout.demonstrations = np.zeros(rollout.actions.shape if imitates else (0, n, 0), np.float32)
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
         # while the simulator computes for one group, another is processed here
         for step in range(n_steps + 1):
@@ -217,16 +262,13 @@ class PPO(Learner):
                         rewards[transition.ended[follows]] += gamma * self._critic(last)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
-                    actions = self._actor(seen, scaled_noise[step, group], rollout.actions[step, group])
-                    if imitates:
-                        shown = rollout.demonstrations[step, group]
-                        shown[:] = environment.environment.task.demonstration(group)
-                        led = max(0, shown_to - group.start)
-                        actions[:led] = (shown + scaled_noise[step, group])[:led]
-                    environment.step_async(actions, group)
+                    self._act(seen, scaled_noise[step, group], rollout.actions[step, group], step, group)
+                    environment.step_async(rollout.actions[step, group], group)
         with torch.no_grad():
+            # log pi_old(a|s), which needs only the noise: (a - mu) / sigma
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - environment.n_actions * _HALF_LOG_TWO_PI
             rollout.log_probs[:] = density.numpy()
+        # V(s) of all observations in one pass, and the advantages that follow
         samples = rollout.observations.reshape(n_steps * n, -1)
         rollout.values[:] = self._critic(samples).reshape(n_steps, n)
         last_values = self._critic(observations)[:, 0]
@@ -235,15 +277,19 @@ class PPO(Learner):
         self.steps += n * n_steps * self.processes.size
         return True
 
+    def _act(self, seen: Float32Array, noise: Float32Array, out: Float32Array, step: int, group: slice) -> None:
+        """Write the (k, A) actions of a group at a step of the rollout to ``out``: the mean plus noise."""
+        del step, group
+        self._actor(seen, noise, out)
+
     # --- update -------------------------------------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
         """Improve the policy with the rollout; see :meth:`Learner.update`."""
         self.normalizer.merge(self.processes)
-        if len(self.rollout.demonstrations):
-            return self._imitate()
         policy, settings, rollout = self.policy, self.settings, self.rollout
         policy.set_training_mode(True)
+        # the step size of Adam: schedule times what earlier divergences have made of it
         rate = schedules.learning_rate(self.spec, self.steps) * self.rate_factor
         self._optimizer.lr = rate
         target_kl = schedules.target_kl(self.spec, self.steps)
@@ -253,20 +299,21 @@ class PPO(Learner):
         if settings.advantage_normalization == "rollout":
             mean, std = self._spread(samples.advantages)
             samples = replace(samples, advantages=(samples.advantages - mean) / (std + 1e-8))
-        samples = self._gradients.prepare(samples)
+        samples = self._losses.prepare(samples)
         batch_size = settings.batch_size // self.processes.size
         parameters = list(policy.parameters())
         losses: list[tuple[float, ...]] = []
         kls: list[float] = []
         for _ in range(settings.n_epochs):
+            # one pass over the rollout in minibatches of a new order
             order = torch.randperm(len(samples.returns), generator=self.generator)
             kls = []
             for first in range(0, len(samples.returns), batch_size):
                 chosen = order[first : first + batch_size]
                 # actor and critic share nothing but the norm of the gradient
-                critic = self._beside(self._gradients.critic, samples, chosen)
+                critic = self._beside(self._losses.critic, samples, chosen)
                 try:
-                    policy_loss, entropy, clipped, kl = self._gradients.actor(samples, chosen)
+                    policy_loss, entropy, clipped, kl = self._losses.actor(samples, chosen)
                 finally:
                     value_loss = critic()
                 policy_loss, value_loss, entropy, clipped, kl = self._mean_of_processes(
@@ -275,8 +322,10 @@ class PPO(Learner):
                 kls.append(kl)
                 losses.append((policy_loss, value_loss, entropy, clipped))
                 self._require_finite(losses[-1], kl)
+                # the policy is too far from the one that collected: no step more
                 if target_kl is not None and kl > 1.5 * target_kl:
                     break
+                # g <- g min(1, max_grad_norm / |g|), then Adam
                 if settings.max_grad_norm is not None:
                     nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
                 self._optimizer.step()
@@ -288,6 +337,7 @@ class PPO(Learner):
                 f"a weight or the actions' standard deviation is no longer finite after {self.steps} steps; "
                 "lower learning_rate"
             )
+        # checkpoints contain the running mean of the weights
         self._update_average()
         kl = float(np.mean(kls))
         if settings.learning_rate_schedule == "adaptive":
@@ -299,56 +349,9 @@ class PPO(Learner):
             "value_loss": value_loss_mean,
             "approx_kl": kl,
             "clip_fraction": clip_fraction,
-            "explained_variance": _explained_variance(rollout.values, rollout.returns),
+            "explained_variance": explained_variance(rollout.values, rollout.returns),
             "action_std": float(policy.log_std.detach().exp().mean()),
             "entropy": entropy_mean,
-            "learning_rate": rate,
-        }
-
-    def _imitation_left(self) -> float:
-        """Return the share of the imitation that is still to come: 1 at its beginning, 0 after it."""
-        steps: int = self.settings.imitation_steps
-        return max(0.0, 1.0 - self.steps / max(1, steps))
-
-    def _imitate(self) -> dict[str, float]:
-        """Fit the actor's means to the demonstrations, and the critic to the returns.
-
-        The demonstrations lead a share of the environments that goes down to none, so that the policy learns from the
-        states of a good motion first and from its own at last (Ross et al., 2011). The learning rate falls with it.
-        """
-        settings, rollout = self.settings, self.rollout
-        rate = _IMITATION_RATE * max(_LEAST_RATE, self._imitation_left())
-        self._optimizer.lr = rate
-        observations, returns = rollout.flat("observations"), rollout.flat("returns")
-        demonstrations = rollout.flat("demonstrations")
-        parameters = list(self.policy.parameters())
-        samples = Samples(observations, demonstrations, returns, returns, returns)
-        losses: list[tuple[float, ...]] = []
-        batch_size = settings.batch_size // self.processes.size
-        for _ in range(settings.n_epochs):
-            order = torch.randperm(len(returns), generator=self.generator)
-            for first in range(0, len(returns), batch_size):
-                chosen = order[first : first + batch_size]
-                figures = (self._imitation.imitation(samples, chosen), self._imitation.critic(samples, chosen))
-                losses.append(self._mean_of_processes(parameters, figures))
-                self._require_finite(losses[-1], 0.0)
-                self._optimizer.step()
-        self._n_passes += settings.n_epochs
-        self._update_average()
-        if self.steps >= settings.imitation_steps:
-            # PPO's gradients have another scale
-            self._optimizer.state.clear()
-            self._averaged = 0
-        self.updates += 1
-        policy_loss, value_loss = np.mean(losses, axis=0).tolist()
-        return {
-            "policy_loss": policy_loss,
-            "value_loss": value_loss,
-            "approx_kl": 0.0,
-            "clip_fraction": 0.0,
-            "explained_variance": _explained_variance(rollout.values, rollout.returns),
-            "action_std": float(self.policy.log_std.detach().exp().mean()),
-            "entropy": float(gaussian_entropy(self.policy.log_std.detach())),
             "learning_rate": rate,
         }
 
@@ -469,6 +472,11 @@ class PPO(Learner):
             }
 
 
+def _forget(*parameters: Tensor) -> None:
+    for parameter in parameters:
+        parameter.grad = None
+
+
 def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple[ActorCriticPolicy, Symmetry | None]:
     """Return stable-baselines3's actor-critic networks with their optimizer, initialized from the seed.
 
@@ -513,7 +521,8 @@ def _initialize_unit_norm(policy: ActorCriticPolicy) -> None:
                 module.bias.zero_()
 
 
-def _explained_variance(values: Float32Array, returns: Float32Array) -> float:
+def explained_variance(values: Float32Array, returns: Float32Array) -> float:
+    """Return which share of the returns' variance the values explain."""
     variance = float(np.var(returns))
     return 1.0 - float(np.var(returns - values)) / variance if variance > 0.0 else 0.0
 
