@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
 
     from naosprint.analysis.replay import Replay
+    from naosprint.analysis.robustness import Range
     from naosprint.arrays import BoolArray, FloatArray
     from naosprint.tasks.metrics import Chart, FieldLine, Metric, Reference
 
@@ -179,6 +180,29 @@ def trajectories(x: FloatArray, y: FloatArray, failed: BoolArray, lines: Sequenc
             ha="center",
         )
     axes.set_title("a cross marks a failure", fontsize=8.5)
+    return figure
+
+
+def robustness(ranges: Sequence[Range], most_failures: float) -> Figure:
+    """Plot the share of failed episodes over the strength of each disturbance that the simulator can do."""
+    shown = [each for each in ranges if each.points]
+    columns = min(3, max(1, len(shown)))
+    rows = -(-len(shown) // columns) or 1
+    figure = Figure(figsize=(3.4 * columns, 2.6 * rows), layout="constrained")
+    for number, each in enumerate(shown):
+        axes = figure.add_subplot(rows, columns, number + 1)
+        x = np.array([point.strength for point in each.points])
+        share, low, high = (
+            100.0 * np.array([getattr(point, name) for point in each.points]) for name in ("failures", "low", "high")
+        )
+        reach = np.stack([np.maximum(share - low, 0.0), np.maximum(high - share, 0.0)])
+        axes.errorbar(x, share, yerr=reach, color=_PALETTE[0], marker="o", markersize=4, capsize=2, linewidth=1.2)
+        axes.axhline(100.0 * most_failures, color=_REFERENCE, linewidth=1.0, linestyle="--")
+        axes.set(title=f"{each.disturbance.name}: {each.text()}", ylim=(-3.0, 103.0))
+        axes.set_xlabel(_with_unit(each.disturbance.title, each.disturbance.unit))
+        axes.set_ylabel(_with_unit("Failed episodes", "%"))
+        if each.disturbance.strengths[0] > each.disturbance.strengths[-1]:
+            axes.invert_xaxis()
     return figure
 
 

@@ -1,0 +1,211 @@
+"""Ranges of disturbances within which a policy keeps on its feet.
+
+For each disturbance the strength is searched up to which few enough episodes fail: first the most severe one, then by
+halving the grid of strengths, as if failures grew with it. Every point that was run is kept with its interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from naospec import EvaluationSpec
+
+from naosprint.analysis.evaluation import evaluate
+from naosprint.analysis.results import by_name
+from naosprint.rl.checkpoint import read_manifest
+from naosprint.tasks.statistics import wilson
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+CONFIDENCE = 0.95
+"""Level of the intervals."""
+
+SEED = 4242
+"""Seed of all episodes."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One way in which a world differs from the ideal one.
+
+    Attributes:
+        name: how users refer to it.
+        title: what the strength is.
+        unit: its unit.
+        strengths: from none to the most severe.
+        settings: the task's settings for a strength.
+    """
+
+    name: str
+    title: str
+    unit: str
+    strengths: tuple[float, ...]
+    settings: Callable[[float], dict[str, Any]]
+
+
+def _grid(first: float, last: float, count: int) -> tuple[float, ...]:
+    return tuple(round(first + (last - first) * k / count, 6) for k in range(count + 1))
+
+
+def _friction(factor: float) -> dict[str, Any]:
+    return {"friction_min": factor, "friction_max": factor}
+
+
+DISTURBANCES = (
+    Disturbance("pushes", "Pushes, every 2 s", "m/s", _grid(0.0, 3.0, 30), lambda v: {"push_mps": v}),
+    Disturbance("masses", "Masses differ by", "", _grid(0.0, 0.5, 20), lambda v: {"mass_variation": v}),
+    Disturbance("slippery", "Friction times", "", _grid(1.0, 0.1, 18), _friction),
+    Disturbance("rough", "Friction times", "", _grid(1.0, 3.0, 20), _friction),
+    Disturbance("delay", "Delay", "steps", _grid(0.0, 5.0, 5), lambda v: {"extra_delay": int(v)}),
+    Disturbance("noise", "Sensor noise", "", _grid(0.0, 5.0, 25), lambda v: {"sensor_noise": v}),
+)
+"""The disturbances that can be examined."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Episodes at one strength.
+
+    Attributes:
+        strength: of the disturbance.
+        failures: share of episodes that failed.
+        low, high: interval of that share.
+    """
+
+    strength: float
+    failures: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Range:
+    """What was found for one disturbance.
+
+    Attributes:
+        disturbance: which.
+        reached: most severe strength with few enough failures; None if there are too many even without it.
+        complete: whether that is the most severe one of all, so that the true range may be wider.
+        points: what was run, from none to the most severe.
+        impossible: why the robot's simulator cannot do it; empty if it can.
+    """
+
+    disturbance: Disturbance
+    reached: float | None
+    complete: bool
+    points: tuple[Point, ...]
+    impossible: str = ""
+
+    def text(self) -> str:
+        """Return the range for readers."""
+        if self.impossible:
+            return "not possible in this simulator"
+        if self.reached is None:
+            return "too many fail even without it"
+        if self.reached == self.disturbance.strengths[0]:
+            return "none"
+        unit = f" {self.disturbance.unit}" if self.disturbance.unit else ""
+        return f"{self.disturbance.strengths[0]:g} to {self.reached:g}{unit}" + (" and more" if self.complete else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as a JSON object."""
+        return {
+            "disturbance": self.disturbance.name,
+            "title": self.disturbance.title,
+            "unit": self.disturbance.unit,
+            "reached": self.reached,
+            "complete": self.complete,
+            "points": [[point.strength, point.failures, point.low, point.high] for point in self.points],
+            "impossible": self.impossible,
+        }
+
+
+def examine(
+    checkpoint: Path,
+    *,
+    episodes: int = 100,
+    most_failures: float = 0.05,
+    names: Sequence[str] = (),
+    threads: int = 2,
+    on_point: Callable[[Disturbance, Point], None] = lambda disturbance, point: None,
+) -> list[Range]:
+    """Search the range of each disturbance.
+
+    Args:
+        checkpoint: the policy.
+        episodes: episodes at each strength.
+        most_failures: share of episodes that may fail.
+        names: which disturbances; all by default.
+        threads: threads of the simulator.
+        on_point: called after each strength.
+
+    Raises:
+        ValueError: if a disturbance does not exist, or the task measures neither falls nor success.
+    """
+    known = {disturbance.name: disturbance for disturbance in DISTURBANCES}
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise ValueError(f"disturbance: {', '.join(unknown)}: unknown; choose among {', '.join(known)}")
+    found = []
+    for disturbance in (known[name] for name in names or known):
+        points: dict[int, Point] = {}
+
+        def passes(k: int, disturbance: Disturbance = disturbance, points: dict[int, Point] = points) -> bool:
+            points[k] = _run(checkpoint, disturbance, disturbance.strengths[k], episodes, threads)
+            on_point(disturbance, points[k])
+            return points[k].failures <= most_failures
+
+        last = len(disturbance.strengths) - 1
+        reached: int | None
+        try:
+            if passes(last):
+                reached = last
+            elif not passes(0):
+                reached = None
+            else:
+                reached, failing = 0, last
+                while failing - reached > 1:
+                    middle = (reached + failing) // 2
+                    reached, failing = (middle, failing) if passes(middle) else (reached, middle)
+        except _ImpossibleError as error:
+            found.append(Range(disturbance, None, False, (), str(error)))
+            continue
+        ordered = tuple(points[k] for k in sorted(points))
+        strength = None if reached is None else disturbance.strengths[reached]
+        found.append(Range(disturbance, strength, reached == last, ordered))
+    return found
+
+
+class _ImpossibleError(Exception):
+    """Disturbance that the simulator refuses."""
+
+
+def _run(checkpoint: Path, disturbance: Disturbance, strength: float, episodes: int, threads: int) -> Point:
+    """Run episodes at one strength, the others ideal."""
+    task = read_manifest(checkpoint).stage_spec.task.for_evaluation()
+    settings = disturbance.settings(strength)
+    spec = EvaluationSpec(
+        episodes=episodes,
+        seed=SEED,
+        trajectories=1,
+        bootstrap_resamples=100,
+        task={**task.model_dump(exclude_none=True), **settings},
+    )
+    try:
+        summary = evaluate(checkpoint, spec, threads=threads).summary
+    except ValueError as error:
+        if not any(name in str(error) for name in settings):
+            raise
+        raise _ImpossibleError(str(error)) from error
+    results = by_name(summary)
+    if "fall_rate" in results:
+        failures = float(results["fall_rate"]["value"])
+    elif "success_rate" in results:
+        failures = 1.0 - float(results["success_rate"]["value"])
+    else:
+        raise ValueError(f"task: {task.name} measures neither fall_rate nor success_rate; examine needs one of them")
+    low, high = wilson(round(failures * episodes), episodes, CONFIDENCE)
+    return Point(strength, failures, low, high)
