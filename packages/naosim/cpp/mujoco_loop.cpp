@@ -21,7 +21,7 @@
 #include "exchange_bindings.hpp"
 #include "mujoco_exchange.hpp"
 #include "mujoco_units.hpp"
-#include "t1_model.hpp"
+#include "humanoid.hpp"
 #include "thread_pool.hpp"
 
 namespace nb = nanobind;
@@ -32,7 +32,7 @@ using Addresses = nb::ndarray<const std::uint64_t, nb::shape<-1>, nb::c_contig, 
 using Output = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
 using naosim::mujoco::command_degrees, naosim::mujoco::kDegrees, naosim::mujoco::kRadians, naosim::mujoco::rotation_of;
-using naosim::protocol::MujocoExchange;
+using naosim::humanoid::Kernel, naosim::protocol::MujocoExchange;
 
 namespace {
 
@@ -40,14 +40,13 @@ namespace {
 using Step = void (*)(const void* model, void* data);
 using SetState = void (*)(const void* model, void* data, const double* state, int signature);
 using GetState = void (*)(const void* model, const void* data, double* state, int signature);
-using Compute = void (*)(const void* model, void* data);  // mj_kinematics, mj_comPos, mj_comVel
+using Compute = void (*)(const void* model, void* data);  // mj_kinematics and its like
 using Velocity = void (*)(const void* model, const void* data, int type, int body, double* result, int local);
 constexpr int kTime = 1, kBody = 2;  // mjSTATE_TIME, mjOBJ_XBODY
 
 constexpr double kFarthest = 1e4;                            // m; a world whose torso is farther away has diverged
 constexpr double kStep = 0.02;                               // s
 constexpr double kView = 60.0;                               // deg; limit of azimuth and elevation to all sides
-constexpr double kSliding = 0.1;                             // rad/s; joint friction is proportional to slower speeds
 
 // By default the library writes warnings to a file in the working directory. Here each world keeps its last one.
 thread_local std::string* world_warning = nullptr;
@@ -84,15 +83,15 @@ struct World {
   const void* model;
   void* data;
   double *ctrl, *sensordata, *qpos;
-  double *joint_speeds, *joint_torques;  // the joints' part of qvel and qfrc_applied
+  double* joint_speeds;  // the joints' part of qvel
   double *xpos, *xmat;                   // of all bodies
 };
 
 class Worlds {
  public:
   Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
-         const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds, const Addresses& torques,
-         const Addresses& xpos, const Addresses& xmat, const Doubles& friction, const std::vector<int>& bodies, int substeps,
+         const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds,
+         const Addresses& xpos, const Addresses& xmat, const std::vector<int>& bodies, int substeps,
          int delay, bool truncate, int threads)
       : step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
@@ -100,6 +99,7 @@ class Worlds {
         kinematics_(pointer_to<Compute>(functions["mj_kinematics"])),
         centres_(pointer_to<Compute>(functions["mj_comPos"])),
         velocities_(pointer_to<Compute>(functions["mj_comVel"])),
+        collision_(pointer_to<Compute>(functions["mj_collision"])),
         velocity_of_(pointer_to<Velocity>(functions["mj_objectVelocity"])),
         layout_(layout),
         substeps_(substeps),
@@ -109,9 +109,8 @@ class Worlds {
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
       worlds_.push_back({pointer<const void>(model), pointer<void>(data.data()[k]), pointer<double>(ctrl.data()[k]), pointer<double>(sensordata.data()[k]),
-                         pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]), pointer<double>(torques.data()[k]),
+                         pointer<double>(qpos.data()[k]), pointer<double>(speeds.data()[k]),
                          pointer<double>(xpos.data()[k]), pointer<double>(xmat.data()[k])});
-    friction_.assign(friction.data(), friction.data() + friction.size());
     const std::size_t n = worlds_.size(), joints = static_cast<std::size_t>(layout.joints);
     pending.assign(n * joints, 0.0);
     joint_angles.assign(n * joints, 0.0);
@@ -202,39 +201,46 @@ class Worlds {
     if (seen && layout_.parts) publish_ball(row);
   }
 
-  void set_model(int row, std::uint64_t model) { worlds_[row].model = pointer<const void>(model); }
+  void set_model(int row, std::uint64_t model) {
+    worlds_[row].model = pointer<const void>(model);
+    if (kernel_ != nullptr) robots_[row].model = worlds_[row].model;
+  }
 
-  // Step T1s together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`: addresses of
-  // qacc_warmstart.
-  void use_kernel(const std::string& isa, const Doubles& shared, const Addresses& warm) {
-    const naosim::t1::Kernel* kernel = naosim::t1::find_kernel(isa.empty() ? nullptr : isa.c_str());
+  // Step robots of one kind together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`:
+  // addresses of qacc_warmstart; `first_geom`: of the robot; `ball`: the ball's geom, -1 without one.
+  void use_kernel(const std::string& robot, const std::string& isa, const Doubles& shared, const Addresses& warm, double step, int first_geom, int ball) {
+    const Kernel* kernel = naosim::humanoid::find_kernel(robot.c_str(), isa.empty() ? nullptr : isa.c_str());
     require(kernel != nullptr, "isa: expected generic, avx2 or avx512, which this processor must have");
-    require(layout_.joints == naosim::t1::kJoints && layout_.torso == 0 && layout_.parts == 0, "kernel: a T1 without a ball is needed");
-    require(shared.size() * sizeof(double) == sizeof(naosim::t1::Shared) && warm.size() == worlds_.size(), "kernel: wrong number of numbers");
-    std::memcpy(&shared_, shared.data(), sizeof shared_);
-    varied_.resize(worlds_.size());
+    require(layout_.joints == kernel->topology.bodies - 1 && layout_.torso == (ball < 0 ? 0 : 7), "kernel: of another robot");
+    require(shared.size() * sizeof(double) == kernel->shared && warm.size() == worlds_.size(), "kernel: wrong number of numbers");
+    library_ = {kinematics_, collision_, step, first_geom, ball};
+    shared_.assign(shared.data(), shared.data() + shared.size());
+    varied_.resize(worlds_.size() * kernel->varied / sizeof(double));
     robots_.resize(worlds_.size());
-    for (std::size_t k = 0; k < worlds_.size(); ++k)
-      robots_[k] = {&varied_[k], worlds_[k].qpos, worlds_[k].joint_speeds - 6, pointer<double>(warm.data()[k]), worlds_[k].sensordata, worlds_[k].ctrl};
+    for (std::size_t k = 0; k < worlds_.size(); ++k) {
+      const World& world = worlds_[k];
+      double *speeds = world.joint_speeds - 6, *accelerations = pointer<double>(warm.data()[k]), *none = nullptr;
+      const bool with_ball = ball >= 0;
+      robots_[k] = {&varied_[k * kernel->varied / sizeof(double)], world.qpos + layout_.torso, speeds, accelerations + (with_ball ? 6 : 0), world.sensordata,
+                    world.ctrl, with_ball ? world.qpos : none, with_ball ? speeds - 6 : none, with_ball ? accelerations : none, world.model, world.data};
+    }
     kernel_ = kernel;
   }
 
   void set_numbers(int row, const Doubles& varied) {
-    require(kernel_ != nullptr && varied.size() * sizeof(double) == sizeof(naosim::t1::Varied), "numbers: wrong number");
-    std::memcpy(&varied_[row], varied.data(), sizeof(naosim::t1::Varied));
+    require(kernel_ != nullptr && varied.size() * sizeof(double) == kernel_->varied, "numbers: wrong number");
+    std::memcpy(&varied_[static_cast<std::size_t>(row) * varied.size()], varied.data(), kernel_->varied);
   }
 
   const char* kernel() const { return kernel_ != nullptr ? kernel_->name : ""; }
   std::uint64_t left_to_mujoco() const { return left_to_mujoco_; }
+  std::uint64_t collided_by_mujoco() const { return collided_; }
 
-  // Nothing but mj_step and the joints' friction, for benchmarks.
+  // Nothing but mj_step, for benchmarks.
   void step_bare(int cycles) {
     for (int cycle = 0; cycle < cycles; ++cycle)
       for (const World& world : worlds_)
-        for (int s = 0; s < substeps_; ++s) {
-          apply_friction(world);
-          step_(world.model, world.data);
-        }
+        for (int s = 0; s < substeps_; ++s) step_(world.model, world.data);
   }
 
   std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
@@ -256,7 +262,7 @@ class Worlds {
 
   void step_chunk(const double* targets, int first, int count, const std::uint8_t* active, int chunk) {
     const std::size_t joints = static_cast<std::size_t>(layout_.joints);
-    naosim::t1::Robot* robots[kChunk];
+    naosim::humanoid::Robot* robots[kChunk];
     int size = 0;
     for (int k = kChunk * chunk; k < std::min(count, kChunk * (chunk + 1)); ++k) {
       const int row = first + k;
@@ -266,14 +272,20 @@ class Worlds {
     }
     for (int s = 0; s < substeps_; ++s) {
       std::stable_sort(robots, robots + size, [](const auto* a, const auto* b) { return a->key < b->key; });
-      for (int k = 0; k < size; k += kernel_->lanes) kernel_->substep(shared_, robots + k, std::min(kernel_->lanes, size - k));
+      for (int k = 0; k < size; k += kernel_->lanes) kernel_->substep(shared_.data(), library_, robots + k, std::min(kernel_->lanes, size - k));
       for (int k = 0; k < size; ++k) {
         const int row = static_cast<int>(robots[k] - robots_.data());
+        collided_ += robots[k]->collided;
         if (!robots[k]->settled) {
           world_warning = &warnings[row];
           step_(worlds_[row].model, worlds_[row].data);
           world_warning = nullptr;
           ++left_to_mujoco_;
+        } else if (layout_.parts) {
+          double time;
+          get_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
+          time += library_.step;
+          set_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
         }
         note_contacts(row, s);
       }
@@ -301,7 +313,6 @@ class Worlds {
     command(row, targets);
     world_warning = &warnings[row];
     for (int s = 0; s < substeps_; ++s) {
-      apply_friction(world);
       step_(world.model, world.data);
       note_contacts(row, s);
     }
@@ -315,12 +326,6 @@ class Worlds {
   template <class T>
   static T pointer_to(nb::handle address) {
     return reinterpret_cast<T>(static_cast<std::uintptr_t>(nb::cast<std::uint64_t>(address)));
-  }
-
-  // Coulomb friction of the joints as torques, where the model has none.
-  void apply_friction(const World& world) const {
-    for (std::size_t j = 0; j < friction_.size(); ++j)
-      world.joint_torques[j] = -friction_[j] * std::fmax(-1.0, std::fmin(1.0, world.joint_speeds[j] / kSliding));
   }
 
   void note_contacts(int row, int substep) {
@@ -397,18 +402,17 @@ class Worlds {
   Step step_;
   SetState set_state_;
   GetState get_state_;
-  Compute kinematics_, centres_, velocities_;
+  Compute kinematics_, centres_, velocities_, collision_;
   Velocity velocity_of_;
   Layout layout_;
   int substeps_, delay_;
   bool truncate_;
   std::vector<World> worlds_;
-  std::vector<double> friction_;
-  const naosim::t1::Kernel* kernel_ = nullptr;  // null: mj_step
-  naosim::t1::Shared shared_;
-  std::vector<naosim::t1::Varied> varied_;
-  std::vector<naosim::t1::Robot> robots_;
-  std::atomic<std::uint64_t> left_to_mujoco_{0};  // substeps
+  const Kernel* kernel_ = nullptr;  // null: mj_step
+  naosim::humanoid::Library library_;
+  std::vector<double> shared_, varied_;  // Shared, and row by row Varied, of humanoid_model.hpp
+  std::vector<naosim::humanoid::Robot> robots_;
+  std::atomic<std::uint64_t> left_to_mujoco_{0}, collided_{0};  // substeps
   std::vector<int> bodies_;  // whose motion is published
   std::map<int, Cycle> cycles_;  // in the background, by their first row
   naosim::ThreadPool pool_;      // last: its helpers use the rest
@@ -422,23 +426,32 @@ int row_of(const Worlds& worlds, int row) {
 }  // namespace
 
 NB_MODULE(_mujoco, m) {
+  m.def("topology", [](const std::string& robot) {
+    const Kernel* kernel = naosim::humanoid::find_kernel(robot.c_str(), nullptr);
+    require(kernel != nullptr, "robot: no kernel is compiled for it");
+    const auto& t = kernel->topology;
+    const auto list = [](const int* values, int count) { return std::vector<int>(values, values + count); };
+    nb::dict out;
+    out["parents"] = list(t.parents, t.bodies), out["axes"] = list(t.axes, t.bodies);
+    out["geom_bodies"] = list(t.geom_bodies, t.geoms), out["geom_shapes"] = list(t.geom_shapes, t.geoms);
+    return out;
+  });
   nb::class_<Worlds>(m, "Worlds")
       .def("__init__",
            [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature, int parts,
               const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos,
-              const Addresses& speeds, const Addresses& torques, const Addresses& xpos, const Addresses& xmat, const Doubles& friction,
+              const Addresses& speeds, const Addresses& xpos, const Addresses& xmat,
               const std::vector<int>& bodies, int substeps, int delay, bool truncate, int threads) {
              require(data.size() >= 1, "one world at least");
-             for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &torques, &xpos, &xmat})
+             for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &xpos, &xmat})
                require(each->size() == data.size(), "one address per world is needed");
-             require(friction.size() == 0 || friction.size() == static_cast<std::size_t>(joints), "friction: one value per joint, or none");
              require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1 && parts >= 0, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
              new (self) Worlds(functions, model, {joints, positions, torso, state, signature, parts}, data, ctrl, sensordata, qpos, speeds,
-                               torques, xpos, xmat, friction, bodies, substeps, delay, truncate, threads);
+                               xpos, xmat, bodies, substeps, delay, truncate, threads);
            }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
            nb::arg("state"), nb::arg("signature"), nb::arg("parts"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
-           nb::arg("speeds"), nb::arg("torques"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("friction"), nb::arg("bodies"),
+           nb::arg("speeds"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("bodies"),
            nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
       .def("step",
            [](Worlds& self, const Doubles& targets, int first, const std::optional<Bytes>& active) {
@@ -485,10 +498,12 @@ NB_MODULE(_mujoco, m) {
            })
       .def("refresh", [](Worlds& self, int row, bool seen) { self.refresh(row_of(self, row), seen); }, nb::arg("row"), nb::arg("seen"))
       .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
-      .def("use_kernel", &Worlds::use_kernel, nb::arg("isa"), nb::arg("shared"), nb::arg("warm"))
+      .def("use_kernel", &Worlds::use_kernel, nb::arg("robot"), nb::arg("isa"), nb::arg("shared"), nb::arg("warm"), nb::arg("step"),
+           nb::arg("first_geom"), nb::arg("ball"))
       .def("set_numbers", [](Worlds& self, int row, const Doubles& varied) { self.set_numbers(row_of(self, row), varied); })
       .def_prop_ro("kernel", &Worlds::kernel)
       .def_prop_ro("left_to_mujoco", &Worlds::left_to_mujoco)
+      .def_prop_ro("collided_by_mujoco", &Worlds::collided_by_mujoco)
       .def("warning", [](const Worlds& self, int row) { return self.warnings[row_of(self, row)]; })
       .def_prop_ro("threads", [](const Worlds& self) { return reinterpret_cast<std::uintptr_t>(self.threads()); })
       .def_prop_ro("row_size", [](const Worlds& self) { return self.layout().row(); })

@@ -1,4 +1,4 @@
-// Written by t1_factor.py; included by t1_dynamics.hpp within its namespace.
+// Written by topology.py; included by humanoid_dynamics.hpp within its namespace.
 inline void factor_tree(Real* __restrict H, Real* __restrict inv) {
   Real D[29];
   {

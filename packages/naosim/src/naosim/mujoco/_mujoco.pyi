@@ -4,6 +4,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+def topology(robot: str) -> dict[str, list[int]]: ...
+
 class Worlds:
     def __init__(
         self,
@@ -21,10 +23,8 @@ class Worlds:
         sensordata: NDArray[np.uint64],
         qpos: NDArray[np.uint64],
         speeds: NDArray[np.uint64],
-        torques: NDArray[np.uint64],
         xpos: NDArray[np.uint64],
         xmat: NDArray[np.uint64],
-        friction: NDArray[np.float64],
         bodies: list[int],
         substeps: int,
         delay: int,
@@ -40,12 +40,23 @@ class Worlds:
     def load(self, row: int, from_: NDArray[np.float64], /) -> None: ...
     def refresh(self, row: int, seen: bool) -> None: ...
     def set_model(self, row: int, model: int) -> None: ...
-    def use_kernel(self, isa: str, shared: NDArray[np.float64], warm: NDArray[np.uint64]) -> None: ...
+    def use_kernel(
+        self,
+        robot: str,
+        isa: str,
+        shared: NDArray[np.float64],
+        warm: NDArray[np.uint64],
+        step: float,
+        first_geom: int,
+        ball: int,
+    ) -> None: ...
     def set_numbers(self, row: int, varied: NDArray[np.float64], /) -> None: ...
     @property
     def kernel(self) -> str: ...
     @property
     def left_to_mujoco(self) -> int: ...
+    @property
+    def collided_by_mujoco(self) -> int: ...
     def warning(self, row: int) -> str: ...
     @property
     def threads(self) -> int: ...

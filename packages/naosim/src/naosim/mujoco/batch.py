@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim.mujoco.t1 import shared_numbers, topology_difference, varied_numbers
+from naosim.mujoco.humanoid import Parts, shared_numbers, topology_difference, varied_numbers
 from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
@@ -31,7 +31,7 @@ class MujocoBatch:
         delay: steps by which commands are delayed, 0 or 1.
         truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
         threads: threads that step the worlds.
-        isa: instruction set of the kernel for T1s: ``generic``, ``avx2``, ``avx512``; empty for the best.
+        isa: instruction set of the kernel: ``generic``, ``avx2``, ``avx512``; empty for the best.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
@@ -76,10 +76,8 @@ class MujocoBatch:
             sensordata=_addresses(data.sensordata.ctypes.data for data in self.data),
             qpos=_addresses(data.qpos.ctypes.data for data in self.data),
             speeds=_addresses(data.qvel[world.first_speed :].ctypes.data for data in self.data),
-            torques=_addresses(data.qfrc_applied[world.first_speed :].ctypes.data for data in self.data),
             xpos=_addresses(data.xpos.ctypes.data for data in self.data),
             xmat=_addresses(data.xmat.ctypes.data for data in self.data),
-            friction=world.friction,
             bodies=list(world.moving),
             substeps=SUBSTEPS,
             delay=delay,
@@ -92,7 +90,16 @@ class MujocoBatch:
             if difference:
                 raise ValueError(f"exact: the fast engine cannot step this robot because {difference}; use exact=true")
             warm = _addresses(data.qacc_warmstart.ctypes.data for data in self.data)
-            self._worlds.use_kernel(isa, shared_numbers(world), warm)
+            parts = Parts(world)
+            self._worlds.use_kernel(
+                world.robot.lower(),
+                isa,
+                shared_numbers(world),
+                warm,
+                world.model.opt.timestep,
+                parts.geoms.start,
+                parts.ball,
+            )
             for row in range(n):
                 self._worlds.set_numbers(row, varied_numbers(world))
         views = self._worlds.views()
@@ -139,7 +146,7 @@ class MujocoBatch:
         self._worlds.step_unchanged()
 
     def step_bare(self, cycles: int) -> None:
-        """Call ``mj_step`` four times a cycle, with joint friction and nothing else, in this thread."""
+        """Call ``mj_step`` four times a cycle and nothing else, in this thread."""
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: World) -> None:
@@ -153,6 +160,11 @@ class MujocoBatch:
     def left_to_mujoco(self) -> int:
         """Number of substeps that the kernel left to ``mj_step``; see docs/explanation/engine.md."""
         return self._worlds.left_to_mujoco
+
+    @property
+    def collided_by_mujoco(self) -> int:
+        """Number of substeps in which MuJoCo found some of a robot's contacts for the kernel."""
+        return self._worlds.collided_by_mujoco
 
     def warning(self, row: int) -> str:
         """Return the last warning that MuJoCo gave about a world since it was loaded."""
@@ -254,7 +266,8 @@ def _functions() -> dict[str, int]:
     """Return the addresses of what the loop uses of the library that the Python package has loaded."""
     mujoco = library()
     loaded = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))  # loaded already
-    steps, motion = ("mj_step", "mj_getState", "mj_setState"), ("kinematics", "comPos", "comVel", "objectVelocity")
+    steps = ("mj_step", "mj_getState", "mj_setState")
+    motion = ("kinematics", "collision", "comPos", "comVel", "objectVelocity")
     names = (*steps, *(f"mj_{name}" for name in motion))
     functions = {name: ctypes.cast(getattr(loaded, name), ctypes.c_void_p).value or 0 for name in names}
     return functions | {"mju_user_warning": ctypes.addressof(ctypes.c_void_p.in_dll(loaded, "mju_user_warning"))}

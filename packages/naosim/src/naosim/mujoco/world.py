@@ -49,8 +49,8 @@ PREFIX = "robot-"
 BALL_JOINT = 0
 """Where the ball's coordinates begin in ``qpos`` and ``qvel``."""
 
-_SHANKS = {"T1": ("Shank_Left", "Shank_Right"), "K1": ("Left_Shank", "Right_Shank")}
-_FOREARMS = {"T1": ("AL3", "AR3"), "K1": ("Left_Arm_3", "Right_Arm_3")}
+SHANKS = {"T1": ("Shank_Left", "Shank_Right"), "K1": ("Left_Shank", "Right_Shank")}
+FOREARMS = {"T1": ("AL3", "AR3"), "K1": ("Left_Arm_3", "Right_Arm_3")}
 
 
 class MujocoUnavailableError(FileNotFoundError):
@@ -104,8 +104,6 @@ class World:
         joints: number of the robot's joints.
         torso: where the torso's seven coordinates begin in ``qpos``; the joints follow them. The ball's come before, if
             there is a ball.
-        friction: (J,) Coulomb friction of the joints in N m, to be applied as torques; empty if the model has it as a
-            constraint.
         scene: what is reported besides the robot. An exact world has a ball in every scene, since it takes part in the
             constraint solver.
     """
@@ -113,10 +111,11 @@ class World:
     model: Any
     joints: int
     torso: int
-    friction: Floats
     scene: Scene = PLAIN
+    robot: str = "T1"
+    """Model of the robot, ``T1`` or ``K1``."""
     kernel: bool = False
-    """Whether the kernel for T1s steps the world instead of ``mj_step``."""
+    """Whether the robot's kernel steps the world instead of ``mj_step``."""
 
     @property
     def ball(self) -> bool:
@@ -212,9 +211,7 @@ def world_of(robot: Robot, *, exact: bool = True, scene: Scene = PLAIN) -> World
 def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
-    A T1's world that is not exact lacks only the ball, and the kernel for T1s steps it. A K1's has neither ball nor
-    air. With a ball in the scene both have it and the air, but a T1's joint friction is not part of the constraint
-    solver, which takes most of a step.
+    A world that is not exact has a ball only in a scene with one, and the robot's kernel steps it.
     """
     mujoco = library()
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
@@ -258,24 +255,17 @@ def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
     model = world.compile()
     # a world that diverges stays where it is, for the caller to see, instead of being reset automatically
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-    joints, friction = model.nu // 3, np.zeros(0)
-    kernel = robot == "T1" and not exact and not scene.ball
     if not exact:
-        if not scene.ball and not kernel:
-            model.opt.density = model.opt.viscosity = 0.0
         # one robot is one island: to look for islands costs time and changes nothing
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
-        if model.dof_frictionloss.any() and not kernel:
-            friction = model.dof_frictionloss[-joints:].copy()
-            model.dof_frictionloss[:] = 0.0
-    return World(model, joints, 7 if exact or scene.ball else 0, friction, scene, kernel)
+    return World(model, model.nu // 3, 7 if exact or scene.ball else 0, scene, robot, kernel=not exact)
 
 
 def _add_ball_sensors(world: Any, robot: str, mujoco: Any) -> None:
     """Add what is noted of the ball, last in sensordata: parts that touch it, and its place in the camera's frame."""
     body, subtree, site = (getattr(mujoco.mjtObj, f"mjOBJ_{name}") for name in ("BODY", "XBODY", "SITE"))
-    parts = [(body, name) for name in (*FEET, *_SHANKS[robot])]
-    parts += [(subtree, name) for name in (*_FOREARMS[robot], "torso")]
+    parts = [(body, name) for name in (*FEET, *SHANKS[robot])]
+    parts += [(subtree, name) for name in (*FOREARMS[robot], "torso")]
     for name, (kind, part) in zip(TOUCHING, parts, strict=True):
         world.add_sensor(
             name=f"ball-{name}",

@@ -1,13 +1,14 @@
-// Smooth dynamics of a group of T1s: kinematics, bias forces, motors, air, the inertia matrix, and the step in time.
+// Smooth dynamics of a group of humanoids: kinematics, bias forces, motors, air, the inertia matrix, and the step in time.
 //
 // Everything is in world axes about the torso's origin, so that inertias and forces of bodies add without being moved.
 #pragma once
 #include <cstring>
+#include <vector>
 
 #include "lanes.hpp"
-#include "t1_model.hpp"
+#include "humanoid_model.hpp"
 
-namespace naosim::t1::NAOSIM_ISA {
+namespace naosim::NAOSIM_ROBOT::NAOSIM_ISA {
 
 using namespace naosim::NAOSIM_ISA;
 
@@ -38,9 +39,10 @@ inline void sincos(Real x, Real& s, Real& c) {
   c = select(c1, -cc, cc);
 }
 
-// State of the robots of a group.
+// State of the robots of a group, and of their balls: place, orientation; speeds in world axes.
 struct Group {
-  Real qpos[kPositions], qvel[kSpeeds], warm[kSpeeds], target[kJoints];
+  Real qpos[kPositions], qvel[kAll], warm[kAll], target[kJoints];
+  Real ball[7];
 };
 
 // A contact of a geom with the floor: four rows n +- mu t1, n +- mu t2 with the same weight d.
@@ -62,6 +64,17 @@ struct Pair {
   Real d, mu, un, u1, u2, dn, d1, d2, cn, c1, c2;
 };
 
+// A contact of any two bodies, the world (-1) and the ball among them: rows n +- mu[k - 1] q, with q the other directions of `u`:
+// along t and s, about n, t and s. The ball touches in six dimensions, everything else in three.
+struct Contact {
+  long key;      // of geoms and number: their order in every group
+  int a, b, dim, level;
+  Mask exists, active[10];
+  Vec r, ball;   // about the torso's origin, about the ball's centre
+  Vec n, t, s;
+  Real d, mu[5], u[6], du[6], c[6];
+};
+
 constexpr int kMostPoints = 32, kMostPairs = kGeoms * (kGeoms - 1) / 2;
 
 // What a substep computes, of one group.
@@ -72,14 +85,19 @@ struct Work {
   Real mass[kBodies], I[kBodies][6];         // of the body, then of all that hangs on it
   Vec hm[kBodies];                           // mass times centre
   Spatial vel[kBodies], acc[kBodies], frc[kBodies];
-  Real M[kEntries], H[kEntries], inv[kSpeeds], fs[kSpeeds];  // inertia, Hessian, 1 / D of its factors, qfrc_smooth
-  Real a[kSpeeds], Ma[kSpeeds], g[kSpeeds], p[kSpeeds], Mp[kSpeeds];
-  Spatial tw[kBodies], wr[kBodies];
+  Real M[at(kSpeeds, 0)], H[kEntries], inv[kAll], fs[kAll];  // inertia, Hessian, 1 / D of its factors, qfrc_smooth
+  Real a[kAll], Ma[kAll], g[kAll], p[kAll], Mp[kAll];
+  Spatial tw[kBodies + 1], wr[kBodies + 1];  // the ball's about its centre
   Real Kc[kBodies][21];                      // stiffness of the contacts at a body and below
   Point pt[kMostPoints];
   int npt;
   Pair pr[kMostPairs];
   int npr;
+  std::vector<Contact> more;                 // by key
+  int speeds;                                // kSpeeds, or kAll with a ball
+  Vec ball;                                  // the ball's centre
+  Rot ball_rot;
+  int coupled, columns[kSpeeds];             // speeds of the robot that contacts with the ball couple to it
   int nlim, lim[kJoints];
   Real lim_d[kJoints], lim_s[kJoints], lim_c[kJoints];
   Mask lim_act[kJoints];
@@ -88,6 +106,8 @@ struct Work {
   bool used[kBodies];                        // bodies with a contact at them or below
   int pattern;                               // of H's sparsity
   Mask flagged;                              // lanes that mj_step must take
+  Mask searched;                             // lanes whose other contacts MuJoCo has to find
+  Mask touching[8];                          // parts of the robot that touch the ball
   int iterations[kLanes];
 };
 
@@ -106,17 +126,24 @@ inline Rot times(const Rot& a, const double* b) {
   return out;
 }
 
+// Rotation of a quaternion that need not be normalised.
+inline Rot rotation_of(const Real* q) {
+  const Real n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  const Real a = q[0] * n, b = q[1] * n, c = q[2] * n, d = q[3] * n;
+  Rot r;
+  r.m[0][0] = a * a + b * b - c * c - d * d, r.m[1][1] = a * a - b * b + c * c - d * d, r.m[2][2] = a * a - b * b - c * c + d * d;
+  r.m[0][1] = 2.0 * (b * c - a * d), r.m[0][2] = 2.0 * (b * d + a * c), r.m[1][0] = 2.0 * (b * c + a * d);
+  r.m[1][2] = 2.0 * (c * d - a * b), r.m[2][0] = 2.0 * (b * d - a * c), r.m[2][1] = 2.0 * (c * d + a * b);
+  return r;
+}
+
 // Frames, hinge axes and inertias about the torso's origin: I_o = R I_c R^T + m (c^2 1 - c c^T).
 inline void kinematics(const Shared& m, const Group& g, Work& w) {
-  {
-    const Real* q = g.qpos + 3;
-    const Real n = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    const Real a = q[0] * n, b = q[1] * n, c = q[2] * n, d = q[3] * n;
-    Rot& r = w.rot[0];
-    r.m[0][0] = a * a + b * b - c * c - d * d, r.m[1][1] = a * a - b * b + c * c - d * d, r.m[2][2] = a * a - b * b - c * c + d * d;
-    r.m[0][1] = 2.0 * (b * c - a * d), r.m[0][2] = 2.0 * (b * d + a * c), r.m[1][0] = 2.0 * (b * c + a * d);
-    r.m[1][2] = 2.0 * (c * d - a * b), r.m[2][0] = 2.0 * (b * d - a * c), r.m[2][1] = 2.0 * (c * d + a * b);
-    w.r[0] = zero_vec();
+  w.rot[0] = rotation_of(g.qpos + 3);
+  w.r[0] = zero_vec();
+  if (w.speeds == kAll) {
+    w.ball_rot = rotation_of(g.ball + 3);
+    w.ball = load(g.ball) - load(g.qpos);
   }
   for (int b = 1; b < kBodies; ++b) {
     const int p = kParent[b], ax = kAxis[b], a1 = (ax + 1) % 3, a2 = (ax + 2) % 3;
@@ -157,11 +184,8 @@ inline void kinematics(const Shared& m, const Group& g, Work& w) {
 
 // The air's force on a body, MuJoCo's inertia-box model: viscous drag of a sphere as wide as the box's mean side,
 // -3 pi d eta v and -pi d^3 eta w, and quadratic drag of the sides, in inertial axes at the centre of mass.
-inline Spatial air(const Shared& m, const Work& w, int b) {
-  const Rot axes = times(w.rot[b], m.principal[b]);
-  const Vec c = w.r[b] + rotate(w.rot[b], m.centre[b]);
-  const Vec spin = inverse_rotate(axes, w.vel[b].w), speed = inverse_rotate(axes, w.vel[b].v + cross(w.vel[b].w, c));
-  const double* s = m.box[b];
+inline Spatial air(const Shared& m, const Rot& axes, const double* s, Vec c, Vec turning_speed, Vec centre_speed) {
+  const Vec spin = inverse_rotate(axes, turning_speed), speed = inverse_rotate(axes, centre_speed);
   const double pi = 3.14159265358979323846, width = (s[0] + s[1] + s[2]) / 3.0;
   const double v1 = 3.0 * pi * width * m.viscosity, w1 = pi * width * width * width * m.viscosity;
   const double s4[3] = {s[0] * s[0] * s[0] * s[0], s[1] * s[1] * s[1] * s[1], s[2] * s[2] * s[2] * s[2]};
@@ -194,7 +218,16 @@ inline void forces(const Shared& m, const Group& g, Work& w) {
   for (int b = 0; b < kBodies; ++b) {  // f = I a + v x* I v
     const Spatial l = apply(w.mass[b], w.hm[b], w.I[b], w.vel[b]), f = apply(w.mass[b], w.hm[b], w.I[b], w.acc[b]);
     w.frc[b] = {f.w + cross(w.vel[b].w, l.w) + cross(w.vel[b].v, l.v), f.v + cross(w.vel[b].w, l.v)};
-    if (in_air) w.frc[b] = w.frc[b] - air(m, w, b);
+    if (!in_air) continue;
+    const Vec c = w.r[b] + rotate(w.rot[b], m.centre[b]), spin = w.vel[b].w;
+    w.frc[b] = w.frc[b] - air(m, times(w.rot[b], m.principal[b]), m.box[b], c, spin, w.vel[b].v + cross(spin, c));
+  }
+  if (w.speeds == kAll) {
+    const double sides[3] = {m.ball.side, m.ball.side, m.ball.side};
+    const Real* v = qd + kSpeeds;
+    const Spatial f = in_air ? air(m, w.ball_rot, sides, zero_vec(), {v[3], v[4], v[5]}, {v[0], v[1], v[2]}) : Spatial{zero_vec(), zero_vec()};
+    Real* to = w.fs + kSpeeds;
+    to[0] = f.v.x, to[1] = f.v.y, to[2] = f.v.z + m.ball.mass * w.numbers.gravity, to[3] = f.w.x, to[4] = f.w.y, to[5] = f.w.z;
   }
   for (int b = kBodies - 1; b > 0; --b) {
     const int j = b - 1;
@@ -234,7 +267,7 @@ inline void inertia(const Shared& m, Work& w) {
   }
 }
 
-#include "t1_factor.hpp"
+#include NAOSIM_FACTOR
 
 // The same for a matrix without zeros, in the same order of operations: H = L^T D L in place, row by row from the last.
 inline void factor_dense(Real* __restrict H, Real* __restrict inv) {
@@ -269,10 +302,10 @@ inline void factor_dense(Real* __restrict H, Real* __restrict inv) {
 
 inline void solve_dense(const Real* H, const Real* inv, Real* x) {
   for (int i = kSpeeds - 1; i >= 0; --i) {
-    // two sums by the parity of the index, as in t1_factor.hpp
+    // two sums by the parity of the index, as in the written code
     Real even = x[i], odd = splat(0);
-    for (int k = kSpeeds - 1; k > i; k -= 2) even -= H[at(k, i)] * x[k];
-    for (int k = kSpeeds - 2; k > i; k -= 2) odd += H[at(k, i)] * x[k];
+    for (int k = (kSpeeds - 1) / 2 * 2; k > i; k -= 2) even -= H[at(k, i)] * x[k];
+    for (int k = kSpeeds / 2 * 2 - 1; k > i; k -= 2) odd += H[at(k, i)] * x[k];
     x[i] = even - odd;
   }
   for (int i = 0; i < kSpeeds; ++i) x[i] *= inv[i];
@@ -284,23 +317,12 @@ inline void solve_dense(const Real* H, const Real* inv, Real* x) {
   }
 }
 
-// Step in time with implicit damping: (M + h B) x = M qacc, v += h x, q += h v, quaternion times exp(h w).
-inline void integrate(const Shared& m, Group& g, Work& w) {
-  copy_tree_fast(w.M, w.H);
-  for (int i = 6; i < kSpeeds; ++i) w.H[at(i, i)] += m.step * m.damping[i];
-  factor_tree(w.H, w.inv);
-  Real x[kSpeeds];
-  for (int i = 0; i < kSpeeds; ++i) x[i] = w.Ma[i];
-  solve_tree(w.H, w.inv, x);
-  for (int i = 0; i < kSpeeds; ++i) g.qvel[i] += m.step * x[i], g.warm[i] = w.a[i];
-  for (int i = 0; i < 3; ++i) g.qpos[i] += m.step * g.qvel[i];
-  for (int j = 0; j < kJoints; ++j) g.qpos[7 + j] += m.step * g.qvel[6 + j];
-  const Vec o = {g.qvel[3], g.qvel[4], g.qvel[5]};
+// The quaternion q, normalised, times exp(h w): w in body axes.
+inline void turn(Real* q, Vec o, double step) {
   const Real n = sqrt(dot(o, o));
   Real s, c;
-  sincos(n * 0.5 * m.step, s, c);
+  sincos(n * 0.5 * step, s, c);
   const Real k = select(n > 1e-15, s / max(n, splat(1e-300)), splat(0));
-  Real* q = g.qpos + 3;
   const Real nq = 1.0 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
   const Real a0 = q[0] * nq, a1 = q[1] * nq, a2 = q[2] * nq, a3 = q[3] * nq, b1 = k * o.x, b2 = k * o.y, b3 = k * o.z;
   q[0] = a0 * c - a1 * b1 - a2 * b2 - a3 * b3;
@@ -309,4 +331,26 @@ inline void integrate(const Shared& m, Group& g, Work& w) {
   q[3] = a0 * b3 + a1 * b2 - a2 * b1 + a3 * c;
 }
 
-}  // namespace naosim::t1::NAOSIM_ISA
+// Step in time with implicit damping: (M + h B) x = M qacc, v += h x, q += h v.
+inline void integrate(const Shared& m, Group& g, Work& w) {
+  Real x[kSpeeds];
+  if (m.damped != 0.0) {
+    copy_tree_fast(w.M, w.H);
+    for (int i = 6; i < kSpeeds; ++i) w.H[at(i, i)] += m.step * m.damping[i];
+    factor_tree(w.H, w.inv);
+    for (int i = 0; i < kSpeeds; ++i) x[i] = w.Ma[i];
+    solve_tree(w.H, w.inv, x);
+  } else {
+    for (int i = 0; i < kSpeeds; ++i) x[i] = w.a[i];
+  }
+  for (int i = 0; i < kSpeeds; ++i) g.qvel[i] += m.step * x[i], g.warm[i] = w.a[i];
+  for (int i = 0; i < 3; ++i) g.qpos[i] += m.step * g.qvel[i];
+  for (int j = 0; j < kJoints; ++j) g.qpos[7 + j] += m.step * g.qvel[6 + j];
+  turn(g.qpos + 3, {g.qvel[3], g.qvel[4], g.qvel[5]}, m.step);
+  if (w.speeds == kSpeeds) return;
+  for (int i = kSpeeds; i < kAll; ++i) g.qvel[i] += m.step * w.a[i], g.warm[i] = w.a[i];
+  for (int i = 0; i < 3; ++i) g.ball[i] += m.step * g.qvel[kSpeeds + i];
+  turn(g.ball + 3, inverse_rotate(w.ball_rot, load(g.qvel + kSpeeds + 3)), m.step);
+}
+
+}  // namespace naosim::NAOSIM_ROBOT::NAOSIM_ISA

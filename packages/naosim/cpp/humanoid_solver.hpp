@@ -1,11 +1,11 @@
-// MuJoCo's convex cost of the accelerations of a group of T1s, minimised by Newton's method to the end.
+// MuJoCo's convex cost of the accelerations of a group of humanoids, minimised by Newton's method to the end.
 //
 // cost(a) = 1/2 (a - a_smooth)^T M (a - a_smooth) + sum of s(J a - aref) over the rows. It is strictly convex and piecewise
 // quadratic: whichever exact method finds the minimum finds MuJoCo's.
 #pragma once
-#include "t1_contacts.hpp"
+#include "humanoid_contacts.hpp"
 
-namespace naosim::t1::NAOSIM_ISA {
+namespace naosim::NAOSIM_ROBOT::NAOSIM_ISA {
 
 // Velocities of the bodies that x means.
 inline void twists(Work& w, const Real* x) {
@@ -17,6 +17,22 @@ inline void twists(Work& w, const Real* x) {
       const Spatial& t = w.tw[kParent[b]];
       w.tw[b] = {t.w + x[5 + b] * w.ax[b], t.v + x[5 + b] * w.sv[b]};
     }
+  if (w.speeds == kAll) w.tw[kBall] = {load(x + kSpeeds + 3), load(x + kSpeeds)};
+}
+
+// Spin and velocity of a body at a contact.
+inline Spatial motion_at(const Work& w, int body, const Contact& c) {
+  if (body < 0) return {zero_vec(), zero_vec()};
+  const Spatial& t = w.tw[body];
+  return {t.w, velocity_at(t, body == kBall ? c.ball : c.r)};
+}
+
+// J^T f of a contact's force and torque on one body.
+inline void push(Work& w, int body, const Contact& c, Vec force, Vec torque, double sign) {
+  if (body < 0) return;
+  Spatial& to = w.wr[body];
+  to.v = to.v + sign * force;
+  to.w = to.w + sign * (cross(body == kBall ? c.ball : c.r, force) + torque);
 }
 
 // Forces along n, t1, t2 and active rows of a point.
@@ -44,7 +60,7 @@ inline Mask rows(const Shared& m, Work& w) {
     w.wr[p.body].v = w.wr[p.body].v + F;
     w.wr[p.body].w = w.wr[p.body].w + cross(p.r, F);
   }
-  for (int i = 0; i < kSpeeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
+  for (int i = 0; i < w.speeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
   for (int i = 0; i < w.npr; ++i) {
     Pair& p = w.pr[i];
     const Real m1 = p.mu * p.u1, m2 = p.mu * p.u2;
@@ -60,6 +76,29 @@ inline Mask rows(const Shared& m, Work& w) {
     const Vec F = fn * p.n + f1 * p.t + f2 * p.s, t = cross(p.r, F);
     w.wr[p.b].v = w.wr[p.b].v + F, w.wr[p.b].w = w.wr[p.b].w + t;
     w.wr[p.a].v = w.wr[p.a].v - F, w.wr[p.a].w = w.wr[p.a].w - t;
+  }
+  w.wr[kBall] = {{z, z, z}, {z, z, z}};
+  for (Contact& p : w.more) {
+    Real f[6] = {z, z, z, z, z, z};
+    for (int k = 1; k < p.dim; ++k) {
+      const Real m1 = p.mu[k - 1] * p.u[k], j[2] = {p.u[0] + m1, p.u[0] - m1};
+      Real r[2];
+      for (int i = 0; i < 2; ++i) {
+        Mask& active = p.active[2 * k - 2 + i];
+        const Mask a = (j[i] < 0.0) & p.exists;
+        changed |= a ^ active;
+        active = a;
+        r[i] = a ? -p.d * j[i] : z;
+      }
+      f[0] += r[0] + r[1], f[k] = p.mu[k - 1] * (r[0] - r[1]);
+    }
+    const Vec force = f[0] * p.n + f[1] * p.t + f[2] * p.s, torque = f[3] * p.n + f[4] * p.t + f[5] * p.s;
+    push(w, p.b, p, force, torque, 1.0), push(w, p.a, p, force, torque, -1.0);
+  }
+  if (w.speeds == kAll) {
+    const Spatial& f = w.wr[kBall];
+    Real* g = w.g + kSpeeds;
+    g[0] -= f.v.x, g[1] -= f.v.y, g[2] -= f.v.z, g[3] -= f.w.x, g[4] -= f.w.y, g[5] -= f.w.z;
   }
   for (int b = kBodies - 1; b > 0.0; --b)
     if (w.used[b]) {
@@ -81,7 +120,7 @@ inline Mask rows(const Shared& m, Work& w) {
     w.lim_act[k] = a;
     w.g[6 + j] += a ? w.lim_d[k] * w.lim_s[k] * jar : z;
   }
-  for (int j = 0; j < kJoints; ++j) {
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
     const Real jar = w.a[6 + j] + w.fc[j];
     const Mask quad = abs(jar) * w.fd[j] < m.friction_loss, up = jar > 0.0;
     changed |= (quad ^ w.zone[j][0]) | (~quad & (up ^ w.zone[j][1]));
@@ -111,7 +150,7 @@ inline Spatial stiff(const Real* k, Spatial s) {
 
 // J^T D J of a self contact, over the joints between its bodies.
 inline void pair_hessian(Work& w, const Pair& p) {
-  const Between& c = kBetween.of[p.g1][p.g2];
+  const Between& c = kBetween.of[p.a][p.b];
   const Real z = splat(0), mu = p.mu;
   const Real d0 = p.active[0] ? p.d : z, d1 = p.active[1] ? p.d : z, d2 = p.active[2] ? p.d : z, d3 = p.active[3] ? p.d : z;
   if (!any((d0 + d1 + d2 + d3) > 0.0)) return;
@@ -130,9 +169,62 @@ inline void pair_hessian(Work& w, const Pair& p) {
   }
 }
 
+// The same of a contact that MuJoCo found, or of the ball: over the speeds that move either body.
+inline void contact_hessian(Work& w, const Contact& p) {
+  const Real z = splat(0);
+  Real W[6][6], sum = z;
+  for (auto& row : W)
+    for (Real& entry : row) entry = z;
+  for (int k = 1; k < p.dim; ++k) {
+    const Real d0 = p.active[2 * k - 2] ? p.d : z, d1 = p.active[2 * k - 1] ? p.d : z, mu = p.mu[k - 1];
+    sum += d0 + d1, W[0][k] = W[k][0] = mu * (d0 - d1), W[k][k] = mu * mu * (d0 + d1);
+  }
+  if (!any(sum > 0.0)) return;
+  W[0][0] = sum;
+  int speeds[kAll], count = 0;
+  Real col[kAll][6];
+  const auto add = [&](int speed, Vec v, Vec spin) {
+    const Real all[6] = {dot(p.n, v), dot(p.t, v), dot(p.s, v), dot(p.n, spin), dot(p.t, spin), dot(p.s, spin)};
+    for (int k = 0; k < p.dim; ++k) col[count][k] = all[k];
+    speeds[count++] = speed;
+  };
+  const bool on_a = p.a >= 0 && p.a < kBodies, on_b = p.b >= 0 && p.b < kBodies;
+  const Vec axes[3] = {{splat(1), z, z}, {z, splat(1), z}, {z, z, splat(1)}}, none = zero_vec();
+  if (on_a != on_b) {
+    const double sign = on_b ? 1.0 : -1.0;
+    for (int k = 0; k < 3; ++k) add(k, sign * axes[k], none);
+    for (int k = 0; k < 3; ++k) {
+      const Vec spin = sign * w.rot[0].column(k);
+      add(3 + k, cross(spin, p.r), spin);
+    }
+  }
+  for (int b = 1; b < kBodies; ++b) {
+    const bool ua = on_a && is_above(b, p.a), ub = on_b && is_above(b, p.b);
+    if (ua == ub) continue;
+    const double sign = ub ? 1.0 : -1.0;
+    add(5 + b, sign * (w.sv[b] + cross(w.ax[b], p.r)), sign * w.ax[b]);
+  }
+  if (p.a == kBall || p.b == kBall) {
+    const double sign = p.b == kBall ? 1.0 : -1.0;
+    for (int k = 0; k < 3; ++k) add(kSpeeds + k, sign * axes[k], none);
+    for (int k = 0; k < 3; ++k) add(kSpeeds + 3 + k, sign * cross(axes[k], p.ball), sign * axes[k]);
+  }
+  for (int i = 0; i < count; ++i) {
+    Real f[6] = {z, z, z, z, z, z};
+    for (int k = 0; k < p.dim; ++k) f[0] += W[0][k] * col[i][k];
+    for (int k = 1; k < p.dim; ++k) f[k] = W[k][0] * col[i][0] + W[k][k] * col[i][k];
+    Real* row = w.H + at(speeds[i], 0);
+    for (int j = 0; j <= i; ++j) {
+      Real s = z;
+      for (int k = 0; k < p.dim; ++k) s += col[j][k] * f[k];
+      row[speeds[j]] += s;
+    }
+  }
+}
+
 // H = M + J^T D J. The floor contacts of a body are a 6x6 stiffness about the reference point, which adds up the tree as inertias
 // do, so H keeps the sparsity of M.
-inline void hessian(Work& w) {
+inline void hessian(const Shared& m, Work& w) {
   const Real z = splat(0);
   if (w.pattern == 1) zero_fill(w.H);
   else if (w.pattern == 2) for (int i = 0; i < kEntries; ++i) w.H[i] = z;
@@ -192,9 +284,14 @@ inline void hessian(Work& w) {
       for (int l = 0; l <= i; ++l) A[at(3 + i, 3 + l)] += dot(r.column(l), f.w);
     }
   }
-  for (int j = 0; j < kJoints; ++j) w.H[at(6 + j, 6 + j)] += w.zone[j][0] ? w.fd[j] : z;
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) w.H[at(6 + j, 6 + j)] += w.zone[j][0] ? w.fd[j] : z;
   for (int k = 0; k < w.nlim; ++k) w.H[at(6 + w.lim[k], 6 + w.lim[k])] += w.lim_act[k] ? w.lim_d[k] : z;
   for (int i = 0; i < w.npr; ++i) pair_hessian(w, w.pr[i]);
+  if (w.speeds == kAll) {
+    for (int i = at(kSpeeds, 0); i < kEntries; ++i) w.H[i] = z;
+    for (int k = 0; k < 6; ++k) w.H[at(kSpeeds + k, kSpeeds + k)] = splat(k < 3 ? m.ball.mass : m.ball.inertia);
+  }
+  for (const Contact& c : w.more) contact_hessian(w, c);
 }
 
 inline void slope_point(Real d, Real mu, Real un, Real u1, Real u2, Real dn, Real d1, Real d2, Real al, Real& s1, Real& s2) {
@@ -217,12 +314,20 @@ inline void slope(const Shared& m, const Work& w, Real al, Real g0, Real m0, Rea
     const Pair& p = w.pr[i];
     slope_point(p.d, p.mu, p.un, p.u1, p.u2, p.dn, p.d1, p.d2, al, s1, s2);
   }
+  for (const Contact& p : w.more)
+    for (int k = 1; k < p.dim; ++k) {
+      const Real m1 = p.mu[k - 1] * p.u[k], e1 = p.mu[k - 1] * p.du[k], t0 = p.du[0] + e1, t1 = p.du[0] - e1;
+      const Real j0 = p.u[0] + m1 + al * t0, j1 = p.u[0] - m1 + al * t1, none = splat(0);
+      const Real q0 = j0 < 0.0 ? t0 : none, q1 = j1 < 0.0 ? t1 : none;
+      s1 += p.d * (q0 * j0 + q1 * j1);
+      s2 += p.d * (q0 * q0 + q1 * q1);
+    }
   for (int k = 0; k < w.nlim; ++k) {
     const Real dj = w.lim_s[k] * w.p[6 + w.lim[k]], j = w.lim_s[k] * w.a[6 + w.lim[k]] + w.lim_c[k] + al * dj;
     const Real q = j < 0.0 ? dj : splat(0);
     s1 += w.lim_d[k] * q * j, s2 += w.lim_d[k] * q * q;
   }
-  for (int j = 0; j < kJoints; ++j) {
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
     const Real dj = w.p[6 + j], x = w.a[6 + j] + w.fc[j] + al * dj, f = x * w.fd[j];
     const Mask quad = abs(f) < m.friction_loss;
     s1 += (quad ? f : x > 0.0 ? splat(m.friction_loss) : splat(-m.friction_loss)) * dj;
@@ -247,28 +352,69 @@ inline void along(Work& w, const Real* x, bool direction) {
     if (direction) p.dn = n, p.d1 = a, p.d2 = b;
     else p.un = n + p.cn, p.u1 = a + p.c1, p.u2 = b + p.c2;
   }
+  for (Contact& p : w.more) {
+    const Spatial t = motion_at(w, p.b, p) - motion_at(w, p.a, p);
+    const Real q[6] = {dot(p.n, t.v), dot(p.t, t.v), dot(p.s, t.v), dot(p.n, t.w), dot(p.t, t.w), dot(p.s, t.w)};
+    for (int k = 0; k < p.dim; ++k) {
+      if (direction) p.du[k] = q[k];
+      else p.u[k] = q[k] + p.c[k];
+    }
+  }
 }
-
 
 constexpr int kMostIterations = 40, kFullSteps = 3, kMostEvaluations = 16;
 constexpr double kTolerance = 1e-12, kSlopeTolerance = 1e-10;
 
-inline void factor(int pattern, Real* H, Real* inv) { pattern == 0 ? factor_tree(H, inv) : pattern == 1 ? factor_arms(H, inv) : factor_dense(H, inv); }
-inline void solve(int pattern, const Real* H, const Real* inv, Real* x) {
-  pattern == 0 ? solve_tree(H, inv, x) : pattern == 1 ? solve_arms(H, inv, x) : solve_dense(H, inv, x);
+// H = L^T D L. The ball's speeds are eliminated first, over the columns that any lane couples to them.
+inline void factor(Work& w) {
+  Real *H = w.H, *inv = w.inv;
+  for (int k = w.speeds - 1; k >= kSpeeds; --k) {
+    Real* row = H + at(k, 0);
+    inv[k] = 1.0 / row[k];
+    const int count = w.coupled + k - kSpeeds;
+    const auto column = [&](int i) { return i < w.coupled ? w.columns[i] : kSpeeds + i - w.coupled; };
+    for (int i = 0; i < count; ++i) {
+      const Real f = row[column(i)] * inv[k];
+      Real* to = H + at(column(i), 0);
+      for (int j = 0; j <= i; ++j) to[column(j)] -= f * row[column(j)];
+    }
+    for (int i = 0; i < count; ++i) row[column(i)] *= inv[k];
+  }
+  w.pattern == 0 ? factor_tree(H, inv) : w.pattern == 1 ? factor_arms(H, inv) : factor_dense(H, inv);
+}
+inline void solve(const Work& w, Real* x) {
+  const Real *H = w.H, *inv = w.inv;
+  for (int k = w.speeds - 1; k >= kSpeeds; --k) {
+    for (int i = 0; i < w.coupled; ++i) x[w.columns[i]] -= H[at(k, w.columns[i])] * x[k];
+    for (int i = kSpeeds; i < k; ++i) x[i] -= H[at(k, i)] * x[k];
+  }
+  w.pattern == 0 ? solve_tree(H, inv, x) : w.pattern == 1 ? solve_arms(H, inv, x) : solve_dense(H, inv, x);
+  for (int k = kSpeeds; k < w.speeds; ++k) {
+    x[k] *= inv[k];
+    for (int i = 0; i < w.coupled; ++i) x[k] -= H[at(k, w.columns[i])] * x[w.columns[i]];
+    for (int i = kSpeeds; i < k; ++i) x[k] -= H[at(k, i)] * x[i];
+  }
+}
+
+// M x, the ball included.
+inline void multiply(const Shared& m, const Work& w, const Real* x, Real* y) {
+  mul_tree(w.M, x, y);
+  for (int k = kSpeeds; k < w.speeds; ++k) y[k] = (k < kSpeeds + 3 ? m.ball.mass : m.ball.inertia) * x[k];
 }
 
 // Newton's method from the last substep's accelerations. Full steps first, line searches after three. A lane is done when its
 // gradient vanishes or a full step leaves the active rows as they were; lanes that do not get there are flagged.
 inline void newton(const Shared& m, const Group& g, Work& w) {
   const Mask none = Mask{};
-  for (int i = 0; i < kSpeeds; ++i) w.a[i] = g.warm[i];
-  mul_tree(w.M, w.a, w.Ma);
+  for (int i = 0; i < w.speeds; ++i) w.a[i] = g.warm[i];
+  multiply(m, w, w.a, w.Ma);
   along(w, w.a, false);
   for (int i = 0; i < w.npt; ++i)
     for (Mask& active : w.pt[i].active) active = none;
   for (int i = 0; i < w.npr; ++i)
     for (Mask& active : w.pr[i].active) active = none;
+  for (Contact& c : w.more)
+    for (Mask& active : c.active) active = none;
   for (int k = 0; k < w.nlim; ++k) w.lim_act[k] = none;
   for (int j = 0; j < kJoints; ++j) {
     w.fc[j] = m.friction_b * g.qvel[6 + j];
@@ -280,19 +426,19 @@ inline void newton(const Shared& m, const Group& g, Work& w) {
   for (int& count : w.iterations) count = 0;
   for (int it = 0; it < kMostIterations; ++it) {
     Real gg = splat(0);
-    for (int i = 0; i < kSpeeds; ++i) gg += w.g[i] * w.g[i];
+    for (int i = 0; i < w.speeds; ++i) gg += w.g[i] * w.g[i];
     done |= sqrt(gg) * w.numbers.scale < kTolerance;
     const unsigned left = bits(~done);
     if (left == 0) break;
     for (int l = 0; l < kLanes; ++l) w.iterations[l] += left >> l & 1u;
-    hessian(w);
-    factor(w.pattern, w.H, w.inv);
-    for (int i = 0; i < kSpeeds; ++i) w.p[i] = -w.g[i];
-    solve(w.pattern, w.H, w.inv, w.p);
-    mul_tree(w.M, w.p, w.Mp);
+    hessian(m, w);
+    factor(w);
+    for (int i = 0; i < w.speeds; ++i) w.p[i] = -w.g[i];
+    solve(w, w.p);
+    multiply(m, w, w.p, w.Mp);
     along(w, w.p, true);
     Real g0 = splat(0), m0 = splat(0), pp = splat(0);
-    for (int i = 0; i < kSpeeds; ++i) g0 += w.p[i] * (w.Ma[i] - w.fs[i]), m0 += w.p[i] * w.Mp[i], pp += w.p[i] * w.p[i];
+    for (int i = 0; i < w.speeds; ++i) g0 += w.p[i] * (w.Ma[i] - w.fs[i]), m0 += w.p[i] * w.Mp[i], pp += w.p[i] * w.p[i];
     const Real enough = kSlopeTolerance * sqrt(pp) / w.numbers.scale;
     Real al = splat(1), lo = splat(0), hi = splat(1e30);
     for (int e = 0; it >= kFullSteps && e < kMostEvaluations; ++e) {  // Newton's method on the slope, bisection where it leaves the bracket
@@ -308,7 +454,7 @@ inline void newton(const Shared& m, const Group& g, Work& w) {
     }
     const Real step = select(done, splat(0), al);
     // a lane that is done keeps its numbers, whatever its neighbours' steps are
-    for (int i = 0; i < kSpeeds; ++i) w.a[i] = select(done, w.a[i], w.a[i] + step * w.p[i]), w.Ma[i] = select(done, w.Ma[i], w.Ma[i] + step * w.Mp[i]);
+    for (int i = 0; i < w.speeds; ++i) w.a[i] = select(done, w.a[i], w.a[i] + step * w.p[i]), w.Ma[i] = select(done, w.Ma[i], w.Ma[i] + step * w.Mp[i]);
     for (int i = 0; i < w.npt; ++i) {
       Point& p = w.pt[i];
       p.un += step * p.dn, p.u1 += step * p.d1, p.u2 += step * p.d2;
@@ -317,10 +463,12 @@ inline void newton(const Shared& m, const Group& g, Work& w) {
       Pair& p = w.pr[i];
       p.un += step * p.dn, p.u1 += step * p.d1, p.u2 += step * p.d2;
     }
+    for (Contact& p : w.more)
+      for (int k = 0; k < p.dim; ++k) p.u[k] += step * p.du[k];
     const Mask changed = rows(m, w);
     done |= ~changed & (abs(al - 1.0) < 1e-9);
   }
   w.flagged |= ~done;
 }
 
-}  // namespace naosim::t1::NAOSIM_ISA
+}  // namespace naosim::NAOSIM_ROBOT::NAOSIM_ISA

@@ -1,0 +1,56 @@
+// The engine that steps several humanoids of one kind at once, as the loop of worlds sees it.
+//
+// It is compiled for each robot, whose tree is known at compile time, and for each instruction set. All numbers come from the
+// robot's MjModel, read by naosim.mujoco.humanoid.
+#pragma once
+#include <cstddef>
+#include <vector>
+
+namespace naosim::humanoid {
+
+// MuJoCo's constraint parameters of one kind of row: impedance d0 to d1 over `width`, aref = -b v - k imp dist.
+struct Impedance {
+  double d0, d1, width, k, b;
+};
+
+// The tree of a robot. Body 0 is the torso; body b > 0 hangs on one hinge, whose speed is number 5 + b, about the x, y or z axis
+// of its frame. Shapes are MuJoCo's mjtGeom.
+struct Topology {
+  int bodies, geoms;
+  const int *parents, *axes, *geom_bodies, *geom_shapes;
+};
+
+// What the kernels use of MuJoCo for contacts that they do not compute.
+struct Library {
+  void (*kinematics)(const void* model, void* data);
+  void (*collision)(const void* model, void* data);
+  double step;                 // s
+  int first_geom, ball;        // the robot's first geom, the ball's; -1 without a ball
+};
+
+// One robot as the kernel sees it: its model and the arrays of its mjData. The ball's arrays are null where there is none.
+struct Robot {
+  const void* numbers;  // Varied of humanoid_model.hpp
+  double *qpos, *qvel, *warm, *sensordata;
+  const double* ctrl;
+  double *ball_qpos, *ball_qvel, *ball_warm;
+  const void* model;
+  void* data;
+  int key = 0;            // contacts and iterations of the last substep; alike robots share a group
+  bool settled = false;   // false: the kernel has left the robot as it was, and mj_step must take the substep
+  bool collided = false;  // MuJoCo found some of its contacts in the last substep
+};
+
+struct Kernel {
+  const char* name;  // of the instruction set
+  int lanes;
+  Topology topology;
+  std::size_t shared, varied;  // bytes
+  // Advance `count` <= lanes robots by a substep. Sensors are MuJoCo's: those of the state before the substep.
+  void (*substep)(const void* shared, const Library&, Robot* const* robots, int count);
+};
+
+// The kernel for a robot, "t1" or "k1", and an instruction set, or for the best one that runs here if `isa` is null; null: none.
+const Kernel* find_kernel(const char* robot, const char* isa);
+
+}  // namespace naosim::humanoid

@@ -1,0 +1,55 @@
+// A robot's numbers, read from the MjModel by naosim.mujoco.humanoid in the order of this file.
+#pragma once
+#include "humanoid.hpp"
+
+namespace naosim::NAOSIM_ROBOT {
+
+using humanoid::Impedance, humanoid::Library, humanoid::Robot;
+
+enum Shape { kSphere = 2, kCapsule = 3, kCylinder = 5, kBox = 6, kMesh = 7 };  // mjtGeom
+
+#include NAOSIM_TOPOLOGY
+
+constexpr int kJoints = kBodies - 1, kSpeeds = kJoints + 6, kPositions = kJoints + 7;
+constexpr int kBall = kBodies, kAll = kSpeeds + 6;     // the ball's number as a body; speeds with the ball's, which come last
+constexpr int kEntries = kAll * (kAll + 1) / 2;        // of a packed lower triangle
+inline constexpr int at(int i, int j) { return i * (i + 1) / 2 + j; }
+
+// Numbers that all robots of a batch share. Doubles only: they come as one array.
+struct Shared {
+  double step, damped;  // damped: 1 if a joint has damping
+  Impedance limit;
+  double friction_loss, friction_d0, friction_b;  // N m; friction rows have one impedance
+  double density, viscosity;
+  double position[kBodies][3], turn[kBodies][9];          // of a body in its parent's frame
+  double centre[kBodies][3], principal[kBodies][9];       // of mass; inertial axes, body frame
+  double box[kBodies][3];                                 // sides of the box with the body's inertia, for the air
+  double armature[kSpeeds], damping[kSpeeds];
+  double kp[kJoints], kd[kJoints], torque[kJoints], low[kJoints], high[kJoints];
+  double size[kGeoms][3], offset[kGeoms][3], frame[kGeoms][9];
+  double hull[kGeoms][3], middle[kGeoms][3];              // half sides and centre, body frame, of the box around a geom
+  Impedance floor[kGeoms];
+  Impedance pair[kGeoms][kGeoms];
+  double collides[kGeoms][kGeoms];  // 1 where MuJoCo's filters let two geoms collide
+  struct {
+    double exists, radius, mass, inertia, side;  // side: of the box with its inertia
+    Impedance floor;
+    double friction[5];                          // on the floor: along two tangents, about the normal, about the tangents
+    double parts[kBodies];                       // bits of the parts that a body belongs to whose contact is noted
+    double count;                                // of parts
+    double camera, place[3], turn[9];            // its body, its pose there
+  } ball;
+  double goals, goal[2][6];  // how many; corners of the box around each
+};
+
+// Numbers that randomisation changes: one robot's doubles, or a group's vectors.
+template <class Real>
+struct VariedOf {
+  Real gravity, scale;                       // scale: 1 / (mean inertia * speeds), MuJoCo's unit of the gradient
+  Real mass[kBodies], inertia[kBodies][6];   // xx yy zz xy xz yz about the centre of mass, body axes
+  Real weight[kBodies];                      // translational body_invweight0
+  Real friction[kGeoms], joint_weight[kJoints];
+};
+using Varied = VariedOf<double>;
+
+}  // namespace naosim::NAOSIM_ROBOT

@@ -1,0 +1,171 @@
+"""The kernels that step several humanoids of a kind at once, held against ``mj_step``."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from naosim.mujoco import batch as batches
+from naosim.mujoco.batch import MujocoBatch
+from naosim.mujoco.humanoid import topology_difference
+from naosim.mujoco.world import SUBSTEPS, World, library, world_of
+from naosim.robots.booster import K1, T1
+from naosim.simulator import Scene
+
+if TYPE_CHECKING:
+    from naosim.robots import Robot
+
+N = 24
+PLAIN, BALL, PITCH = Scene(), Scene(ball=True), Scene(ball=True, goals=True)
+GOAL_POST = (27.5, 1.83)  # m
+CASES = [
+    pytest.param(robot, scene, id=f"{robot.name}-{name}")
+    for robot in (T1, K1)
+    for name, scene in (("alone", PLAIN), ("ball", BALL), ("goals", PITCH))
+]
+
+
+def violent(rng: np.random.Generator, world: World, robot: Robot, data: Any, row: int) -> None:
+    """Set a state that no policy should reach: any orientation, in the ground, beyond the limits, fast.
+
+    With a ball, two of three touch the robot or nearly do, or a goal's post.
+    """
+    low, first, model = row % 2 == 0, world.torso, world.model
+    quaternion = rng.normal(size=4) if low else np.array([1.0, 0.0, 0.0, 0.0]) + 0.1 * rng.normal(size=4)
+    height = rng.uniform(0.05, 0.5) if low else robot.standing_height_m * rng.uniform(0.9, 1.05)
+    data.qpos[first : first + 3] = (*rng.normal(size=2), height)
+    data.qpos[first + 3 : first + 7] = quaternion / np.linalg.norm(quaternion)
+    data.qpos[first + 7 :] = np.array(robot.nominal) + rng.normal(size=world.joints) * 0.5
+    data.qvel[:] = rng.normal(size=model.nv) * (4.0 if low else 1.0)
+    data.qacc_warmstart[:] = 0.0
+    if not world.ball:
+        return
+    aside = rng.normal(size=3)
+    data.qpos[:3] = (*rng.normal(size=2) * 3.0, 0.11)
+    data.qpos[3:7] = aside[[0, 1, 2, 0]] / np.linalg.norm(aside[[0, 1, 2, 0]])
+    if world.scene.goals and row % 3 == 0:
+        data.qpos[:2] = GOAL_POST + rng.uniform(-0.15, 0.15, 2)
+        data.qpos[first : first + 2] = data.qpos[:2] + 0.4 * rng.normal(size=2)
+    elif row % 3 < 2:
+        library().mj_kinematics(model, data)
+        part = data.geom_xpos[rng.choice(world.geoms)]
+        data.qpos[:3] = part + aside / np.linalg.norm(aside) * rng.uniform(0.1, 0.2)
+    data.qpos[2] = max(data.qpos[2], rng.uniform(0.09, 0.115))
+
+
+def filled(world: World, robot: Robot, n: int = N, threads: int = 1, isa: str = "", seed: int = 3) -> MujocoBatch:
+    batch = MujocoBatch(world, n, delay=0, truncate=False, threads=threads, isa=isa)
+    rng = np.random.default_rng(seed)
+    for row, data in enumerate(batch.data):
+        violent(rng, world, robot, data, row)
+    return batch
+
+
+def compared(batch: MujocoBatch, worlds: list[World], targets: np.ndarray, steps: int) -> None:
+    """Step the batch, and ``mj_step`` from the same states to the minimum, as the kernel; compare all they leave."""
+    mujoco = library()
+    exact = {id(world): copy.copy(world.model) for world in worlds}
+    for model in exact.values():
+        model.opt.tolerance = 0.0
+    before = [(data.time, data.qpos.copy(), data.qvel.copy()) for data in batch.data]
+    batch.step(targets)
+    for row, (world, (moment, qpos, qvel)) in enumerate(zip(worlds, before, strict=True)):
+        model = exact[id(world)]
+        data, ours = mujoco.MjData(model), batch.data[row]
+        data.time, data.qpos[:], data.qvel[:], data.ctrl[:] = moment, qpos, qvel, ours.ctrl
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+        np.testing.assert_allclose(ours.qpos, data.qpos, rtol=0, atol=1e-10, err_msg=f"row {row}")
+        np.testing.assert_allclose(ours.qvel, data.qvel, rtol=0, atol=1e-8, err_msg=f"row {row}")
+        np.testing.assert_allclose(ours.sensordata, data.sensordata, rtol=1e-7, atol=1e-6, err_msg=f"row {row}")
+        if world.ball:
+            assert ours.time == data.time
+
+
+@pytest.mark.parametrize("varied", [False, True])
+@pytest.mark.parametrize(("robot", "scene"), CASES)
+def test_a_substep_is_mj_steps_from_violent_states(
+    robot: Robot, scene: Scene, varied: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Floor, limits, self contacts, ball, goals, friction, air, sensors; with other masses, friction and gravity.
+
+    One substep at a time: MuJoCo's contacts of meshes and posts jump with the last digit of a pose.
+    """
+    monkeypatch.setattr(batches, "SUBSTEPS", 1)
+    rng = np.random.default_rng(8)
+    world = world_of(robot, exact=False, scene=scene)
+    batch = filled(world, robot, 24, seed=4 + varied)
+    worlds = [world.varied(0.2, factor, 1.1 * factor, rng) for factor in (0.8, 1.2)] if varied else [world] * 2
+    worlds *= batch.n // 2
+    for row, each in enumerate(worlds):
+        batch.set_world(row, each)
+    for _ in range(SUBSTEPS):
+        targets = np.array(robot.nominal) + rng.normal(size=(batch.n, world.joints)) * 0.5
+        compared(batch, worlds, targets, 1)
+    assert batch.collided_by_mujoco > 0 and batch.left_to_mujoco == 0
+    if scene.ball:
+        assert any(data.sensordata[-4] for data in batch.data), "a ball touches a robot"
+
+
+def test_a_cycle_is_mj_steps() -> None:
+    world, rng = world_of(T1, exact=False), np.random.default_rng(8)
+    batch = filled(world, T1, 120)
+    compared(batch, [world] * batch.n, np.array(T1.nominal) + rng.normal(size=(batch.n, 23)) * 0.5, SUBSTEPS)
+
+
+@pytest.mark.parametrize(("robot", "scene"), CASES)
+def test_instruction_sets_threads_and_neighbours_do_not_change_a_bit(robot: Robot, scene: Scene) -> None:
+    world, rng = world_of(robot, exact=False, scene=scene), np.random.default_rng(9)
+    targets = np.array(robot.nominal) + rng.normal(size=(10, N, world.joints)) * 0.3
+    source = filled(world, robot)
+
+    def run(threads: int, isa: str, rows: list[int]) -> np.ndarray:
+        batch = MujocoBatch(world, len(rows), delay=0, truncate=False, threads=threads, isa=isa)
+        for row, state in enumerate(source.save()[rows]):
+            batch.load(row, state)
+        for each in targets:
+            batch.step(each[rows])
+        return batch.save()
+
+    everyone = list(range(N))
+    expected = run(1, "", everyone)
+    for threads, isa in ((2, ""), (1, "generic"), (2, "avx2"), (1, "avx512")):
+        try:
+            states = run(threads, isa, everyone)
+        except ValueError:
+            assert isa.startswith("avx")
+            continue
+        np.testing.assert_array_equal(states, expected)
+    np.testing.assert_array_equal(run(1, "", everyone[::-1]), expected[::-1])
+    np.testing.assert_array_equal(run(1, "", [5]), expected[[5]])
+
+
+@pytest.mark.parametrize(("robot", "scene"), CASES)
+def test_a_broken_robot_is_left_to_mujoco_and_its_neighbours_keep_their_bits(robot: Robot, scene: Scene) -> None:
+    world = world_of(robot, exact=False, scene=scene)
+    whole, broken = filled(world, robot), filled(world, robot)
+    broken.data[3].qvel[-7] = np.nan
+    broken.data[9].qvel[world.first_speed - 3 : world.first_speed] = 1e12
+    for batch in (whole, broken):
+        for _ in range(3):
+            batch.step(np.tile(robot.nominal, (N, 1)))
+    others = [row for row in range(N) if row not in (3, 9)]
+    np.testing.assert_array_equal(whole.save()[others], broken.save()[others])
+    assert broken.diverged[3] and broken.warning(3)
+    assert broken.left_to_mujoco > whole.left_to_mujoco == 0
+
+
+def test_another_topology_is_refused() -> None:
+    for robot in (T1, K1):
+        for scene in (PLAIN, BALL, PITCH):
+            assert topology_difference(world_of(robot, exact=False, scene=scene)) == ""
+    world = world_of(T1, exact=False)
+    assert topology_difference(replace(world, robot="K1")) == "its bodies form another tree"
+    model = copy.copy(world.model)
+    model.geom_margin[3] = 0.01
+    assert topology_difference(replace(world, model=model)) == "it has margins, or another integrator or friction cone"
+    with pytest.raises(ValueError, match="isa: expected generic"):
+        MujocoBatch(world, 1, delay=0, isa="sse9")
