@@ -24,6 +24,7 @@ from naosim.robots.booster import ROBOTS
 from naosim.robots.description import Robot
 from naosim.simulator import Starts
 from naospec.json_text import json_text
+from naosprint.tasks.robot_defaults import robot_defaults
 
 ROBOTS_AT_ONCE = 64
 STEPS = 300
@@ -50,7 +51,7 @@ def measure(robot: Robot, motion: str, exact: bool) -> dict[str, Any]:
     seconds: dict[str, list[float]] = {"loop": [], "bare": []}
     for step in range(STEPS):
         # a fallen robot costs more
-        down = everyone[simulator.truth.torso_position[:, 2] < robot.fall_height_m]
+        down = everyone[simulator.truth.torso_position[:, 2] < robot_defaults(robot).fall_height_m]
         simulator.start(down, np.zeros(len(down), dtype=np.int64))
         targets = targets_of(robot, motion, step)
         for row, state in enumerate(simulator.batch.save()):

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import naopolicies
 import numpy as np
 from naosim.launchers import ProcessLauncher
-from naosim.robots.nao import FALL_HEIGHT_M, model_of
+from naosim.robots.nao import model_of
 from naosim.simspark import _core, protocol
 from naosim.simspark.control import motor_speeds
 from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D, SERVER_SCRIPT
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from naosprint.arrays import FloatArray
 
 LANE_M, HEADING_DEG, RUN_S = 3.0, 0.0, 12.0
+FALL_HEIGHT_M = 0.27  # of the paper
 REPLY_S, START_S, KICK_OFF_S = 20.0, 60.0, 60.0
 
 SCRIPT = SERVER_SCRIPT.replace(

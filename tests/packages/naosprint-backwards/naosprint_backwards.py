@@ -75,7 +75,7 @@ class RunBackwards(Task):
         position = self.world.position(rows)
         self._back[rows] = self._x[rows] - position[:, 0]
         self._x[rows] = position[:, 0]
-        self._fell[rows] = position[:, 2] < self.robot.fall_height_m
+        self._fell[rows] = position[:, 2] < self.world.defaults.fall_height_m
 
     def ended(self, rows):
         """Return which robots have fallen."""

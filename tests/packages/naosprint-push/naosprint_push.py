@@ -46,7 +46,7 @@ class PushBall(Task):
 
     def observation_blocks(self):
         """Return the robot's usual observations and the ball as the robot perceives it."""
-        return blocks(self.world, [*self.robot.observations, "ball"])
+        return blocks(self.world, [*self.world.defaults.observations, "ball"])
 
     def place(self, rows):
         """Place the ball at rest before one of the feet; every episode draws its place."""
@@ -67,7 +67,7 @@ class PushBall(Task):
         """Note touches and falls."""
         touching = np.maximum(self.world.contacts["left_foot"][rows], self.world.contacts["right_foot"][rows])
         self._touched[rows] = np.maximum(self._touched[rows], touching > 0.0)
-        self._fell[rows] = self.world.position(rows)[:, 2] < self.robot.fall_height_m
+        self._fell[rows] = self.world.position(rows)[:, 2] < self.world.defaults.fall_height_m
 
     def reward_terms(self):
         """Return the ball's velocity and, so that it is found at all, that of a torso which approaches it."""

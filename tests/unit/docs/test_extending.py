@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 from naosim.robots import Robot
 from naosim.simulator import SimulatorKind
+from naosprint.tasks.observations import BLOCKS
 
 from . import documents
 
@@ -29,18 +30,28 @@ def run(page: str, folder: Path) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("page", "offered"), [("own-simulator", 2), ("own-robot", 1)])
+@pytest.mark.parametrize(("page", "offered"), [("own-simulator", 2), ("own-robot", 4)])
 def test_the_pages_code_runs_and_offers_what_its_entry_points_name(page: str, offered: int, tmp_path: Path) -> None:
     module = run(page, tmp_path)
-    (metadata,) = documents.blocks(HOW_TO / f"{page}.md", "toml")
-    groups = tomllib.loads(metadata)["project"]["entry-points"]
+    metadata = [tomllib.loads(text) for text in documents.blocks(HOW_TO / f"{page}.md", "toml")]
+    groups = [item for each in metadata for item in each["project"]["entry-points"].items()]
     kinds = {"naosim.simulators": SimulatorKind, "naosim.robots": Robot}
-    entries = [(group, name, value) for group, values in groups.items() for name, value in values.items()]
+    entries = [(group, name, value) for group, values in groups for name, value in values.items()]
     assert len(entries) == offered
     for group, name, value in entries:
         plugin = getattr(module, value.partition(":")[2])
+        if group == "naosprint.robots":
+            assert set(plugin(module.WALKER).observations) <= set(BLOCKS)
+            continue
         assert isinstance(plugin, kinds[group])
         assert plugin.name == name
+
+
+def test_the_page_quotes_the_robots_that_the_tests_install() -> None:
+    package = documents.ROOT / "tests" / "packages" / "naosim-crouched"
+    code = (package / "naosim_crouched.py").read_text().partition("from __future__ import annotations\n\n")[2]
+    assert documents.blocks(HOW_TO / "own-robot.md", "python")[0].rstrip() == code.rstrip()
+    assert documents.blocks(HOW_TO / "own-robot.md", "toml")[0] == (package / "pyproject.toml").read_text()
 
 
 def test_the_page_quotes_the_simulator_that_the_tests_use() -> None:

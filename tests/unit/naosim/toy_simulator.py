@@ -18,11 +18,8 @@ CRAWLER = Robot(
     joints=JOINTS,
     nominal_rad={},
     standing_height_m=0.3,
-    fall_height_m=0.1,
-    erect_height_m=0.2,
     front_axis=0,
     perceptors=(PerceptorDescription("joint_angles", 2, "deg", "in joint order"),),
-    observations=("joint_angles", "height"),
     load_shapes=lambda: (Shape("torso", "box", (0.3, 0.2, 0.1)),),
 )
 

@@ -6,6 +6,7 @@ import naopolicies
 import pytest
 from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, plugins, presets, recipes
+from naosprint.tasks.robot_defaults import robot_defaults
 
 
 @pytest.mark.parametrize("preset", presets.names())
@@ -64,7 +65,7 @@ def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
         seeds = [spec.candidate_spec(number, k).seed for k in range(spec.stage_candidates[number])]
         stage = spec.candidate_spec(number, seeds.index(past["seed"]))
         assert past.get("candidates", 1) == len(seeds)
-        height = stage.robot_description.erect_height_m
+        height = robot_defaults(stage.robot_description).erect_height_m
         assert (getattr(stage.task, "min_height_m", None) == height) == past["task"].endswith("-erect")
         assert (stage.robot.name, stage.algorithm.preset, stage.seed) == (past["robot"], past["preset"], past["seed"])
         # the last jobs of two lineages were not trained to their end

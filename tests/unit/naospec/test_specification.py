@@ -11,6 +11,7 @@ from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, needs, plugins, presets, validation_words
 from naospec.flat import MOVED, nest, settings
 from naospec.sections import variants
+from naosprint.tasks.robot_defaults import robot_defaults
 from pydantic import ValidationError
 
 
@@ -212,8 +213,8 @@ def test_a_stage_with_another_robot_has_that_robots_own_settings() -> None:
     )
     first, second = spec.stage_specs
     assert (first.robot.name, second.robot.name) == ("k1", "t1")
-    assert first.task.min_height_m == robots.get("k1").fall_height_m
-    assert second.task.min_height_m == robots.get("t1").fall_height_m
+    assert first.task.min_height_m == robot_defaults(robots.get("k1")).fall_height_m
+    assert second.task.min_height_m == robot_defaults(robots.get("t1")).fall_height_m
     assert first.task.drift_penalty == second.task.drift_penalty == 0.25
     chosen = TrainingSpec.model_validate(
         {"robot": "t1", "task": {"name": "sprint1", "min_height_m": 0.3}, "stages": stages}

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from naospec import TrainingSpec
+from naospec import TrainingSpec, plugins
 from naospec.flat import nest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Iterator, Mapping
 
 
 class Recorder:
@@ -44,6 +48,37 @@ def small_spec(*, stages: Any = (), **settings: Any) -> TrainingSpec:
         **({} if stages else {"total_steps": 512}),
     }
     return TrainingSpec.model_validate({**nest({**defaults, **settings}), "stages": stages})
+
+
+@pytest.fixture
+def offer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Return a function that offers a package of tests/packages and further entry points as an installation would."""
+    real, modules = plugins.entry_points, set[str]()
+
+    def clear() -> None:
+        plugins._entries.cache_clear()
+        plugins.load.cache_clear()
+
+    def offer(name: str, more: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
+        folder = Path(__file__).parents[2] / "packages" / name
+        monkeypatch.syspath_prepend(str(folder))
+        groups = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+        extra = [
+            EntryPoint(key, value, group)
+            for entries in (groups, more)
+            for group, values in entries.items()
+            for key, value in values.items()
+        ]
+        modules.update(value.partition(":")[0] for values in groups.values() for value in values.values())
+        monkeypatch.setattr(
+            plugins, "entry_points", lambda group: [*real(group=group), *(e for e in extra if e.group == group)]
+        )
+        clear()
+
+    yield offer
+    clear()
+    for module in modules:
+        sys.modules.pop(module, None)
 
 
 @pytest.fixture

@@ -1,10 +1,12 @@
-"""A variant of a robot that another package adds is trained and evaluated like the robot itself."""
+"""Variants of robots that another package adds are trained, evaluated and exported like the robots themselves."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint
+import json
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,46 +15,54 @@ import pytest
 from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from naosprint import evaluate, train
-
-_BENT = {"nao-4": ("llj4", "rlj4"), "t1": ("Left_Knee_Pitch", "Right_Knee_Pitch")}
-
-
-def variant(name: str) -> Any:
-    """Return a robot whose knees are bent a little further; its name ends in no number."""
-    robot = robots.get(name)
-    joints = [joint.name for joint in robot.joints if "knee" in joint.name.lower() or joint.name in _BENT[name]]
-    bent = {
-        joint: robot.nominal_rad.get(joint, 0.0) + np.copysign(0.05, robot.nominal_rad.get(joint, 0.0))
-        for joint in joints
-    }
-    return dataclasses.replace(robot, name=f"{name}-crouched", nominal_rad={**robot.nominal_rad, **bent})
-
-
-NAO, T1 = variant("nao-4"), variant("t1")
+from naosprint.export import FORMATS, export_policy
+from naosprint.tasks import RobotDefaults, robot_defaults
 
 
 @pytest.fixture(autouse=True)
-def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Offer the variants as an installed package would."""
-    extra = [
-        EntryPoint(f"{n}-crouched", f"{__name__}:{v}", plugins.ROBOTS) for n, v in (("nao-4", "NAO"), ("t1", "T1"))
-    ]
-    real = plugins.entry_points
-    monkeypatch.setattr(
-        plugins, "entry_points", lambda group: [*real(group=group), *(e for e in extra if e.group == group)]
-    )
-    plugins._entries.cache_clear()
-    plugins.load.cache_clear()
-    yield
-    plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+def installed(offer: Callable[[str], None]) -> None:
+    offer("naosim-crouched")
 
 
-@pytest.mark.parametrize("robot", ["nao-4-crouched", "t1-crouched"])
-def test_a_variant_is_trained_and_evaluated(robot: str, tmp_path: Path, recorder: Any) -> None:
+@pytest.mark.parametrize(("robot", "usual"), [("nao-crouched", "nao-0"), ("t1-crouched", "t1")])
+def test_a_variant_is_trained_evaluated_and_exported(robot: str, usual: str, tmp_path: Path, recorder: Any) -> None:
     settings = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "hidden_sizes": [16]}
     spec = TrainingSpec.model_validate(
         {"robot": robot, "algorithm": settings, "total_steps": 128, "runtime": {"learner_threads": 1}}
     )
-    result = train(spec, workdir=tmp_path, reporter=recorder)
+    own, theirs = spec.robot_description, robots.get(usual)
+    assert (own.nominal != theirs.nominal).any()
+    assert robot_defaults(own) == robot_defaults(theirs)
+    result = train(spec, workdir=tmp_path / "run", reporter=recorder)
     assert evaluate(result.checkpoint, EvaluationSpec(episodes=2)).summary["robot"] == robot
+    written = export_policy(result.checkpoint, tmp_path / "export", FORMATS)
+    with np.load(tmp_path / "export" / "policy.npz") as arrays:
+        np.testing.assert_allclose(arrays["start_pose_rad"], own.nominal)
+    (check,) = (path for path in written if path.name == "check.py")
+    done = subprocess.run([sys.executable, "check.py"], cwd=check.parent, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((tmp_path / "export" / "policy.json").read_text(encoding="utf-8"))["robot"] == robot
+
+
+def test_the_gains_of_a_variant_are_those_of_its_settings() -> None:
+    for name, kp in (("t1", 120.0), ("t1-crouched", 100.0)):
+        described = TrainingSpec.model_validate({"robot": name}).robot_description
+        assert described.parameters.gains("left_knee_pitch")[0] == kp
+
+
+@pytest.mark.parametrize("name", ["t1-crouched", "booster"])
+def test_a_package_states_observations_and_fall_heights_of_its_robot_or_family(
+    name: str, offer: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stated = RobotDefaults(("gravity", "gyro", "joint_angles"), 0.3, 0.4)
+    monkeypatch.setattr(f"{__name__}.stated", lambda robot: stated, raising=False)
+    offer("naosim-crouched", {plugins.ROBOT_DEFAULTS: {name: f"{__name__}:stated"}})
+    assert robot_defaults(robots.get("t1-crouched")) == stated
+    assert (robot_defaults(robots.get("t1")) == stated) == (name == "booster")
+    assert TrainingSpec.model_validate({"robot": "t1-crouched"}).task.min_height_m == 0.3
+
+
+def test_a_family_without_observations_is_refused_by_name() -> None:
+    walker = dataclasses.replace(robots.get("t1"), name="walker-1", family="walker")
+    with pytest.raises(ValueError, match=r"walker-1; offer them as 'walker-1' or 'walker' in .* naosprint\.robots"):
+        robot_defaults(walker)

@@ -40,6 +40,7 @@ _LOSING_STEPS = 5
 _LONGEST_LATENCY = 10
 _NEAR_M, _NEAR_RAD = 0.3, 0.3
 _SAME_M = 0.01
+_UPRIGHT = 0.6  # share of the standing height below which a robot does not stand
 
 
 @dataclass(frozen=True)
@@ -174,8 +175,8 @@ def robots_start_where_they_should(subject: Subject) -> None:
         front = rotation[:, :, simulator.robot.front_axis]
         turned = np.arctan2(front[:, 1], front[:, 0]) - HEADING_RAD
         _require(bool((np.abs(turned) < _NEAR_RAD).all()), f"heading: {turned} rad from the start's")
-        down = position[:, 2] < simulator.robot.fall_height_m
-        _require(not down.any(), f"height: {position[:, 2]} m is below fall_height_m")
+        down = position[:, 2] < _UPRIGHT * simulator.robot.standing_height_m
+        _require(not down.any(), f"height: {position[:, 2]} m is below {_UPRIGHT:.0%} of standing_height_m")
         bent = np.abs(np.diff(_angles(simulator), axis=0)).max()
         _require(bent > np.rad2deg(BEND_RAD) / 2, f"starts: the postures differ by {bent:.2f} degrees only")
 

@@ -17,6 +17,7 @@ ROBOTS = "naosim.robots"
 SIMULATORS = "naosim.simulators"
 TASKS = "naosprint.tasks"
 LEARNERS = "naosprint.learners"
+ROBOT_DEFAULTS = "naosprint.robots"
 
 _NOUNS = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
 

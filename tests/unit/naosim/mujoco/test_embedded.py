@@ -304,7 +304,7 @@ def test_sole_heights_tell_flight_as_contacts_do(robot: Robot) -> None:
         quaternions = sensed["torso_quat"] / np.linalg.norm(sensed["torso_quat"], axis=1, keepdims=True)
         pose = np.concatenate((sensed["torso_pos"], quaternions, np.radians(sensed["joint_angles"])), axis=1)
         above = (sole_heights(simulator.world, pose) > 0.0).all(axis=1)
-        standing = simulator.truth.torso_position[:, 2] > robot.fall_height_m
+        standing = simulator.truth.torso_position[:, 2] > 0.65 * robot.standing_height_m
         agree += (above == simulator.airborne())[standing].tolist()
         flying += simulator.airborne()[standing].tolist()
     assert np.mean(agree) > 0.9 and 0.1 < np.mean(flying) < 0.9

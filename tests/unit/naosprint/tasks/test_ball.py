@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from naospec import EvaluationSpec, TrainingSpec, plugins
+from naospec import EvaluationSpec, TrainingSpec
 from naosprint import evaluate, train
 from naosprint.analysis.film import Film
 from naosprint.analysis.replay import load_replay
@@ -23,24 +21,12 @@ from naosprint.tasks.environment import Environment, open_environment
 from naosprint.tasks.observations import blocks
 from pydantic import ValidationError
 
-PACKAGE = Path(__file__).parents[3] / "packages" / "naosprint-push"
 NAMES = ("ball_forward", "ball_left", "ball_forward_velocity", "ball_left_velocity", "ball_age")
 
 
 @pytest.fixture(autouse=True)
-def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Offer the task as the installed package would."""
-    monkeypatch.syspath_prepend(str(PACKAGE))
-    real, entry = plugins.entry_points, EntryPoint("push-ball", "naosprint_push:PushBall", plugins.TASKS)
-    monkeypatch.setattr(
-        plugins, "entry_points", lambda group: [*real(group=group), *([entry] if group == plugins.TASKS else [])]
-    )
-    plugins._entries.cache_clear()
-    plugins.load.cache_clear()
-    yield
-    plugins._entries.cache_clear()
-    plugins.load.cache_clear()
-    sys.modules.pop("naosprint_push", None)
+def installed(offer: Callable[[str], None]) -> None:
+    offer("naosprint-push")
 
 
 def specification(**changes: Any) -> TrainingSpec:

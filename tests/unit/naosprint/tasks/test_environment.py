@@ -11,6 +11,7 @@ from naosim.simspark import EmbeddedSimulator
 from naospec import TrainingSpec
 from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment, open_training_environment
+from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
 
 FALL = np.ones(20)
@@ -218,7 +219,7 @@ def test_settings_that_depend_on_the_robot_are_its_own() -> None:
     heights = {}
     for robot in ("nao-0", "nao-3"):
         for task in ("sprint1", "sprint1-erect", "sprint2", "sprint2-erect"):
-            described = robots.get(robot)
+            described = robot_defaults(robots.get(robot))
             expected = described.erect_height_m if task.endswith("-erect") else described.fall_height_m
             spec = TrainingSpec.model_validate({"task": task, "robot": robot})
             assert spec.task.min_height_m == expected

@@ -14,6 +14,7 @@ from naosim.simulator import Simulator, Starts, Truth
 from naosprint.tasks.base import World
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.observations import BLOCKS, ObservationBlock, Observer, blocks
+from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 from numpy.typing import NDArray
 
@@ -71,7 +72,7 @@ class Watch:
     def __init__(self, robot: Robot = NAO) -> None:
         self.simulator = Puppet()
         self.world = World(self.simulator)
-        self.observer = Observer(1, blocks(self.world, robot.observations))
+        self.observer = Observer(1, blocks(self.world, robot_defaults(robot).observations))
         self.names = self.observer.names
 
     def begin(self, readings: Readings) -> dict[str, float]:
@@ -339,6 +340,15 @@ def test_a_mirror_image_that_is_not_observed_is_named() -> None:
         _ = observer.mirror
 
 
-@pytest.mark.parametrize("robot", [name for name in robots.names() if robots.get(name).observations])
-def test_every_robots_observations_exist(robot: str) -> None:
-    assert set(robots.get(robot).observations) <= set(BLOCKS)
+@pytest.mark.parametrize("robot", robots.names())
+def test_every_robot_has_observations_that_exist_and_heights_below_its_own(robot: str) -> None:
+    described = robots.get(robot)
+    defaults = robot_defaults(described)
+    assert set(defaults.observations) <= set(BLOCKS)
+    assert defaults.fall_height_m < defaults.erect_height_m < described.standing_height_m
+
+
+def test_policies_of_an_onboard_robot_observe_the_estimate_in_place_of_the_truth() -> None:
+    plain, onboard = robots.get("nao-3"), robots.get("nao-3").with_parameters({"onboard_sensing": True})
+    assert {"yaw", "height"} <= set(robot_defaults(plain).observations)
+    assert not {"yaw", "height"} & set(robot_defaults(onboard).observations)

@@ -14,6 +14,7 @@ from naosprint.tasks.base import World
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.observations import Observer, blocks
 from naosprint.tasks.onboard_pose import OnboardPose
+from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, SprintSettings
 
 N, STEPS = 16, 300
@@ -36,7 +37,7 @@ def errors() -> np.ndarray:
     """(steps, robots, 3): errors of yaw, of yaw against a step before, and of height, in a run by the true pose."""
     environment = opened(onboard())
     policy, manifest = load_policy(naopolicies.folder("sprint"))
-    true = Observer(N, blocks(environment.world, robots.get("nao-0").observations))
+    true = Observer(N, blocks(environment.world, robot_defaults(robots.get("nao-0")).observations))
     everyone = slice(0, N)
     true.begin(np.arange(N))
     found, yaw_before = [], environment.world.yaw(everyone)
@@ -105,7 +106,7 @@ def test_nothing_of_it_is_the_truth() -> None:
         truth = environment.simulator.truth
         environment.simulator.truth = Truth(np.full((4, 3), np.nan), np.full((4, 3, 3), np.nan))
         estimate.update(slice(0, 4))
-        for block in blocks(blind, environment.world.robot.observations):
+        for block in blocks(blind, environment.world.defaults.observations):
             if block.operation is None:
                 continue
             assert np.isfinite(block.measure(slice(0, 4))).all(), block.names

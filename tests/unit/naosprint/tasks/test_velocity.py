@@ -171,7 +171,7 @@ def test_a_fall_ends_the_episode_and_the_time_limit_truncates_it() -> None:
     fall[0] = 1.0
     for step in range(1, 31):
         environment.step(fall)
-        low = environment.simulator.truth.torso_position[:, 2] < T1.fall_height_m
+        low = environment.simulator.truth.torso_position[:, 2] < environment.world.defaults.fall_height_m
         np.testing.assert_array_equal(environment.terminated, low)
         np.testing.assert_array_equal(environment.failed, low)
         np.testing.assert_array_equal(environment.ends["fallen"], low)

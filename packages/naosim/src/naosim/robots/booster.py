@@ -250,8 +250,6 @@ def _robot(
     parameters: BoosterParameters,
     *,
     standing_height_m: float,
-    fall_height_m: float,
-    erect_height_m: float,
     beam_height_m: float,
     camera: CameraMount,
 ) -> Robot:
@@ -265,8 +263,6 @@ def _robot(
             {joint.name: joint.sign * _NOMINAL[kind] for joint in joints if (kind := kind_of(joint.name)) in _NOMINAL}
         ),
         standing_height_m=standing_height_m,
-        fall_height_m=fall_height_m,
-        erect_height_m=erect_height_m,
         front_axis=0,
         perceptors=(
             PerceptorDescription("joint_angles", len(joints), "deg", "joint angles, 2 decimals"),
@@ -275,16 +271,6 @@ def _robot(
             PerceptorDescription("torso_pos", 3, "m", "torso position in the world, 3 decimals"),
             PerceptorDescription("gyro", 3, "deg/s", "angular velocity, torso frame, 2 decimals"),
             PerceptorDescription("accel", 3, "m/s^2", "acceleration with gravity, torso frame, 2 decimals"),
-        ),
-        observations=(
-            "gravity",
-            "gyro",
-            "velocity",
-            "height",
-            "heading",
-            "joint_angles",
-            "joint_speeds",
-            "last_action",
         ),
         parameters=parameters,
         data=MappingProxyType({"model": name.upper(), "beam_height_m": beam_height_m}),
@@ -300,8 +286,6 @@ T1 = _robot(
     _T1_JOINTS,
     T1Parameters(),
     standing_height_m=0.6734,
-    fall_height_m=0.45,
-    erect_height_m=0.57,
     beam_height_m=0.6735,
     camera=CameraMount((0.0625, 0.0, 0.243), (0.0, 0.0, 0.06185), (0.05, 0.0, 0.12)),
 )
@@ -310,8 +294,6 @@ K1 = _robot(
     _K1_JOINTS,
     K1Parameters(),
     standing_height_m=0.5517,
-    fall_height_m=0.37,
-    erect_height_m=0.47,
     beam_height_m=1.0,
     camera=CameraMount((0.0056, 0.0, 0.2149), (0.0, 0.0, 0.033), (0.06, 0.0, 0.08)),
 )

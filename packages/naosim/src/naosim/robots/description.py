@@ -134,17 +134,13 @@ class Robot:
 
     Attributes:
         name: how specifications refer to it, for example ``nao-0`` or ``t1``.
-        family: robots that share simulators and observations, for example ``nao`` or ``booster``.
+        family: robots that share simulators, for example ``nao`` or ``booster``.
         title: name for users.
         joints: all joints, in the order of commands and joint perceptors.
         nominal_rad: simulator angle of each joint in the pose from which episodes start, by joint name; 0 if missing.
         standing_height_m: torso height with straight legs, soles on the ground.
-        fall_height_m: torso height below which an episode counts as a fall, unless the task overrides it.
-        erect_height_m: the same for tasks that require an upright run.
         front_axis: column of the torso's rotation matrix that points to the robot's front.
-        perceptors: what it senses.
-        observations: names of the observation blocks that a task uses by default, in order
-            (``naosprint.tasks.observations``).
+        perceptors: what it perceives.
         action_range_rad: half the range of the target angle around nominal for an action of 1; None if actions span the
             joint's whole range.
         parameters: its settings.
@@ -160,11 +156,8 @@ class Robot:
     joints: tuple[JointDescription, ...]
     nominal_rad: Mapping[str, float]
     standing_height_m: float
-    fall_height_m: float
-    erect_height_m: float
     front_axis: int
     perceptors: tuple[PerceptorDescription, ...]
-    observations: tuple[str, ...]
     action_range_rad: Mapping[str, float] | None = None
     parameters: RobotParameters = dataclasses.field(default_factory=RobotParameters)
     data: Mapping[str, Any] = dataclasses.field(default_factory=lambda: MappingProxyType({}))

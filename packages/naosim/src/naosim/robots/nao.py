@@ -28,12 +28,6 @@ FAMILY = "nao"
 START_POSE_DEG: Mapping[str, float] = {"aj1": 90.0, "aj3": -90.0, "aj4": -90.0, "lj3": -30.0, "lj4": 60.0, "lj5": -30.0}
 """The nominal pose in degrees, in the policies' convention and without the side's letter; other joints are at 0."""
 
-FALL_HEIGHT_M = 0.27
-"""Torso height that ends an episode in the paper's main runs."""
-
-ERECT_HEIGHT_M = 0.33
-"""The same in the paper's erect variant."""
-
 _SIDES: Mapping[str, Side] = {"l": "left", "r": "right"}
 _REVERSED_PITCH = frozenset({"aj1", "lj3", "lj4", "lj5"})
 _LATERAL = frozenset({"aj2", "aj3", "aj4", "lj2", "lj6"})
@@ -50,10 +44,6 @@ _VISION = PerceptorDescription(
     "m, deg",
     "distance, theta and phi of the four goal posts and four flags in the head's frame; NaN for those not in sight, "
     "and in two of three steps",
-)
-_OBSERVATIONS = (
-    *("step", "joint_angles", "yaw", "height", "centre_of_mass", "gyro", "accel"),
-    *("left_foot_origin", "left_foot_force", "right_foot_origin", "right_foot_force", "foot_counters"),
 )
 
 
@@ -80,14 +70,9 @@ class NaoParameters(RobotParameters):
         return self
 
     def description(self, robot: Robot) -> dict[str, Any]:
-        """Return perceptors and observations."""
+        """Return the perceptors: an onboard robot has vision."""
         perceptors = [each for each in robot.perceptors if each != _VISION]
-        if not self.onboard_sensing:
-            more = ("ground_velocity",) if self.ground_velocity else ()
-            return {"perceptors": tuple(perceptors), "observations": (*_OBSERVATIONS, *more)}
-        seen = {"yaw": "onboard_pose"}
-        names = (seen.get(name, name) for name in _OBSERVATIONS if name != "height")
-        return {"perceptors": (*perceptors, _VISION), "observations": tuple(names)}
+        return {"perceptors": (*perceptors, _VISION) if self.onboard_sensing else tuple(perceptors)}
 
 
 def _side(name: str) -> Side:
@@ -132,11 +117,8 @@ def _robot(robot_type: int) -> Robot:
         joints=joints,
         nominal_rad={name: angle for name, angle in angles.items() if angle},
         standing_height_m=model.standing_height,
-        fall_height_m=FALL_HEIGHT_M,
-        erect_height_m=ERECT_HEIGHT_M,
         front_axis=1,
         perceptors=(PerceptorDescription("joint_angles", len(joints), "deg", "in joint order"), *_PERCEPTORS),
-        observations=_OBSERVATIONS,
         parameters=NaoParameters(),
         data={"robot_type": robot_type},
         load_shapes=lambda: _shapes(robot_type),

@@ -7,6 +7,7 @@ from naospec import TaskSettings
 from naosprint.tasks.base import End, RewardTerm, Task, World
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.observations import ObservationBlock, blocks
+from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
 
 __all__ = [
     "Chart",
@@ -19,8 +20,10 @@ __all__ = [
     "Result",
     "ResultTable",
     "RewardTerm",
+    "RobotDefaults",
     "Task",
     "TaskSettings",
     "World",
     "blocks",
+    "robot_defaults",
 ]

@@ -17,6 +17,7 @@ from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
+from naosprint.tasks.robot_defaults import robot_defaults
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -70,6 +71,7 @@ class World:
     Attributes:
         n: number of robots.
         robot: their description.
+        defaults: its observations and fall heights unless the task differs.
         actuation: how actions become joint targets.
         steps: (n,) steps of each robot's episode so far.
         streams: (n,) whose random numbers each robot gets: its own in a training, those of its episode in an
@@ -82,6 +84,7 @@ class World:
         self.simulator = simulator
         self.n = simulator.n
         self.robot: Robot = simulator.robot
+        self.defaults = robot_defaults(simulator.robot)
         self.actuation = Actuation(simulator.robot)
         self.steps: IntArray = np.zeros(self.n, dtype=np.int64)
         self.streams: IntArray = np.arange(self.n)
@@ -241,7 +244,7 @@ class Task:
         """Return what a policy observes, in order; the robot's usual observations by default."""
         from naosprint.tasks.observations import blocks
 
-        return blocks(self.world, self.robot.observations)
+        return blocks(self.world, self.world.defaults.observations)
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
         """Return what a critic observes besides, in training only; the torso's true height and velocity by default.

@@ -188,7 +188,7 @@ class GetUp(Task):
         """Return the robot's usual observations without its heading in the world, and the time."""
         from naosprint.tasks.observations import ObservationBlock, blocks
 
-        usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
+        usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
         return [*usual, ObservationBlock(_TIME, lambda rows: time_numbers(self.world.steps[rows]))]
 
     def _actions(self, moves: Sequence[Motion]) -> FloatArray:

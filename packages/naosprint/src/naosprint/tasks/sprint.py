@@ -19,6 +19,7 @@ from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.penalties import penalties
+from naosprint.tasks.robot_defaults import robot_defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -220,8 +221,8 @@ class Sprint(Task):
     def resolve(cls, parameters: SprintSettings, robot: Robot) -> SprintSettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
-        usual = robot.erect_height_m if cls.erect else robot.fall_height_m
-        return with_min_height(parameters, robot, usual)
+        usual = robot_defaults(robot)
+        return with_min_height(parameters, robot, usual.erect_height_m if cls.erect else usual.fall_height_m)
 
     def __init__(self, parameters: SprintSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)

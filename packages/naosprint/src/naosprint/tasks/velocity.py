@@ -15,6 +15,7 @@ from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultT
 from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
 from naosprint.tasks.penalties import penalties
 from naosprint.tasks.randomness import uniform
+from naosprint.tasks.robot_defaults import robot_defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -286,7 +287,7 @@ class Velocity(Task):
     def resolve(cls, parameters: VelocitySettings, robot: Robot) -> VelocitySettings:
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
-        return with_min_height(parameters, robot, robot.fall_height_m)
+        return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
 
     def __init__(self, parameters: VelocitySettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
@@ -320,7 +321,7 @@ class Velocity(Task):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations without its heading in the world, and those of the command."""
-        usual = blocks(self.world, [name for name in self.robot.observations if name != "heading"])
+        usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
             lambda rows: self.command[rows],
