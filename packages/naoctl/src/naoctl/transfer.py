@@ -12,11 +12,19 @@ from pathlib import Path, PurePosixPath
 
 import httpx
 
-from naoctl.client import Client, raise_for_problem, unreachable
+from naoctl.client import ApiError, Client, raise_for_problem, unreachable
 from naoctl.errors import CliError, ExitCode
 
-#: Number of attempts to resume after a lost connection.
-ATTEMPTS = 5
+#: Number of attempts to resume after a lost connection or a wrong answer: about 20 s.
+ATTEMPTS = 7
+
+
+class WrongAnswer(CliError):
+    """Answer with other bytes than promised, which a store in trouble may give for a moment."""
+
+    def __init__(self, message: str) -> None:
+        fix = "Nothing was kept; run the same command again, and if it repeats, the store is damaged."
+        super().__init__(message, fix=fix, code=ExitCode.CORRUPT)
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,8 @@ def fetch(
     """Download one file into a folder and return its path.
 
     A complete file is not downloaded again. Bytes arrive in ``NAME.part``; a part that an interrupted
-    download left behind is continued by a range request. The file takes its name only once its SHA-256 is right.
+    download left behind is continued by a range request. The file takes its name only once its SHA-256 is right; other
+    bytes, and a file that is missing or cannot be served, are asked for again.
 
     Args:
         client: the service.
@@ -83,7 +92,15 @@ def fetch(
     for attempt in range(1, ATTEMPTS + 1):
         try:
             _continue(client, remote, part, report)
+            actual = file_sha256(part)
+            if actual != remote.sha256:
+                part.unlink()
+                text = f"received with SHA-256 {actual[:12]}… instead of {remote.sha256[:12]}…"
+                raise WrongAnswer(f"{remote.name} was {text}")
             break
+        except (WrongAnswer, ApiError) as error:
+            if attempt == ATTEMPTS or (isinstance(error, ApiError) and error.status != 404 and error.status < 500):
+                raise
         except httpx.TransportError as error:
             if attempt == ATTEMPTS and isinstance(error, httpx.ConnectError | httpx.ConnectTimeout):
                 raise unreachable(client.target.url, error) from None
@@ -93,15 +110,7 @@ def fetch(
                     fix="Run the same command again, which resumes; if it repeats, the service's store is in trouble.",
                     code=ExitCode.UNREACHABLE,
                 ) from None
-            sleep(min(0.5 * 2**attempt, 5.0))
-    actual = file_sha256(part)
-    if actual != remote.sha256:
-        part.unlink()
-        raise CliError(
-            f"{remote.name} was received with SHA-256 {actual[:12]}… instead of {remote.sha256[:12]}…",
-            fix="Nothing was kept; run the same command again, and if it repeats, the store is damaged.",
-            code=ExitCode.CORRUPT,
-        )
+        sleep(min(0.5 * 2**attempt, 5.0))
     part.replace(target)
     return target
 
@@ -127,7 +136,8 @@ def _continue(client: Client, remote: RemoteFile, part: Path, report: Callable[[
         if response.status_code == 206:
             match = re.match(r"bytes (\d+)-", response.headers.get("content-range", ""))
             if not match or int(match[1]) != have:
-                raise CliError("The service answered with another range than requested", fix="Remove the .part file.")
+                part.unlink(missing_ok=True)
+                raise WrongAnswer(f"{remote.name} was answered with another range than requested")
         else:
             have = 0
         with part.open("ab" if have else "wb") as file:
@@ -135,11 +145,7 @@ def _continue(client: Client, remote: RemoteFile, part: Path, report: Callable[[
                 have += len(chunk)
                 if have > remote.size:
                     part.unlink()
-                    raise CliError(
-                        f"{remote.name} is longer than the {remote.size:,} bytes promised",
-                        fix="Nothing was kept; the store is damaged.",
-                        code=ExitCode.CORRUPT,
-                    )
+                    raise WrongAnswer(f"{remote.name} is longer than the {remote.size:,} bytes promised")
                 file.write(chunk)
                 report(have)
             file.flush()

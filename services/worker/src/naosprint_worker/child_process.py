@@ -115,32 +115,44 @@ class Services:
         folder: Path,
         manifest: Manifest,
         *,
+        patience_s: float | None = None,
         on_retry: Callable[[Exception, float], None] | None = None,
     ) -> None:
         """Download an artifact into ``folder`` and verify it, waiting for a store that fails.
 
+        A file that is missing or other than its manifest says is a failure like any other: a proxy's page of errors, a
+        body that is cut or a 404 may be the store's trouble of a moment.
+
+        Args:
+            key: of the artifact.
+            folder: where to put it.
+            manifest: of the artifact.
+            patience_s: seconds to wait; None: the worker's patience.
+            on_retry: called with each error and the seconds until the next try.
+
         Raises:
-            MissingArtifactError: a file is gone.
-            CorruptArtifactError: a file does not match the manifest.
+            MissingArtifactError: a file was still gone at the end.
+            CorruptArtifactError: a file did still not match the manifest.
             PatienceExhaustedError: the store failed for too long.
         """
 
-        def download() -> StoreError | None:
-            try:
-                self.store.get_directory(key, folder, manifest)
-            except (CorruptArtifactError, MissingArtifactError) as error:
-                return error  # trying again would not help
-            return None
+        def before_retry(error: Exception, pause_s: float) -> None:
+            self.progress.mark()
+            if on_retry is not None:
+                on_retry(error, pause_s)
 
-        error = retry(
-            download,
-            what=f"fetching {key}",
-            transient=(StoreError,),
-            patience_s=self.settings.worker_patience_s,
-            on_retry=on_retry,
-        )
-        if error is not None:
-            raise error
+        try:
+            retry(
+                lambda: self.store.get_directory(key, folder, manifest),
+                what=f"fetching {key}",
+                transient=(StoreError,),
+                patience_s=self.settings.worker_patience_s if patience_s is None else patience_s,
+                on_retry=before_retry,
+            )
+        except PatienceExhaustedError as error:
+            if isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
+                raise error.__cause__ from error
+            raise
 
     def requeue_if_orphaned(self, lease: Lease) -> None:
         """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""

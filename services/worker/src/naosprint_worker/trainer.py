@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import shutil
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -211,11 +212,14 @@ class Attempt:
     def _fetch_resume(self, refused: Mapping[str, Exception]) -> _Start | None:
         """Find the newest checkpoint of this job that is undamaged, on this disk or in the store; record damaged ones.
 
+        All checkpoints together have the worker's patience: a store that fails for a while damages none.
+
         Returns:
             The checkpoint and its files; none for a job that has no checkpoint yet.
 
         Raises:
             CheckpointsUnusableError: all are damaged or gone. Starting again would lose the training so far.
+            StoreError: all are, and the store does not return a new file either.
         """
         listed = self._database(
             lambda: checkpoints_of(self._services.sessions, self._lease.job_id), "listing checkpoints"
@@ -229,16 +233,19 @@ class Attempt:
             folder = self._services.workdir / "fetched" / newest.folder.name
             shutil.copytree(newest.checkpoint, folder, copy_function=link_or_copy)
             return _Start(newest.step, None, folder, waiting)
+        until = time.monotonic() + self._services.settings.worker_patience_s
         for reference in listed:
             if reference.id in refused:
                 last = last or refused[reference.id]
                 continue
             try:
-                return _Start(reference.step, reference.id, self._fetch(reference))
+                patience_s = max(0.0, until - time.monotonic())
+                return _Start(reference.step, reference.id, self._fetch(reference, patience_s))
             except (CorruptArtifactError, MissingArtifactError) as error:
                 self._note_unusable(reference.id, error)
                 last = last or error
         if last is not None:
+            self._services.store.check()
             raise CheckpointsUnusableError(
                 f"none of its {len(listed)} checkpoints can be used; restore their files and retry the job, or submit "
                 f"a new one; the newest: {last}"
@@ -292,12 +299,13 @@ class Attempt:
         )
         return folder
 
-    def _fetch(self, reference: CheckpointRef) -> Path:
+    def _fetch(self, reference: CheckpointRef, patience_s: float | None = None) -> Path:
         folder = self._services.workdir / "fetched" / reference.id
         self._services.fetch(
             reference.key,
             folder,
             Manifest.model_validate(reference.manifest),
+            patience_s=patience_s,
             on_retry=lambda error, _: self._recorder.log("warning", f"fetching {reference.key} again: {error}"),
         )
         return folder
