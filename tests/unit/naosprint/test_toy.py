@@ -17,7 +17,10 @@ from naosprint.__main__ import main
 from naosprint.analysis.report import write_report
 from naosprint.analysis.results import by_name
 from naosprint.registration import register_envs
+from naosprint.rl.candidates import Candidates
+from naosprint.rl.ppo import PPO
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
+from naosprint.tasks.metrics import Result
 from pydantic import Field
 
 from ..naosim import toy_simulator  # noqa: TID252 - a module of the tests
@@ -141,6 +144,41 @@ def test_resuming_continues_bit_for_bit(tmp_path: Path, recorder: Any) -> None:
     rest = train(spec, workdir=tmp_path / "rest", reporter=recorder, resume=half.checkpoint)
     assert half.status == "stopped"
     assert_same(rest.checkpoint, whole.checkpoint)
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf], ids=str)
+def test_a_number_that_is_not_finite_is_named_once_and_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], value: float
+) -> None:
+    """A metric of the task, one of the learner, and a result: training, evaluation and report are whole."""
+    monkeypatch.setattr(Crawl, "measure", lambda self, rows: np.full((len(rows), 1), value))
+    summary = (Result(PROGRESS, np.float32(value), sd=np.nan, interval=(0.0, value), high=np.float32(2.0), episodes=2),)
+    monkeypatch.setattr(Crawl, "summarize", lambda self, episodes, statistics: (summary, ()))
+    update = PPO.update
+    monkeypatch.setattr(PPO, "update", lambda self: {**update(self), "kl": value, "rate": np.float32(0.5)})
+    words = "--task crawl --robot crawler --simulator crawling --total-steps 4096 --n-envs 16 --n-steps 64"
+    run, result, page = tmp_path / "run", tmp_path / "evaluation", tmp_path / "page"
+    assert main(["train", str(run), *words.split(), "--batch-size", "256"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.count(f"metric progress is {value} at 2,048 steps: such values are left out") == 1
+    assert told.count("metric kl is") == told.count("metric progress is") == 1
+    rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [1024, 2048, 3072, 4096]
+    assert all("progress" not in row and "kl" not in row and row["rate"] == 0.5 for row in rows)
+
+    assert main(["evaluate", str(run / "step-000000004096"), "--episodes", "2", "--output", str(result)]) == 0
+    assert f"result progress is {value}: stored without a value" in capsys.readouterr().err
+    stored = by_name(json.loads((result / "evaluation.json").read_text()))["progress"]
+    assert (stored["value"], stored["sd"], stored["interval"], stored["high"]) == (None, None, None, 2.0)
+    assert main(["report", str(result), str(page), "--metrics", str(run / "metrics.jsonl"), "--no-film"]) == 0
+
+
+def test_candidates_are_compared_by_finite_rewards() -> None:
+    candidates = Candidates(2)
+    candidates.add({"reward": np.nan, "episode_length": 10.0}, {"a": np.zeros(1)})
+    candidates.add({"reward": -5.0, "episode_length": 10.0}, {"a": np.ones(1)})
+    assert candidates.best is not None
+    assert candidates.best["a"] == 1.0
 
 
 def test_the_command_line_offers_it(capsys: pytest.CaptureFixture[str]) -> None:

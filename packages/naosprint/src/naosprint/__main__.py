@@ -308,6 +308,8 @@ def _evaluate(options: argparse.Namespace) -> int:
             return 128 + signal.SIGINT
     if options.output is not None:
         evaluation.save(options.output)
+    for warning in evaluation.warnings:
+        sys.stderr.write(f"warning: {warning}\n")
     sys.stdout.write(evaluation.to_json())
     return 0
 

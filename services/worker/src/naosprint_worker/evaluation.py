@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,17 @@ from naospec import EvaluationSpec
 
 from naosprint_worker.child_process import Services, StopRequestedError
 
+logger = logging.getLogger(__name__)
+
 
 def evaluate_into(
-    folder: Path, checkpoint: Path, spec: EvaluationSpec, *, threads: int, services: Services
+    folder: Path,
+    checkpoint: Path,
+    spec: EvaluationSpec,
+    *,
+    threads: int,
+    services: Services,
+    warn: Callable[[str], None] = logger.warning,
 ) -> dict[str, Any]:
     """Evaluate ``checkpoint``, write results and trajectories to ``folder`` and return the results.
 
@@ -23,5 +33,7 @@ def evaluate_into(
         evaluation = naosprint.evaluate(checkpoint, spec, threads=threads, stop=services.step)
     except InterruptedError as error:
         raise StopRequestedError from error
+    for warning in evaluation.warnings:
+        warn(warning)
     evaluation.save(folder)
     return evaluation.summary

@@ -230,7 +230,7 @@ class _Pass:
             name = objective.metric
             value = results[name] if name in results else job.latest_metrics.get(name)
             if value is None:
-                return None, f"it has no {name}: no episode counts for it"
+                return None, f"it has no {name}: no episode counts for it, or it is no finite number"
             values.append(float(value))
         return values, None
 

@@ -182,8 +182,8 @@ class Attempt:
             return
         folder = services.workdir / "evaluation"
         threads = self._assignment.spec.runtime.simulator_threads
-        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services)
         warn = partial(self._recorder.log, "warning")
+        summary = evaluate_into(folder, trained.checkpoint, spec, threads=threads, services=services, warn=warn)
         add_report(services, folder, lease.job_id, trained.steps, warn=warn)
         key = evaluation_key(lease.job_id, identifier, lease.attempt, new_nonce())
         manifest = retry(

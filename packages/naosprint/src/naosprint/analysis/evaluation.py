@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,11 +86,13 @@ class Evaluation:
         summary: all results, ready for JSON; a result that no episode supports has the value None.
         trajectories: paths of the first episodes.
         replay: the median one of the first few episodes.
+        warnings: names of results whose number is not finite, and what it is instead.
     """
 
     summary: dict[str, Any]
     trajectories: Trajectories
     replay: Replay
+    warnings: tuple[str, ...] = ()
 
     def to_json(self) -> str:
         """Return the summary as JSON."""
@@ -177,8 +180,17 @@ def evaluate(
         "headline": list(task.presentation.headline),
         "tables": [table.to_json() for table in tables],
     }
+    named = [*results, *(result for table in tables for column in table.columns.values() for result in column)]
+    warnings = {
+        f"result {result.metric.name} is {result.value}: stored without a value"
+        for result in named
+        if result.value is not None and not isfinite(result.value)
+    }
     return Evaluation(
-        summary, _trajectories(recorder, episodes, spec.trajectories), _replay(recorder, episodes, setting)
+        summary,
+        _trajectories(recorder, episodes, spec.trajectories),
+        _replay(recorder, episodes, setting),
+        tuple(sorted(warnings)),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +50,8 @@ class Candidates:
             policy: its policy.
         """
         reward = reward_per_step(means) if means else -inf
+        if not isfinite(reward):
+            reward = -inf
         if self.best is None or reward > max(self.rewards):
             self.best = policy
         self.rewards.append(reward)

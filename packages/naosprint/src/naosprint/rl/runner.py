@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import inf
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, nan
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -34,7 +34,7 @@ from naosprint.tasks.metrics import format_value
 from naosprint.threads import set_learner_threads
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from naospec import TrainingSpec
@@ -74,6 +74,8 @@ class _Progress:
     updates: int = 0
     episodes: int = 0
     training_s: float = 0.0
+    left_out: set[str] = field(default_factory=set)
+    """Metrics that have been named for a value that is no finite number."""
 
 
 def train(
@@ -470,7 +472,7 @@ class _Session:
         return {name: total / filled for name, total in zip(window.names, sums, strict=True)} if filled else {}
 
     def _report(self, metrics: Mapping[str, float], pace: Mapping[str, float]) -> dict[str, float]:
-        """Report one update; return the means over the latest episodes."""
+        """Report one update, without values that are no finite numbers; return the means over the latest episodes."""
         means = self._window_means()
         row: dict[str, float] = {
             "step": float(self.steps),
@@ -485,8 +487,24 @@ class _Session:
         simulator = self.environment.environment.simulator
         if simulator.failures or simulator.can_fail:
             row["server_failures"] = float(simulator.failures)
-        self._reporter.metrics(row)
+        self._reporter.metrics(dict(self._finite(row)))
         return means
+
+    def _finite(self, row: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+        """Yield the values that are finite numbers; name each metric once that has others, which stores cannot hold."""
+        for name, value in row.items():
+            try:
+                number = float(value)
+            except (TypeError, ValueError):
+                number = nan
+            if isfinite(number):
+                yield name, number
+            elif name not in self.progress.left_out:
+                self.progress.left_out.add(name)
+                message = (
+                    f"metric {name} is {value!r} at {self.steps:,} steps: such values are left out from here on"
+                )
+                self._reporter.log("warning", message)
 
 
 def _first_step(spec: TrainingSpec, stage: int, candidate: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from typing import Any, Literal
 
 Better = Literal["higher", "lower"]
@@ -109,11 +110,14 @@ class Result:
     episodes: int = 0
 
     def to_json(self) -> dict[str, Any]:
-        """Return a JSON object."""
+        """Return a JSON object; a number that is not finite becomes None."""
         document = asdict(self)
         metric = document.pop("metric")
         del metric["live"]
-        document["interval"] = None if self.interval is None else list(self.interval)
+        for name in ("value", "sd", "low", "high"):
+            document[name] = _finite(document[name])
+        bounds = [_finite(bound) for bound in self.interval or (None,)]
+        document["interval"] = None if None in bounds else bounds
         return {**metric, **document}
 
 
@@ -150,6 +154,10 @@ class ResultTable:
                 for title, results in self.columns.items()
             ],
         }
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not isfinite(value) else float(value)
 
 
 def format_value(metric: Metric, value: float | None) -> str:
