@@ -4,8 +4,9 @@ import stat
 from pathlib import Path
 
 import pytest
-from naoctl.config import DEFAULT_URL, Config, normal_url, resolve_target, write_private
+from naoctl.config import DEFAULT_URL, PRIVATE, Config, normal_url, resolve_target
 from naoctl.errors import InvalidInput
+from naospec.files import write_whole
 
 
 def test_tokens_survive_a_round_trip(tmp_path: Path) -> None:
@@ -68,9 +69,9 @@ def test_addresses_have_one_form() -> None:
 
 def test_private_files_are_private_and_whole(tmp_path: Path) -> None:
     path = tmp_path / "secret"
-    write_private(path, "one")
+    write_whole(path, "one", mode=PRIVATE)
     path.chmod(0o644)
-    write_private(path, "two")
+    write_whole(path, "two", mode=PRIVATE)
     assert path.read_text() == "two"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(tmp_path.iterdir()) == [path]

@@ -494,6 +494,50 @@ def test_data_of_an_unknown_postgres_is_refused(layout: Layout) -> None:
         find_programs(layout.postgres)
 
 
+def test_postgres_locks_of_a_power_cut_are_cleared(supervisor: tuple[Supervisor, list[str]], layout: Layout) -> None:
+    """Their number is now that of another process, or they are empty; those of a server that runs stay."""
+    postgres = Postgres(layout, "secret")
+    postgres.make()
+    locks = (layout.postgres / "postmaster.pid", postgres.socket_dir / ".s.PGSQL.5432.lock")
+    account = {"user": postgres.account.uid, "group": postgres.account.gid} if postgres.account else {}
+    running = supervisor[0]
+    with running._signals(), subprocess.Popen(["sleep", "600"], **account) as other:
+        try:
+            for text in (f"{other.pid}\n{layout.postgres}\n", "", "\0\0\0\0"):
+                for lock in locks:
+                    lock.write_text(text)
+                    lock.chmod(0o666)
+                postgres.make()
+                running._launch(running._postgres_program(postgres))
+                try:
+                    running._await_ready("postgres")
+                    postgres.make()
+                    server = running.children["postgres"].process
+                    assert server is not None
+                    assert [int(lock.read_text().split()[0]) for lock in locks] == [server.pid] * 2
+                    postgres.ensure_database()
+                finally:
+                    running.children["postgres"].stop_now()
+        finally:
+            other.kill()
+
+
+def test_postgres_without_passwords_is_refused(supervisor: tuple[Supervisor, list[str]], layout: Layout) -> None:
+    postgres = Postgres(layout, "secret")
+    postgres.make()
+    rules = layout.postgres / "pg_hba.conf"
+    rules.write_text("local all all trust\n" + rules.read_text())
+    running = supervisor[0]
+    with running._signals():
+        running._launch(running._postgres_program(postgres))
+        try:
+            running._await_ready("postgres")
+            with pytest.raises(StackError, match="1 rules that need no password"):
+                postgres.ensure_database()
+        finally:
+            running.children["postgres"].stop_now()
+
+
 def test_the_brokers_password_stands_in_a_private_file_alone(layout: Layout) -> None:
     broker = Broker(layout, "secret", 6000)
     broker.make()

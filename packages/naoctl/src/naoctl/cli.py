@@ -103,6 +103,11 @@ def main(arguments: list[str] | None = None) -> None:
     except CliError as error:
         report(error, as_json=as_json)
         code = error.code
+    except OSError as error:  # a disk that is full, a folder that may not be written, a name that is too long
+        report(
+            CliError(f"{error.strerror or error}: {error.filename}" if error.filename else str(error)), as_json=as_json
+        )
+        code = ExitCode.FAILURE
     except typer.TyperException as error:
         report(usage_error(error), as_json=as_json)
         code = ExitCode.USAGE

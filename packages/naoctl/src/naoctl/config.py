@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import httpx
 import platformdirs
+from naospec.files import write_whole
 
 from naoctl.errors import InvalidInput
 
 DEFAULT_URL = "http://127.0.0.1:8000"
+#: Permissions of files with secrets: the owner only.
+PRIVATE = 0o600
 
 
 def normal_url(url: str) -> str:
@@ -92,7 +94,7 @@ class Config:
         lines += [
             f"\n[servers.{_quoted(url)}]\ntoken = {_quoted(token)}\n" for url, token in sorted(self.tokens.items())
         ]
-        write_private(path, "".join(lines))
+        write_whole(path, "".join(lines), mode=PRIVATE)
         return path
 
     def with_token(self, url: str, token: str, *, current: bool = True) -> Config:
@@ -124,20 +126,6 @@ def resolve_target(url: str | None = None, token: str | None = None, config: Con
     chosen = normal_url(url or os.environ.get("NAOCTL_URL") or config.current or DEFAULT_URL)
     token = token or os.environ.get("NAOCTL_TOKEN") or config.tokens.get(chosen)
     return Target(url=chosen, token=token)
-
-
-def write_private(path: Path, text: str) -> None:
-    """Replace a file's text atomically; the file is readable and writable by its owner only (0600) from the start."""
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def _quoted(text: str) -> str:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+
+from naospec.files import write_whole
 
 from naoctl.client import ApiError, Client, Json
 from naoctl.errors import CliError, Unreachable
@@ -296,6 +297,4 @@ class _WandbCopy:
         self._write(ended=job["state"] == "succeeded")
 
     def _write(self, *, ended: bool) -> None:
-        part = self._note.with_suffix(".part")
-        part.write_text(json.dumps({"step": self.last_step, "ended": ended}), encoding="utf-8")
-        os.replace(part, self._note)
+        write_whole(self._note, json.dumps({"step": self.last_step, "ended": ended}))

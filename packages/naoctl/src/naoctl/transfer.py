@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import httpx
+from naospec.files import named_errors, sync
 
 from naoctl.client import ApiError, Client, raise_for_problem, unreachable
 from naoctl.errors import CliError, ExitCode
@@ -112,6 +113,7 @@ def fetch(
                 ) from None
         sleep(min(0.5 * 2**attempt, 5.0))
     part.replace(target)
+    sync(target.parent)
     return target
 
 
@@ -140,7 +142,7 @@ def _continue(client: Client, remote: RemoteFile, part: Path, report: Callable[[
                 raise WrongAnswer(f"{remote.name} was answered with another range than requested")
         else:
             have = 0
-        with part.open("ab" if have else "wb") as file:
+        with named_errors(part), part.open("ab" if have else "wb") as file:
             for chunk in response.iter_raw():
                 have += len(chunk)
                 if have > remote.size:

@@ -10,6 +10,8 @@ from contextlib import nullcontext
 from datetime import timedelta
 from pathlib import Path
 
+from naospec.files import replacing
+
 from naojobs import backups
 from naojobs.archive import export_artifacts, import_artifacts, verify_artifacts
 from naojobs.database import Sessions, downgrade, make_engine, make_sessions, upgrade
@@ -156,10 +158,8 @@ def _artifacts(arguments: argparse.Namespace, sessions: Sessions, store: Artifac
     if arguments.verb == "export":
         if arguments.file is None:
             return {"files": export_artifacts(store, sys.stdout.buffer)}
-        partial = arguments.file.with_name(arguments.file.name + ".partial")
-        with partial.open("wb") as target:
+        with replacing(arguments.file) as target:
             count = export_artifacts(store, target)
-        partial.replace(arguments.file)
         return {"files": count, "archive": str(arguments.file)}
     if arguments.verb == "verify":
         with arguments.file.open("rb") if arguments.file is not None else nullcontext(sys.stdin.buffer) as source:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import secrets
 import time
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 from urllib.parse import unquote, urlsplit
 
 import obstore
+from naospec.files import replacing, sync
 from obstore.exceptions import BaseError
 from obstore.store import LocalStore, S3Store
 from pydantic import BaseModel, ConfigDict, Field
@@ -290,19 +290,16 @@ class ArtifactStore:
             target = directory / entry.name
             target.parent.mkdir(parents=True, exist_ok=True)
             digest = hashlib.sha256()
-            partial = target.with_name(target.name + ".partial")
-            with partial.open("wb") as file:
+            with replacing(target) as file:
                 for piece in self.stream(f"{key}/{entry.name}"):
                     digest.update(piece)
                     file.write(piece)
                 size = file.tell()
-            if size != entry.size or digest.hexdigest() != entry.sha256:
-                partial.unlink()
-                raise CorruptArtifactError(
-                    f"{key}/{entry.name}: {size} bytes with SHA-256 {digest.hexdigest()}, "
-                    f"but the manifest has {entry.size} bytes with {entry.sha256}",
-                )
-            partial.replace(target)
+                if size != entry.size or digest.hexdigest() != entry.sha256:
+                    raise CorruptArtifactError(
+                        f"{key}/{entry.name}: {size} bytes with SHA-256 {digest.hexdigest()}, "
+                        f"but the manifest has {entry.size} bytes with {entry.sha256}",
+                    )
         return manifest
 
     def exists(self, key: str) -> bool:
@@ -374,7 +371,7 @@ class ArtifactStore:
         content = secrets.token_bytes(16)
         self.put_bytes(key, content)
         if self.get_bytes(key) != content:
-            raise CorruptArtifactError(f"{PROBES}: what was read is not what was written")
+            raise StoreError(f"{PROBES}: what was read is not what was written")
         self.delete_file(key)
 
     def _settle(self, key: str) -> None:
@@ -383,8 +380,4 @@ class ArtifactStore:
         if root is None:
             return
         for path in (root / key, (root / key).parent):
-            descriptor = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            sync(path)

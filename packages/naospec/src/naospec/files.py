@@ -1,19 +1,31 @@
-"""Files and folders that others could have made: what is read of them, and which are used."""
+"""Files and folders: which of those that others could have made are read or used, and how files are written."""
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import errno
 import functools
+import hashlib
 import json
 import os
+import re
+import secrets
+import shutil
 import stat
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from naospec.processes import ProcessIdentity, start_ticks
+
 if TYPE_CHECKING:
-    from io import BufferedReader
+    from collections.abc import Iterator
+    from io import BufferedReader, BufferedWriter
+
+_OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+#: Names of unfinished files and folders: what they become, the process that writes them, its host, and random digits.
+_PARTIAL = re.compile(r"\..+\.(\d+)-(\d+)-([0-9a-f]{8})-[0-9a-f]{8}\.partial")
 
 
 def open_regular(path: Path) -> BufferedReader:
@@ -106,6 +118,73 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
     if len(data) > max_bytes:
         raise ValueError(f"more than {max_bytes:,} bytes are too many")
     return data
+
+
+@contextlib.contextmanager
+def named_errors(path: Path) -> Iterator[None]:
+    """Let errors of a disk that name no file, as that of a full one, name this file or folder."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno in _OF_DISKS:
+            error.filename = str(path)
+        raise
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, mode: int = 0o666) -> Iterator[BufferedWriter]:
+    """Yield a new file that replaces ``path`` at the end: whole and on the disk, or not at all.
+
+    Args:
+        path: the file.
+        mode: its permissions, less those that the umask excludes.
+
+    Raises:
+        OSError: naming the file, if it cannot be written.
+    """
+    partial = partial_of(path)
+    with named_errors(path):
+        try:
+            descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(descriptor)
+            partial.replace(path)
+            sync(path.parent)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+
+
+def write_whole(path: Path, data: str | bytes, *, mode: int = 0o666) -> None:
+    """Replace the content of a file, as ``replacing`` does; text becomes UTF-8."""
+    with replacing(path, mode=mode) as file:
+        file.write(data.encode() if isinstance(data, str) else data)
+
+
+def sync(path: Path) -> None:
+    """Force a file, or the names in a folder, to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def partial_of(path: Path) -> Path:
+    """Return a name for an unfinished file or folder beside ``path``; delete what processes that ended have left there.
+
+    Those of other hosts and containers stay: whether they run cannot be seen from here.
+    """
+    own = ProcessIdentity.current()
+    place = hashlib.sha256(own.place.encode()).hexdigest()[:8]
+    for left in path.parent.iterdir() if path.parent.is_dir() else ():
+        match = _PARTIAL.fullmatch(left.name)
+        if match and match[3] == place and start_ticks(int(match[1])) != int(match[2]):
+            with contextlib.suppress(OSError):
+                shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+    return path.with_name(f".{path.name}.{own.pid}-{own.ticks}-{place}-{secrets.token_hex(4)}.partial")
 
 
 def read_json(path: Path, max_bytes: int) -> Any:

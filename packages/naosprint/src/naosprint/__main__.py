@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import naopolicies
 from naosim.simulator import STEP_S, ServerLostError
 from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
+from naospec.files import named_errors
 from naospec.flat import nest, settings
 from pydantic import ValidationError
 from pydantic_core import PydanticUndefined
@@ -45,8 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
     options = _parser().parse_args(arguments)
     run: Callable[[argparse.Namespace], int] = options.run
+    # of what is written there, an error of a disk may not name the file
+    written = getattr(options, "output", None) or getattr(options, "workdir", None) or Path.cwd()
     try:
-        return run(options)
+        with named_errors(written):
+            return run(options)
     except ValidationError as error:
         for problem in error.errors():
             message = problem["msg"].removeprefix("Value error, ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from naospec.files import named_errors
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -43,8 +44,9 @@ class ConsoleReporter:
 
     def __init__(self, workdir: Path, spec: TrainingSpec) -> None:
         workdir.mkdir(parents=True, exist_ok=True)
-        _remove_torn_line(workdir / "metrics.jsonl")
-        self._file = (workdir / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
+        self._path = workdir / "metrics.jsonl"
+        _remove_torn_line(self._path)
+        self._file = self._path.open("a", buffering=1, encoding="utf-8")
         self._spec = spec
         self._console = Console(stderr=True)
         self._progress = Progress(
@@ -70,7 +72,8 @@ class ConsoleReporter:
 
     def metrics(self, row: dict[str, float]) -> None:
         """Show and store the metrics of one update."""
-        self._file.write(json.dumps(row, allow_nan=False) + "\n")
+        with named_errors(self._path):
+            self._file.write(json.dumps(row, allow_nan=False) + "\n")
         parts = [f"{row['steps_per_s']:,.0f} steps/s"]
         parts += listed_text(self._spec, row)
         self._progress.update(self._bar, completed=int(row["step"]), description=", ".join(parts))

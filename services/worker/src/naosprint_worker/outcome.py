@@ -12,6 +12,8 @@ import signal
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from naospec.files import write_whole
+
 OUTCOME_FILE = "outcome.json"
 
 #: Kind of an outcome that the work did not cause: store, database or Docker engine did not answer.
@@ -55,9 +57,7 @@ class Outcome:
 
     def write(self, workdir: Path) -> None:
         """Store the report in ``workdir``, replacing an earlier one atomically."""
-        temporary = workdir / (OUTCOME_FILE + ".tmp")
-        temporary.write_text(json.dumps(asdict(self)), encoding="utf-8")
-        temporary.replace(workdir / OUTCOME_FILE)
+        write_whole(workdir / OUTCOME_FILE, json.dumps(asdict(self)))
 
     def leave(self, workdir: Path) -> None:
         """Store the report in ``workdir``; on a full disk, delete the attempt's own files first.

@@ -6,8 +6,9 @@ import importlib.util
 from pathlib import Path
 
 import redis
+from naospec.files import write_whole
 
-from naoctl.config import write_private
+from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack import ports
 from naoctl.stack.layout import Layout
@@ -62,7 +63,7 @@ class Broker:
             "loglevel": "notice",
         }
         text = "".join(f"{name} {value}\n" for name, value in settings.items())
-        write_private(self.configuration, text)
+        write_whole(self.configuration, text, mode=PRIVATE)
 
     def is_ready(self) -> bool:
         """Return whether the server answers and has loaded its data.

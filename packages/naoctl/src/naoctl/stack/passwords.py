@@ -6,7 +6,9 @@ import json
 import secrets
 from dataclasses import asdict, dataclass
 
-from naoctl.config import write_private
+from naospec.files import write_whole
+
+from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack.layout import Layout
 
@@ -29,7 +31,7 @@ def read_secrets(layout: Layout) -> Secrets:
         return Secrets(**json.loads(layout.secrets.read_text(encoding="utf-8")))
     except FileNotFoundError:
         made = Secrets(secrets.token_hex(24), secrets.token_hex(24))
-        write_private(layout.secrets, json.dumps(asdict(made)) + "\n")
+        write_whole(layout.secrets, json.dumps(asdict(made)) + "\n", mode=PRIVATE)
         return made
     except (OSError, ValueError, TypeError) as error:
         raise StackError(f"{layout.secrets} is damaged ({error})", fix="Restore it from a backup.") from None

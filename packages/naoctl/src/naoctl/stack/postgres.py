@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+import psutil
 from naospec.files import private_folder
 
 from naoctl.errors import StackError
@@ -87,7 +88,7 @@ class Postgres:
         return [str(self.programs / "postgres"), "-D", str(self.layout.postgres), *options]
 
     def make(self) -> None:
-        """Create the cluster if there is none or if its creation was interrupted.
+        """Create the cluster if there is none or if its creation was interrupted; clear locks that a power cut left.
 
         Raises:
             StackError: with the last words of ``initdb`` when that fails.
@@ -107,6 +108,7 @@ class Postgres:
                 os.chown(data, self.account.uid, self.account.gid)
         self.socket_dir.chmod(0o700)
         if self.is_made:
+            self._clear_locks()
             return
         with tempfile.NamedTemporaryFile("w", encoding="utf-8", dir=self.socket_dir, prefix=".pw") as file:
             file.write(self.password)
@@ -131,6 +133,29 @@ class Postgres:
             )
         # Last, so that its absence tells an interrupted initdb.
         (data / ".finished").touch()
+
+    def _clear_locks(self) -> None:
+        """Delete the server's locks unless a Postgres with this data holds them.
+
+        They name the holder by its number, which after a power cut may belong to any other process of the account.
+        """
+        for lock in (self.layout.postgres / "postmaster.pid", self.socket_dir / ".s.PGSQL.5432.lock"):
+            try:
+                number = int(lock.read_text(encoding="utf-8", errors="replace").split("\n", 1)[0])
+            except FileNotFoundError:
+                continue
+            except ValueError:  # empty or torn
+                number = 0
+            if not self._is_server(number):
+                lock.unlink(missing_ok=True)
+
+    def _is_server(self, pid: int) -> bool:
+        """Return whether a process is a Postgres that has this data folder as its current one, as all have."""
+        try:
+            process = psutil.Process(pid)
+            return process.name().startswith("postgres") and process.cwd() == str(self.layout.postgres)
+        except (psutil.NoSuchProcess, ValueError):
+            return False
 
     def is_ready(self) -> bool:
         """Return whether the server accepts connections."""

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import psutil
+from naospec.files import write_whole
 from naospec.processes import ProcessIdentity
 
-from naoctl.config import write_private
+from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack.layout import Layout
 
@@ -101,7 +102,8 @@ class StackState:
 
     def save(self, layout: Layout) -> None:
         """Write the state, whole or not at all."""
-        write_private(layout.state, json.dumps({**asdict(self), "folder": str(layout.root)}, indent=2) + "\n")
+        text = json.dumps({**asdict(self), "folder": str(layout.root)}, indent=2)
+        write_whole(layout.state, text + "\n", mode=PRIVATE)
 
 
 class FolderLock:

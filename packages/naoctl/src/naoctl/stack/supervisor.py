@@ -20,8 +20,9 @@ from types import FrameType
 
 import httpx
 import psutil
+from naospec.files import write_whole
 
-from naoctl.config import write_private
+from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack import ports
 from naoctl.stack.broker import Broker
@@ -338,7 +339,7 @@ class Supervisor:
         command = [sys.executable, "-P", "-m", "naojobs", "token", "create", "--owner", owner, "--name", "naoctl up"]
         answer = json.loads(self._run_tool([*command, "--scope", "admin"], environment))
         self.admin_token = answer["token"]
-        write_private(path, self.admin_token + "\n")
+        write_whole(path, self.admin_token + "\n", mode=PRIVATE)
         self.say("Token", f"made for {owner}, kept in {path}")
 
     def _ask(self, path: str) -> httpx.Response:

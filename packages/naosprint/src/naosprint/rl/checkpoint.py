@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from naosim.npz import read_npz
 from naospec import TrainingSpec, formats, validation_words
-from naospec.files import open_regular, read_json
+from naospec.files import named_errors, open_regular, partial_of, read_json, sync, write_whole
 from naospec.json_text import json_text
 from naospec.sections import PlainName
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -142,9 +142,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
         OSError: if the files cannot be written.
     """
     directory.parent.mkdir(parents=True, exist_ok=True)
-    partial = directory.with_name(f".{directory.name}.{os.getpid()}.partial")
-    if partial.exists():
-        shutil.rmtree(partial)
+    partial = partial_of(directory)
     partial.mkdir()
     try:
         contents = {POLICY: state.policy, LEARNER: state.learner}
@@ -169,12 +167,11 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
             files=files,
         )
         text = json_text(manifest.model_dump(mode="json"))
-        _write_bytes(partial / MANIFEST, text.encode())
-        _sync_directory(partial)
+        write_whole(partial / MANIFEST, text)
         if directory.exists():
             shutil.rmtree(directory)
         partial.rename(directory)
-        _sync_directory(directory.parent)
+        sync(directory.parent)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
@@ -279,28 +276,13 @@ def require_like(path: Path, found: Mapping[str, AnyArray], expected: Mapping[st
 
 
 def _write_arrays(path: Path, arrays: Mapping[str, AnyArray]) -> FileEntry:
-    with path.open("wb") as stream:
+    with named_errors(path), path.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **{name: np.asarray(value, order="C") for name, value in arrays.items()})
         stream.flush()
         os.fsync(stream.fileno())
     with path.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     return FileEntry(sha256=digest, size=path.stat().st_size)
-
-
-def _write_bytes(path: Path, data: bytes) -> None:
-    with path.open("wb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _sync_directory(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _versions() -> dict[str, str]:

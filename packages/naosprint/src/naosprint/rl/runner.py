@@ -501,9 +501,7 @@ class _Session:
                 yield name, number
             elif name not in self.progress.left_out:
                 self.progress.left_out.add(name)
-                message = (
-                    f"metric {name} is {value!r} at {self.steps:,} steps: such values are left out from here on"
-                )
+                message = f"metric {name} is {value!r} at {self.steps:,} steps: such values are left out from here on"
                 self._reporter.log("warning", message)
 
 

@@ -1,0 +1,58 @@
+"""Files that appear whole or not at all, and errors of disks that name them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from naospec.files import named_errors, partial_of, replacing, write_whole
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_error_of_a_disk_names_the_file(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=r"No space left on device: '/dev/full'"), named_errors(Path("/dev/full")):
+        Path("/dev/full").write_text("x", encoding="utf-8")
+    with pytest.raises(ConnectionRefusedError) as other, named_errors(tmp_path):
+        raise ConnectionRefusedError(errno.ECONNREFUSED, "refused")
+    assert other.value.filename is None
+
+
+def test_a_file_is_replaced_whole_or_stays(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    write_whole(path, "one")
+    mask = os.umask(0)
+    os.umask(mask)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+    with pytest.raises(KeyError), replacing(path) as file:
+        file.write(b"two")
+        raise KeyError
+    assert path.read_text(encoding="utf-8") == "one"
+    write_whole(path, b"\xff", mode=0o600)
+    assert path.read_bytes() == b"\xff"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_process_that_ended_left_is_deleted(tmp_path: Path) -> None:
+    """A file and a folder; those of a process that runs, of another host, and of a user stay."""
+    code = (
+        "import sys; from pathlib import Path; from naospec.files import partial_of\n"
+        "partial_of(Path(sys.argv[1])).touch(); folder = partial_of(Path(sys.argv[2])); folder.mkdir()\n"
+        "(folder / 'x').touch()"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a"), str(tmp_path / "step-1")], check=True)
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert [name.split(".")[1] for name in left] == ["a", "step-1"]
+    number, ticks, place, token = left[0].split(".")[2].split("-")
+    elsewhere = tmp_path / f".a.{number}-{ticks}-{int(place, 16) ^ 1:08x}-{token}.partial"
+    running = partial_of(tmp_path / "b")
+    mine = tmp_path / ".a.partial"
+    for path in (elsewhere, running, mine):
+        path.touch()
+    write_whole(tmp_path / "c", "x")
+    assert sorted(tmp_path.iterdir()) == sorted([elsewhere, running, mine, tmp_path / "c"])
