@@ -126,6 +126,11 @@ def _parser() -> argparse.ArgumentParser:
         choices=("numpy", "onnx", "c", "skill"),
         help="format of the policy; may be given repeatedly (default: all that its robot has)",
     )
+    export.add_argument(
+        "--name",
+        default="policy",
+        help="name of the files, of all that the C header defines, and of the skill (default: policy)",
+    )
     export.set_defaults(run=_export)
 
     replay = commands.add_parser(
@@ -383,7 +388,7 @@ def _report(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from naosprint.export import export_policy
 
-    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format):
+    for path in export_policy(naopolicies.resolve(options.checkpoint), options.output, options.format, options.name):
         sys.stdout.write(f"{path}\n")
     return 0
 

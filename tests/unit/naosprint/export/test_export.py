@@ -392,3 +392,49 @@ def test_example_agent_needs_numpy_alone() -> None:
         "assert not roots & {'naosim', 'naosprint', 'naospec', 'torch', 'onnx'}, roots\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+TWO = """
+#include <stdio.h>
+#include "run_fast.h"
+#include "kick.h"
+int main(void)
+{
+    double seen[RUN_FAST_OBSERVATIONS] = {0}, other[KICK_OBSERVATIONS] = {0};
+    double first[RUN_FAST_ACTIONS], second[KICK_ACTIONS], targets[KICK_JOINTS];
+    int i;
+    run_fast_act(seen, first);
+    kick_act(other, second);
+    kick_targets(second, targets);
+    for (i = 0; i < RUN_FAST_ACTIONS; i++) printf("%.17g ", first[i]);
+    for (i = 0; i < KICK_ACTIONS; i++) printf("%.17g ", second[i]);
+    return targets[0] < -9.0;
+}
+"""
+
+
+def test_two_policies_of_different_names_in_one_program(checkpoint: Path, tmp_path: Path) -> None:
+    """Of two robots; each file has its name, and each header has a check of its own."""
+    expected = []
+    flags = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    for name, robot in (("run_fast", "nao-0"), ("kick", "t1")):
+        policy, manifest = random_policy(robot)
+        (tmp_path / f"{name}.h").write_text(build_header(policy, manifest, name), encoding="utf-8")
+        (tmp_path / f"{name}_check.c").write_text(build_check(policy, name), encoding="utf-8")
+        subprocess.run(["cc", *flags, f"{name}_check.c", "-o", name, "-lm"], cwd=tmp_path, check=True)
+        subprocess.run([tmp_path / name], check=True, capture_output=True)
+        expected.append(exact_actions(policy, np.zeros((1, len(policy.mean))))[0])
+    (tmp_path / "two.c").write_text(TWO, encoding="utf-8")
+    subprocess.run(["cc", *flags, "-Wno-unused-function", "two.c", "-o", "two", "-lm"], cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "two"], capture_output=True, text=True, check=True).stdout
+    np.testing.assert_allclose(np.array(printed.split(), dtype=np.float64), np.concatenate(expected), atol=1e-6)
+
+    written = {path.name for path in export_policy(checkpoint, tmp_path / "out", ["c", "numpy"], "kick")}
+    assert written == {"kick.h", "kick_check.c", "kick.npz", "kick.json"}
+
+
+@pytest.mark.parametrize("name", ["", "Kick", "2x", "a-b", "a b", "../a", "ä", "a" * 41])
+def test_names_of_exports_are_those_of_c_and_python(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="expected a letter and then letters"):
+        export_policy(checkpoint, tmp_path / "out", None, name)
+    assert not (tmp_path / "out").exists()

@@ -106,6 +106,22 @@ def test_the_check_fails_for_another_policy(name: str, tmp_path: Path, numpy_alo
     assert check(folder, numpy_alone).returncode == 1
 
 
+@pytest.mark.parametrize(("robot", "file"), [("t1", "skill.py"), ("nao-0", "{name}.py")])
+def test_two_skills_of_one_team_have_folders_and_names_of_their_own(
+    robot: str, file: str, tmp_path: Path, numpy_alone: Path
+) -> None:
+    parent = folder_of(robot, tmp_path).parent
+    for name in ("policy", "kick_far"):
+        write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path, name)
+    for shown, folder in (("Naosprint", folder_of(robot, tmp_path)), ("KickFar", None)):
+        folder = folder or parent / ("kick_far" if robot == "t1" else "KickFar")
+        source = (folder / file.format(name=shown)).read_text(encoding="utf-8")
+        assert f"class {shown}" in source
+        assert ("Naosprint" in "".join(path.read_text() for path in folder.glob("*.py"))) == (shown == "Naosprint")
+        assert check(folder, numpy_alone).returncode == 0
+    assert len({path.name for path in parent.iterdir()}) == 2
+
+
 @pytest.fixture
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], Any]:
     """Write the skill of a bundled policy and import a module of it, from the folder that holds the team's code."""

@@ -265,17 +265,26 @@ ExportFormats = Annotated[
 ]
 
 
+ExportName = Annotated[
+    str | None,
+    typer.Option(
+        "--name", help="Name of the files, of all that the C header defines, and of the skill.", show_default="policy"
+    ),
+]
+
+
 def export(
     ctx: typer.Context,
     job: JobOrPolicy = "last",
     checkpoint: CheckpointOption = None,
     output: OutputOption = None,
     formats: ExportFormats = None,
+    name: ExportName = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Export a policy for NumPy, as ONNX, as a C header, and as a skill for team code. Needs PyTorch."""
     context = context_of(ctx)
-    flags = format_flags(formats)
+    flags = export_flags(formats, name)
     with context.client() as client:
         found = find_trained(client, job)
         folder = output or Path(found.folder)
@@ -291,12 +300,13 @@ def export(
         context.say("Export", str(target))
 
 
-def format_flags(formats: list[str] | None) -> list[str]:
+def export_flags(formats: list[str] | None, name: str | None) -> list[str]:
     """Return the flags of ``naosprint export``. Raises InvalidInput for an unknown format."""
     for name in formats or []:
         if name not in EXPORT_FORMATS:
             raise InvalidInput(f"--format: unknown format {name!r}", fix=f"Choose from {', '.join(EXPORT_FORMATS)}.")
-    return [word for name in formats or [] for word in ("--format", name)]
+    words = [word for each in formats or [] for word in ("--format", each)]
+    return [*words, *(("--name", name) if name else ())]
 
 
 def run_naosprint(*words: str) -> str:

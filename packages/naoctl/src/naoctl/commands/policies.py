@@ -16,7 +16,7 @@ from naospec import plugins
 from naosprint.tasks.metrics import format_value
 
 from naoctl.commands import registry
-from naoctl.commands.artifacts import ExportFormats, fetch_artifacts, format_flags, run_naosprint
+from naoctl.commands.artifacts import ExportFormats, ExportName, export_flags, fetch_artifacts, run_naosprint
 from naoctl.commands.registry import POLICY_HELP
 from naoctl.context import Context, JsonFlag, context_of
 from naoctl.descriptions import UNNAMED, metric_of, section_name
@@ -124,10 +124,12 @@ def export_policy(
     name: Name,
     output: Output = None,
     formats: ExportFormats = None,
+    export_name: ExportName = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Export a policy for NumPy, as ONNX, as a C header, and as a skill for team code."""
-    _write("export", ctx, name, output or Path(f"{_plain(name)}-export"), *format_flags(formats), as_json=as_json)
+    flags = export_flags(formats, export_name)
+    _write("export", ctx, name, output or Path(f"{_plain(name)}-export"), *flags, as_json=as_json)
 
 
 def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embedded") -> dict[str, Any]:

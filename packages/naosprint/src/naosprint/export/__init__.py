@@ -9,6 +9,7 @@ mujococodebase/ or FCPCodebase/  a skill for that team code, with recorded value
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,7 @@ from naospec.json_text import json_text
 from naosprint.export.arrays import policy_arrays
 from naosprint.export.description import describe
 from naosprint.export.graph import build_onnx
-from naosprint.export.header import build_check, build_header
+from naosprint.export.header import DEFAULT_NAME, build_check, build_header
 from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.policy import NetworkPolicy, load_policy
 
@@ -30,11 +31,16 @@ __all__ = ["FORMATS", "build_check", "build_header", "build_onnx", "describe", "
 FORMATS = ("numpy", "onnx", "c", "skill")
 """Formats of an exported policy."""
 
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
-def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | None = None) -> tuple[Path, ...]:
+
+def export_policy(
+    checkpoint: Path, directory: Path, formats: Sequence[str] | None = None, name: str = DEFAULT_NAME
+) -> tuple[Path, ...]:
     """Write the policy of a checkpoint to ``directory`` in some of :data:`FORMATS`, and ``policy.json``.
 
-    By default these are all that its robot has.
+    By default these are all that its robot has. ``name`` is that of the files, of all that ``policy.h`` defines and of
+    the skill, so that several policies can be part of one program or team.
 
     Returns:
         The paths of the files, which are replaced if they exist.
@@ -42,8 +48,11 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | No
     Raises:
         CheckpointError: if the checkpoint is damaged.
         OSError: if onnx is needed and not installed.
-        ValueError: if the policy is not a network, or a skill is requested and there is none for the robot.
+        ValueError: if the policy is not a network, or a skill is requested and there is none for the robot, or
+            ``name`` is not one that C and Python accept.
     """
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"name: {name!r}: expected a letter and then letters, digits and _, all small, at most 40")
     policy, manifest = load_policy(checkpoint)
     if not isinstance(policy, NetworkPolicy):
         raise ValueError(
@@ -61,17 +70,17 @@ def export_policy(checkpoint: Path, directory: Path, formats: Sequence[str] | No
     directory.mkdir(parents=True, exist_ok=True)
     written = []
     if "numpy" in formats:
-        written.append(directory / "policy.npz")
+        written.append(directory / f"{name}.npz")
         np.savez(written[-1], allow_pickle=False, **policy_arrays(policy, manifest))
     if "onnx" in formats:
-        written.append(directory / "policy.onnx")
+        written.append(directory / f"{name}.onnx")
         onnx.save(build_onnx(policy), written[-1])
-    texts = {"policy.json": json_text(describe(policy, manifest))}
+    texts = {f"{name}.json": json_text(describe(policy, manifest))}
     if "c" in formats:
-        texts |= {"policy.h": build_header(policy, manifest), "policy_check.c": build_check(policy)}
-    for name, text in texts.items():
-        written.append(directory / name)
+        texts |= {f"{name}.h": build_header(policy, manifest, name), f"{name}_check.c": build_check(policy, name)}
+    for file, text in texts.items():
+        written.append(directory / file)
         written[-1].write_text(text, encoding="utf-8")
     if "skill" in formats:
-        written += write_skill(policy, manifest, directory)
+        written += write_skill(policy, manifest, directory, name)
     return tuple(written)

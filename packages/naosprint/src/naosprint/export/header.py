@@ -19,17 +19,20 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-6
 """Largest difference of an action between the header and the checkpoint."""
 
+DEFAULT_NAME = "policy"
+"""Name of an exported policy, unless another is given."""
+
 _VECTORS = 64
 _PLAIN_CHARACTERS = frozenset(string.ascii_letters + string.digits + " _.,:+-")
 _WIDTH = 8
 
 _GUARD = """\
-#ifndef NAOSPRINT_POLICY_{policy}
-#ifdef NAOSPRINT_POLICY_H
-#error "Another policy.h is included here already: include each policy in a source file of its own."
+#ifndef NAOSPRINT_{upper}_{policy}
+#ifdef NAOSPRINT_{upper}_H
+#error "Another policy.h is included here already: export one of them with another --name."
 #endif
-#define NAOSPRINT_POLICY_H
-#define NAOSPRINT_POLICY_{policy}
+#define NAOSPRINT_{upper}_H
+#define NAOSPRINT_{upper}_{policy}
 """
 
 _CODE = """\
@@ -106,8 +109,11 @@ int main(void)
 """
 
 
-def build_header(policy: NetworkPolicy, manifest: Manifest) -> str:
-    """Return the text of ``policy.h``: weights, standardization, ranges of the joints, and functions."""
+def build_header(policy: NetworkPolicy, manifest: Manifest, name: str = DEFAULT_NAME) -> str:
+    """Return the text of ``policy.h``: weights, standardization, ranges of the joints, and functions.
+
+    All that it defines begins with ``name``, so that several policies can be part of one program.
+    """
     arrays = policy_arrays(policy, manifest)
     digest = hashlib.sha256(manifest.spec_sha256.encode())
     for values in (policy.mean, policy.scale, *itertools.chain(*policy.layers)):
@@ -117,42 +123,41 @@ def build_header(policy: NetworkPolicy, manifest: Manifest) -> str:
     widest = max(len(policy.mean), *(len(bias) for _, bias in policy.layers))
     lines = [
         f"/* Policy of {_text(str(arrays['robot']))}, {manifest.steps} steps of training. Exported by naosprint. */",
-        *_GUARD.format(policy=policy_id).splitlines(),
+        *_named(_GUARD, name).format(policy=policy_id, upper=name.upper()).splitlines(),
         "",
         "#include <math.h>",
         "",
-        f"#define POLICY_OBSERVATIONS {len(policy.mean)}",
-        f"#define POLICY_ACTIONS {policy.n_actions}",
-        f"#define POLICY_JOINTS {joints}",
-        f"#define POLICY_WIDEST {widest}",
-        f"#define POLICY_CYCLE_S {float(arrays['cycle_s'])!r}",
+        f"#define {name.upper()}_OBSERVATIONS {len(policy.mean)}",
+        f"#define {name.upper()}_ACTIONS {policy.n_actions}",
+        f"#define {name.upper()}_JOINTS {joints}",
+        f"#define {name.upper()}_WIDEST {widest}",
+        f"#define {name.upper()}_CYCLE_S {float(arrays['cycle_s'])!r}",
     ]
     if np.isfinite(policy.clip):
-        lines.append(f"#define POLICY_CLIP {float(policy.clip)!r}")
+        lines.append(f"#define {name.upper()}_CLIP {float(policy.clip)!r}")
     lines += [
         "",
-        _names("policy_observation_names", manifest.observations),
-        _names("policy_action_names", manifest.actions),
-        _names("policy_joint_names", [str(name) for name in arrays["joint_names"]]),
+        _names(f"{name}_observation_names", manifest.observations),
+        _names(f"{name}_action_names", manifest.actions),
+        _names(f"{name}_joint_names", [str(name) for name in arrays["joint_names"]]),
     ]
-    for name, values in (("mean", policy.mean), ("scale", policy.scale)):
-        lines.append(_array(f"policy_{name}", values))
-    for name in ("middle_rad", "reach_rad", "low_rad", "high_rad"):
-        lines.append(_array(f"policy_{name}", arrays[name]))
+    tables: dict[str, AnyArray] = {"mean": policy.mean, "scale": policy.scale}
+    tables |= {table: arrays[table] for table in ("middle_rad", "reach_rad", "low_rad", "high_rad")}
+    lines += [_array(f"{name}_{table}", values) for table, values in tables.items()]
     calls = []
     for i, (weights, bias) in enumerate(policy.layers):
-        lines += [_array(f"policy_weights_{i}", weights), _array(f"policy_bias_{i}", bias)]
+        lines += [_array(f"{name}_weights_{i}", weights), _array(f"{name}_bias_{i}", bias)]
         rows, columns = weights.shape
         function = _FUNCTIONS.index(policy.activations[i])
-        calls.append(_LAYER.format(i=i, rows=rows, columns=columns, function=function, swap=_SWAP))
-    return "\n".join([*lines, _LINEAR, _CODE % {"layers": "\n".join(calls)}, "#endif", ""])
+        calls.append(_named(_LAYER, name).format(i=i, rows=rows, columns=columns, function=function, swap=_SWAP))
+    return "\n".join([*lines, _named(_LINEAR, name), _named(_CODE, name) % {"layers": "\n".join(calls)}, "#endif", ""])
 
 
-def build_check(policy: NetworkPolicy) -> str:
+def build_check(policy: NetworkPolicy, name: str = DEFAULT_NAME) -> str:
     """Return the text of ``policy_check.c``, a program that compares ``policy.h`` with values of the checkpoint."""
     observations = parity_observations(policy)
     expected = exact_actions(policy, observations)
-    return _CHECK % {
+    return _named(_CHECK, name) % {
         "count": len(observations),
         "observations": _array("observations", observations),
         "actions": _array("expected", expected),
@@ -175,6 +180,12 @@ def exact_actions(policy: NetworkPolicy, observations: FloatArray) -> FloatArray
         if function != "linear":
             hidden = np.tanh(hidden) if function == "tanh" else np.maximum(hidden, 0.0)
     return np.clip(hidden, -1.0, 1.0)
+
+
+def _named(template: str, name: str) -> str:
+    """Return C code whose names begin with ``name`` instead of ``policy``."""
+    code = template.replace("policy_", f"{name}_").replace("POLICY_", f"{name.upper()}_")
+    return code.replace("policy.h", f"{name}.h")
 
 
 def _names(name: str, values: tuple[str, ...] | list[str]) -> str:

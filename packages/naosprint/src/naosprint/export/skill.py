@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
 import sys
 import tempfile
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from naospec import EvaluationSpec
 
 from naosprint.export import booster, nao
 from naosprint.export.arrays import policy_arrays
-from naosprint.export.header import exact_actions
+from naosprint.export.header import DEFAULT_NAME, exact_actions
 from naosprint.tasks.environment import open_environment
 
 if TYPE_CHECKING:
@@ -89,8 +88,11 @@ TARGETS = {
 """Team code by the family of robots that it plays with."""
 
 
-def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path) -> list[Path]:
+def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name: str = DEFAULT_NAME) -> list[Path]:
     """Write a policy as a skill to a folder below ``directory`` and return the paths of its files.
+
+    With another ``name`` than the default, folder and class have it instead of naosprint's, so that a team can have
+    several.
 
     Raises:
         ValueError: if there is no team code for the robot, or the policy observes what the skill cannot compute.
@@ -101,15 +103,25 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path) -> l
     target = TARGETS[family]
     recorded = record(policy, manifest, target)
     _require_computable(_SOURCES / family, policy_arrays(policy, manifest), recorded, manifest)
-    folder = directory / target.folder
+    parent, _, own = target.folder.rpartition("/")
+    named = {} if name == DEFAULT_NAME else {"Naosprint": _class_name(name), "skills.naosprint": f"skills.{name}"}
+    folder = directory / parent / (own if not named else named["Naosprint"] if own.istitle() else name)
     folder.mkdir(parents=True, exist_ok=True)
-    written = [
-        Path(shutil.copy(path, folder)) for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).glob("*.py")))
-    ]
-    for name, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", recorded)):
-        written.append(folder / f"{name}.npz")
+    written = []
+    for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).glob("*.py"))):
+        text, file = path.read_text(encoding="utf-8"), path.name
+        for ours, theirs in named.items():
+            text, file = text.replace(ours, theirs), file.replace(ours, theirs)
+        written.append(folder / file)
+        written[-1].write_text(text, encoding="utf-8")
+    for stem, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", recorded)):
+        written.append(folder / f"{stem}.npz")
         np.savez_compressed(written[-1], allow_pickle=False, **arrays)
     return written
+
+
+def _class_name(name: str) -> str:
+    return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
 def _require_computable(
