@@ -122,7 +122,7 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 @contextlib.contextmanager
 def named_errors(path: Path) -> Iterator[None]:
-    """Let errors of a disk that name no file, as that of a full one, name this file or folder."""
+    """Add a path to errors of a disk that have none, as that of a full disk."""
     try:
         yield
     except OSError as error:
