@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naospec import TrainingSpec
+from naospec import TrainingSpec, plugins
 from naosprint import train
 from naosprint.rl.imitation import ImitatingPPO
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_training_environment
+from pydantic import ValidationError
 
 from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
 
@@ -84,6 +85,11 @@ def test_resuming_continues_bit_for_bit(make_spec: Make, tmp_path: Path, recorde
     assert_same(resumed.checkpoint, whole.checkpoint)
 
 
-def test_a_task_that_demonstrates_nothing_is_named(make_spec: Make, tmp_path: Path, recorder: Any) -> None:
+def test_a_task_that_demonstrates_nothing_is_named(
+    make_spec: Make, tmp_path: Path, recorder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValidationError, match=r"100 needs demonstrations, which robot nao-0"):
+        make_spec(imitation_steps=100)
+    monkeypatch.setattr(plugins.load(plugins.TASKS, "sprint1"), "demonstrates", lambda robot: True)
     with pytest.raises(ValueError, match=r"algorithm.imitation_steps: task sprint1 demonstrates nothing .*; use 0"):
         train(make_spec(imitation_steps=100), workdir=tmp_path, reporter=recorder)

@@ -174,8 +174,8 @@ def spec_schema(request: Request) -> Response:
     """Get the JSON schema of the body of `POST /jobs`, for forms and editors.
 
     A section that a plug-in defines is a `oneOf` with one schema for each installed plug-in, distinguished by the
-    constant `name`; `x-robots` lists the robots to which the schema of a simulator or task applies, `x-provides` what each
-    robot has with it. A setting whose `needs` is not provided has to keep its default.
+    constant `name`; `x-robots` lists the robots to which the schema of a simulator or task applies, `x-provides` what
+    each robot has with it. A setting whose `needs` is not provided has to keep its default.
     """
     content = _schema_content()
     etag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
