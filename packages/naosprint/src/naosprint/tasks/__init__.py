@@ -1,29 +1,64 @@
-"""Tasks: what robots learn. Importing this package loads no PyTorch, so API and command line can describe tasks."""
+"""Tasks: what robots learn. Importing this package loads no PyTorch, so API and command line can describe tasks.
+
+Every part of the bundled tasks can be imported from here: settings to inherit from, measurements, reward terms,
+observation blocks and their compiled forms, starts and random numbers.
+"""
 
 from __future__ import annotations
 
 from naospec import TaskSettings
 
-from naosprint.tasks.base import End, RewardTerm, Task, World
+from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
+from naosprint.tasks.compiled import Operation, columns
+from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
+from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
+from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.observations import ObservationBlock, blocks
+from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.randomness import normal, uniform
 from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
+from naosprint.tasks.starts import draw_start_poses
 
 __all__ = [
+    "FALL",
+    "FALL_RATE",
+    "Below",
+    "Beyond",
     "Chart",
+    "Deviation",
+    "Displacement",
+    "DisturbanceSettings",
     "End",
+    "Episodes",
+    "FallSettings",
     "FieldLine",
+    "Measurement",
     "Metric",
+    "Motion",
     "ObservationBlock",
+    "Operation",
+    "PenaltySettings",
     "Presentation",
     "Reference",
     "Result",
     "ResultTable",
     "RewardTerm",
     "RobotDefaults",
+    "Statistics",
     "Task",
     "TaskSettings",
     "World",
     "blocks",
+    "columns",
+    "draw_start_poses",
+    "motions",
+    "normal",
+    "penalties",
     "robot_defaults",
+    "seconds",
+    "uniform",
+    "with_min_height",
 ]

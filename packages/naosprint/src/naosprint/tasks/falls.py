@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
+from naospec import TaskSettings
 from pydantic import Field
 
 from naosprint.tasks.base import End
 from naosprint.tasks.metrics import Metric
-from naosprint.tasks.penalties import PenaltySettings
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -19,7 +19,7 @@ FALL = End("fallen", "Fall", failure=True)
 FALL_RATE = Metric("fall_rate", "Falls", "%", "Fraction of episodes that ended by a fall.", 1, "lower", "rate")
 
 
-class FallSettings(PenaltySettings):
+class FallSettings(TaskSettings):
     """Settings of tasks that end with a fall."""
 
     min_height_m: float | None = Field(

@@ -9,6 +9,7 @@ from naosim.simulator import STEP_S, Ability, Starts
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task, World
+from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.penalties import PenaltySettings, penalties
@@ -60,7 +61,7 @@ TIME = Metric(
 HEIGHT = Metric("final_height_m", "Final height", "m", "Torso height at the end.", 2, "higher", live=False)
 
 
-class GetUpSettings(PenaltySettings):
+class GetUpSettings(PenaltySettings, DisturbanceSettings):
     """Settings of the task ``getup``."""
 
     pose_noise_deg: float = Field(

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim.simulator import Ability
+from naospec import TaskSettings
 from naospec.abilities import perceptor
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
 from naosprint.tasks.compiled import Operation
-from naosprint.tasks.disturbances import DisturbanceSettings
 
 if TYPE_CHECKING:
     from naosprint.arrays import FloatArray
@@ -21,7 +21,7 @@ HOP_FLOOR_DEG_S = 30.0
 """Joint speed far below which no motion counts as hopping, deg/s."""
 
 
-class PenaltySettings(DisturbanceSettings):
+class PenaltySettings(TaskSettings):
     """Weights of the shared penalties, in units of the task's reward before ``reward_scale``."""
 
     torque_penalty: float = Field(

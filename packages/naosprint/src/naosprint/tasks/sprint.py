@@ -15,10 +15,11 @@ from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
 from naosprint.tasks.compiled import Operation, columns
+from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
-from naosprint.tasks.penalties import penalties
+from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ CHALLENGE_FALLS = Metric(
 )
 
 
-class SprintSettings(FallSettings):
+class SprintSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     """Settings of the sprint tasks."""
 
     drift_penalty: float = Field(

@@ -10,10 +10,11 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.base import RewardTerm, Task, World
+from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
-from naosprint.tasks.penalties import penalties
+from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.randomness import uniform
 from naosprint.tasks.robot_defaults import robot_defaults
 
@@ -121,7 +122,7 @@ FLIGHT_RATE = Metric(
 )
 
 
-class VelocitySettings(FallSettings):
+class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
     """Settings of the task ``velocity``."""
 
     forward_min_mps: float = Field(
