@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -15,13 +16,15 @@ from typing import Any
 
 import pytest
 from naospec import TrainingSpec, plugins, validation_words
+from naosprint.tasks import Task
 from pydantic import BaseModel, ValidationError
 
 
-class Wrong:
+class Wrong(Task):
     """Task whose settings are not a section."""
 
-    version = 1
+    name = "wrong"
+    summary = "Wrong."
 
     class Parameters(BaseModel):
         pass
@@ -87,11 +90,11 @@ def test_plugins_of_one_package_load_in_several_threads(
             never.wait(0.3)  # meanwhile the other thread needs this package
 
     monkeypatch.setattr(sys, "meta_path", [SlowDisk("crawling", str(init)), *sys.meta_path])
-    offered += [entry("crawl", "crawling:Crawl"), entry("crawl-slowly", "crawling.slow:Crawl")]
+    offered += [EntryPoint("crawl", "crawling:Crawl", "toys"), EntryPoint("slow", "crawling.slow:Crawl", "toys")]
     with ThreadPoolExecutor() as pool:
-        package = pool.submit(plugins.load, plugins.TASKS, "crawl")
+        package = pool.submit(plugins.load, "toys", "crawl")
         assert found.wait(10)
-        module = pool.submit(plugins.load, plugins.TASKS, "crawl-slowly")
+        module = pool.submit(plugins.load, "toys", "slow")
         assert package.result() is module.result()
 
 
@@ -118,3 +121,118 @@ def test_settings_must_be_a_section(offered: list[EntryPoint]) -> None:
     offered.append(entry("wrong", f"{__name__}:Wrong"))
     with pytest.raises(plugins.BrokenPluginError, match=r"wrong: its settings must subclass naospec.Section"):
         TrainingSpec.model_validate({"task": "wrong"})
+
+
+TOYS = """
+from __future__ import annotations
+
+from naosim import robots
+from naosim.simulator import SimulatorKind
+from naosprint.rl.learner import LearnerKind
+from naosprint.tasks import Task
+
+
+class Swim(Task):
+    name = "toy"
+    summary = "Swim."
+"""
+
+
+@pytest.mark.parametrize(
+    ("group", "code", "message"),
+    [
+        (plugins.TASKS, "toy = object()", "a subclass of naosprint.tasks.Task, not object"),
+        (plugins.TASKS, "toy = Swim.__new__(Swim)", "a subclass of naosprint.tasks.Task, not Swim"),
+        (plugins.TASKS, "class toy(Task):\n name = 'toy'", "toy has no summary"),
+        (plugins.TASKS, "class toy(Swim):\n name = 'dive'", "toy.name is 'dive', its entry point's 'toy'"),
+        (plugins.TASKS, "class toy(Swim):\n def ended(self): return ()", "toy.ended: expected the parameters"),
+        (
+            plugins.TASKS,
+            "class toy(Swim):\n def supports(self, robot): return True",
+            "toy.supports must be a class",
+        ),
+        (plugins.TASKS, "class toy(Swim):\n measure = 3", "toy.measure must be a function, not int"),
+        (plugins.ROBOTS, "toy = 'nao-0'", "an instance of naosim.robots.Robot, not str"),
+        (plugins.ROBOTS, "toy = robots.get('nao-0')", "Robot.name is 'nao-0'"),
+        (
+            plugins.SIMULATORS,
+            "class Kind(SimulatorKind):\n name = 'toy'\n summary = 'Toy.'\n def supports(self, robot): return True\n"
+            " def open(self, robot): ...\ntoy = Kind()",
+            "Kind.open: expected the parameters",
+        ),
+        (
+            plugins.SIMULATORS,
+            "class Kind(SimulatorKind):\n name = 'toy'\n summary = 'Toy.'\n def supports(self, robot): return True\n"
+            " def open(self, *values): ...\n def max_robots(self, most): return most\ntoy = Kind()",
+            "Kind.max_robots: expected the parameters",
+        ),
+        (plugins.LEARNERS, "class Kind(LearnerKind):\n name = 'toy'\ntoy = Kind()", "class Kind .*load_policy"),
+        (plugins.LEARNERS, "toy = LearnerKind", "an instance of naosprint.rl.learner.LearnerKind, not LearnerKind"),
+    ],
+)
+def test_a_wrong_plugin_is_refused_with_package_class_and_method(
+    group: str,
+    code: str,
+    message: str,
+    offered: list[EntryPoint],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "naotoys.py").write_text(f"{TOYS}\n\n{code}\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "naotoys", raising=False)
+    offered.append(EntryPoint("toy", "naotoys:toy", group))
+    with pytest.raises(plugins.BrokenPluginError, match=rf"toy: package naotoys:toy .* be used: .*{message}"):
+        plugins.load(group, "toy")
+    sys.modules.pop("naotoys", None)
+
+
+def test_a_wrong_return_is_refused(offered: list[EntryPoint], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "class toy(Swim):\n @classmethod\n def describe(cls) -> str: return ''"
+    (tmp_path / "naotoys.py").write_text(f"{TOYS}\n\n{code}\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    offered.append(EntryPoint("toy", "naotoys:toy", plugins.TASKS))
+    with pytest.raises(plugins.BrokenPluginError, match=r"toy\.describe: it returns str, expected is dict"):
+        plugins.load(plugins.TASKS, "toy")
+    sys.modules.pop("naotoys", None)
+
+
+def test_a_type_checker_sees_a_wrong_plugin(tmp_path: Path) -> None:
+    """Overrides with another signature or return, and a learner that lacks a method."""
+    (tmp_path / "naotoys.py").write_text(
+        f"""{TOYS}
+
+class WrongReturn(Swim):
+    def measure(self, rows: object) -> str:
+        return ""
+
+
+class WrongSignature(Swim):
+    def ended(self) -> tuple[()]:
+        return ()
+
+
+class Missing(LearnerKind):
+    name = "toy"
+
+
+KIND = Missing()
+robots.get("nao-0").fall_height_m
+""",
+        encoding="utf-8",
+    )
+    root = Path(__file__).parents[3]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--no-error-summary", str(tmp_path / "naotoys.py")],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    for error in (
+        'Return type "str" of "measure" incompatible',
+        'Signature of "ended" incompatible with supertype "naosprint.tasks.base.Task"',
+        'Cannot instantiate abstract class "Missing" with abstract attributes "load_policy" and "open"',
+        '"Robot" has no attribute "fall_height_m"',
+    ):
+        assert error in done.stdout, done.stdout + done.stderr

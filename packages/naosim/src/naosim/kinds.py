@@ -49,9 +49,7 @@ def get(name: str) -> SimulatorKind:
     """
     from naospec import plugins
 
-    kind = plugins.load(plugins.SIMULATORS, name)
-    if not isinstance(kind, SimulatorKind) or kind.name != name:
-        raise plugins.BrokenPluginError(f"{name}: the entry point must be a SimulatorKind of that name")
+    kind: SimulatorKind = plugins.load(plugins.SIMULATORS, name)
     return kind
 
 

@@ -15,6 +15,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
+from naospec.plugins import SIMULATORS, Plugin
 from naospec.sections import Section
 from numpy.typing import NDArray
 
@@ -540,7 +541,7 @@ class Simulator(ABC):
             raise IndexError(f"starts: expected indices from 0 to {loaded - 1}, got {starts.tolist()}")
 
 
-class SimulatorKind(ABC):
+class SimulatorKind(ABC, Plugin):
     """One entry of the group ``naosim.simulators``: what a specification's section ``simulator`` can name.
 
     Attributes:
@@ -548,6 +549,7 @@ class SimulatorKind(ABC):
         summary: one line for users.
     """
 
+    plugin_group: ClassVar[str] = SIMULATORS
     name: ClassVar[str]
     summary: ClassVar[str]
 

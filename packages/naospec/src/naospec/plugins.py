@@ -8,10 +8,12 @@ A package offers one by an entry point in its metadata, whose name is the name t
 
 from __future__ import annotations
 
+import inspect
 import threading
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from types import UnionType
+from typing import Any, ClassVar, get_origin, get_type_hints
 
 ROBOTS = "naosim.robots"
 SIMULATORS = "naosim.simulators"
@@ -19,11 +21,27 @@ TASKS = "naosprint.tasks"
 LEARNERS = "naosprint.learners"
 ROBOT_DEFAULTS = "naosprint.robots"
 
+_BASES = {
+    ROBOTS: "naosim.robots.Robot",
+    SIMULATORS: "naosim.simulator.SimulatorKind",
+    TASKS: "naosprint.tasks.Task",
+    LEARNERS: "naosprint.rl.learner.LearnerKind",
+}
 _NOUNS = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
 
 
 # Python refuses an import where threads import modules that need each other. Reentrant: plug-ins load others.
 _LOADING = threading.RLock()
+
+
+class Plugin:
+    """Base of the classes that plug-ins inherit from; :func:`load` holds a plug-in against that class.
+
+    Attributes:
+        plugin_group: entry-point group, set by the class that others inherit from.
+    """
+
+    plugin_group: ClassVar[str] = ""
 
 
 class UnknownPluginError(ValueError):
@@ -58,7 +76,8 @@ def load(group: str, name: str) -> Any:
 
     Raises:
         UnknownPluginError: if there is nothing of that name; the message lists the available ones.
-        BrokenPluginError: if it cannot be imported.
+        BrokenPluginError: if it cannot be imported, or is not what the group expects; the message names package, class
+            and method.
     """
     entry = _entries(group).get(name)
     if entry is None:
@@ -67,9 +86,64 @@ def load(group: str, name: str) -> Any:
         )
     try:
         with _LOADING:
-            return entry.load()
+            plugin = entry.load()
+        _require_contract(group, name, plugin)
+        return plugin
     except Exception as error:
         package = entry.dist.name if entry.dist is not None else entry.value
         raise BrokenPluginError(
-            f"{name}: package {package} offers it as {entry.value}, which cannot be loaded: {error}"
+            f"{name}: package {package} offers it as {entry.value}, which cannot be used: {error}"
         ) from error
+
+
+def _require_contract(group: str, name: str, plugin: Any) -> None:
+    """Check a plug-in's name, its attributes, and the methods with which it overrides those of its base class.
+
+    Raises:
+        TypeError: naming the class and what is wrong with it.
+    """
+    if group not in _BASES:
+        return
+    kind = plugin if isinstance(plugin, type) else type(plugin)
+    contract = next((base for base in kind.__mro__ if vars(base).get("plugin_group") == group), None)
+    if contract is None or isinstance(plugin, type) != (group == TASKS):
+        what = "a subclass" if group == TASKS else "an instance"
+        raise TypeError(f"it must be {what} of {_BASES[group]}, not {kind.__name__}")
+    for attribute, annotation in contract.__annotations__.items():
+        if "ClassVar" in str(annotation) and not hasattr(plugin, attribute):
+            raise TypeError(f"{kind.__name__} has no {attribute}; set it")
+    if plugin.name != name:
+        raise TypeError(f"{kind.__name__}.name is {plugin.name!r}, its entry point's {name!r}; they must be equal")
+    for method, expected in vars(contract).items():
+        own = inspect.getattr_static(kind, method)
+        if method.startswith("_") or own is expected or not isinstance(expected, classmethod | _FUNCTION):
+            continue
+        if type(own) is not type(expected):
+            raise TypeError(f"{kind.__name__}.{method} must be a {type(expected).__name__}, not {type(own).__name__}")
+        reason = _mismatch(getattr(own, "__func__", own), getattr(expected, "__func__", expected))
+        if reason:
+            raise TypeError(f"{kind.__name__}.{method}: {reason}")
+
+
+_FUNCTION = type(_require_contract)
+
+
+def _mismatch(own: Any, expected: Any) -> str:
+    """Return why a method cannot be called like the one that it overrides, or returns something else; else nothing."""
+    parameters = inspect.signature(expected).parameters.values()
+    for chosen in (parameters, [each for each in parameters if each.default is each.empty]):
+        by_name = {each.name: None for each in chosen if each.kind is each.KEYWORD_ONLY}
+        try:
+            inspect.signature(own).bind(*[None] * (len(list(chosen)) - len(by_name)), **by_name)
+        except TypeError as error:
+            return f"expected the parameters {inspect.signature(expected)}: {error}"
+    try:
+        returned, wanted = (get_type_hints(each).get("return") for each in (own, expected))
+    except NameError:
+        return ""  # names that only type checkers import
+    returned, wanted = get_origin(returned) or returned, get_origin(wanted) or wanted
+    if UnionType in (returned, wanted) or not isinstance(returned, type) or not isinstance(wanted, type):
+        return ""
+    if not issubclass(returned, wanted):
+        return f"it returns {returned.__name__}, expected is {wanted.__name__}"
+    return ""

@@ -39,7 +39,5 @@ def get(name: str) -> Robot:
     """
     from naospec import plugins
 
-    robot = plugins.load(plugins.ROBOTS, name)
-    if not isinstance(robot, Robot) or robot.name != name:
-        raise plugins.BrokenPluginError(f"{name}: the entry point must be a naosim.robots.Robot of that name")
+    robot: Robot = plugins.load(plugins.ROBOTS, name)
     return robot

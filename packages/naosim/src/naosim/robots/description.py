@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from naospec.plugins import ROBOTS, Plugin
 from naospec.sections import Section
 from numpy.typing import NDArray
 
@@ -129,7 +130,7 @@ class PerceptorDescription:
 
 
 @dataclass(frozen=True)
-class Robot:
+class Robot(Plugin):
     """Description of one robot.
 
     Attributes:
@@ -150,6 +151,7 @@ class Robot:
         camera: where its camera is; None if it does not see the ball.
     """
 
+    plugin_group: ClassVar[str] = ROBOTS
     name: str
     family: str
     title: str

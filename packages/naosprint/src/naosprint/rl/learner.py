@@ -9,6 +9,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from naospec.plugins import LEARNERS, Plugin
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -113,7 +115,7 @@ class Learner(ABC):
         """
 
 
-class LearnerKind(ABC):
+class LearnerKind(ABC, Plugin):
     """One entry of the group ``naosprint.learners``: what a specification's section ``algorithm`` can name.
 
     Attributes:
@@ -125,6 +127,7 @@ class LearnerKind(ABC):
         several_processes: whether its learners average over ``environment.processes``.
     """
 
+    plugin_group: ClassVar[str] = LEARNERS
     name: ClassVar[str]
     summary: ClassVar[str]
     Parameters: ClassVar[type[LearnerSettings]]

@@ -15,6 +15,7 @@ from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings
+from naospec.plugins import TASKS, Plugin
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -154,7 +155,7 @@ class World:
         return np.asarray(np.arctan2(rotation[:, 1, front], rotation[:, 0, front]))
 
 
-class Task:
+class Task(Plugin):
     """A task for n robots.
 
     Subclasses declare the class attributes and override the methods that differ. What a task stores for each robot
@@ -185,6 +186,7 @@ class Task:
         flags: for each of ``ends``, (n,) robots that the latest step brought there.
     """
 
+    plugin_group: ClassVar[str] = TASKS
     name: ClassVar[str]
     version: ClassVar[int] = 1
     summary: ClassVar[str]
