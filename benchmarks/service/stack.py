@@ -51,8 +51,14 @@ FAST = {
 }
 
 
-#: Size of a small disk for the working folders of two workers.
+#: Size of a small disk for the working folders of two workers, and their settings: they may use a part of it, and wait
+#: for longer than a fault lasts.
 WORK_MB = 64
+WORLD = {
+    "NAOSPRINT_WORKER_MIN_FREE_MB": "16",
+    "NAOSPRINT_WORKER_SPOOL_MB": "16",
+    "NAOSPRINT_WORKER_PATIENCE_S": "90",
+}
 
 
 def free_port() -> int:
@@ -208,7 +214,7 @@ class Stack:
             "NAOSPRINT_S3_SECRET_ACCESS_KEY": "a-secret-of-no-use-elsewhere",
             "NAOSPRINT_API_PORT": str(self.api_port),
             "NAOSPRINT_WORKER_DIR": str(self.folder / "work"),
-            **({"NAOSPRINT_WORKER_MIN_FREE_MB": "16", "NAOSPRINT_WORKER_SPOOL_MB": "16"} if world else {}),
+            **(WORLD if world else {}),
         }
         fields = {key.removeprefix("NAOSPRINT_").lower(): value for key, value in self.environment.items()}
         direct = {"s3_endpoint": f"http://127.0.0.1:{self.store_port}"}
