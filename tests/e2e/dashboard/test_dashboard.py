@@ -423,6 +423,25 @@ def test_a_comparison_lays_curves_and_evaluations_over_each_other(
     browser.until(lambda: painted(browser, "[data-chart=reward] canvas") > 500, message="no band was drawn")
 
 
+def test_a_comparison_of_different_robots_folds_what_differs(
+    browser: Browser, token: str, client: httpx.Client
+) -> None:
+    specs = ({"robot": "nao-0", "task": "sprint1"}, {"robot": "t1", "task": "velocity"})
+    made = [client.post("/jobs", json={"spec": spec, "evaluation": None}).json()["id"] for spec in specs]
+    for job in made:
+        client.post(f"/jobs/{job}/cancel")
+    browser.sign_in(token)
+    browser.open(f"/compare?jobs={','.join(made)}")
+    browser.shows("settings differ", "[data-part=settings]")
+    page = browser.js("return document.querySelector('main').textContent")
+    assert "null" not in page and "undefined" not in page
+    browser.js("document.querySelector('[data-part=settings]').open = true")
+    browser.shows("simulator.action_delay", "[data-part=settings]")
+    browser.open(f"/jobs/{made[0]}/nothing")
+    browser.shows("has no part “nothing”")
+    browser.shows("Ran for", ".stats")
+
+
 def test_pause_resume_and_cancel(browser: Browser, token: str, client: httpx.Client) -> None:
     job_id = submit(client, "long-run", steps=ENDLESS)
     wait_for(client, job_id, "running")

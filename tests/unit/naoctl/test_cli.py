@@ -18,6 +18,7 @@ from naoctl.cli import build_app, main
 from naoctl.config import Config
 from naoctl.errors import ExitCode
 from naoctl.render import Curve, live_view
+from naospec import TrainingSpec
 from rich.console import Console
 
 Jobs = Callable[..., dict[str, Any]]
@@ -540,6 +541,25 @@ def test_compare_shows_what_differs(server: Any, naoctl: Callable[..., Ran], job
         {"algorithm.learning_rate": 5e-4},
         {"algorithm.learning_rate": 1e-3},
     ]
+
+
+def test_compare_of_other_robots_and_older_jobs_shows_no_setting_that_they_lack(
+    server: Any, naoctl: Callable[..., Ran], job: Jobs
+) -> None:
+    nao, t1 = (TrainingSpec(robot=robot, task="sprint1").model_dump(mode="json") for robot in ("nao-0", "t1"))
+    older = {**nao, "task": {name: value for name, value in nao["task"].items() if name != "history_steps"}}
+    jobs = [job(id=f"job_{key * 26}", name=key, spec=spec) for key, spec in (("a", nao), ("b", t1), ("c", older))]
+    for one in jobs:
+        server.on("GET", f"/jobs/{one['id']}")(lambda request, one=one: request.json(one))
+        server.on("GET", f"/jobs/{one['id']}/evaluations")(
+            lambda request: request.json({"items": [], "next_cursor": None})
+        )
+    compared = json.loads(naoctl("compare", *(one["id"] for one in jobs), "--json").out)
+    first, second, third = (item["spec"] for item in compared)
+    assert first == third and "task.history_steps" not in first
+    assert "simulator.action_delay" not in first and "simulator.action_delay" in second
+    ran = naoctl("compare", jobs[0]["id"], jobs[1]["id"])
+    assert "Settings of its own" in ran.out and "simulator.action_delay" not in ran.out
 
 
 def test_webhooks_are_created_listed_and_deleted(server: Any, naoctl: Callable[..., Ran]) -> None:

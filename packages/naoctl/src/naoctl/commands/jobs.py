@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
+from naospec import TrainingSpec, plugins, read_stored
+from rich.table import Table
 
 from naoctl.commands.artifacts import await_evaluation
 from naoctl.context import Context, JsonFlag, complete_job, completions, context_of, find_job, stdin_is_terminal
@@ -231,7 +234,7 @@ def compare(
         metrics = common([descriptions.shown(job) for job in found])
     if len({job["id"] for job in found}) < len(found):
         raise InvalidInput("The same job is named twice", fix="`naoctl list` shows their ids.")
-    specs = [flattened(job["spec"]) for job in found]
+    specs = [settings_of(job["spec"]) for job in found]
     paths = dict.fromkeys(path for spec in specs for path in spec)
     differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
     if as_json:
@@ -241,7 +244,7 @@ def compare(
                     "id": job["id"],
                     "name": job["name"],
                     "state": job["state"],
-                    "spec": {path: spec.get(path) for path in differing},
+                    "spec": {path: spec[path] for path in differing if path in spec},
                     "latest_metrics": job.get("latest_metrics") or {},
                     "evaluation_id": evaluation.get("id"),
                     "evaluation": evaluation.get("summary"),
@@ -256,8 +259,7 @@ def compare(
     table.add_row("ID", *(job["id"] for job in found))
     table.add_row("State", *(state_text(job["state"]) for job in found))
     table.add_row("Steps", *(f"{job['progress_step']:,}" for job in found))
-    for path in differing:
-        table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
+    add_settings(table, specs, differing)
     results = [headline(summary or {}) for summary in summaries]
     names = dict.fromkeys(name for result in results for name in result)
     if names:
@@ -276,6 +278,24 @@ def compare(
         for row in training:
             table.add_row(*row)
     context.out.print(table)
+
+
+def add_settings(table: Table, specs: Sequence[Mapping[str, Any]], differing: Sequence[str]) -> None:
+    """Add a row for each setting that differs, and the number of those that only one of several has."""
+    shared = [path for path in differing if sum(path in spec for spec in specs) > 1]
+    for path in shared:
+        table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
+    own = [sum(path in spec and path not in shared for path in differing) for spec in specs]
+    if any(own):
+        table.add_row("Settings of its own", *(f"{count:,}" if count else MISSING for count in own))
+
+
+def settings_of(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stored specification's settings by path, with the defaults of those that an older version lacked."""
+    try:
+        return flattened(read_stored(TrainingSpec, spec).model_dump(mode="json"))
+    except (ValueError, plugins.BrokenPluginError):  # of plug-ins that are not installed here
+        return flattened(spec)
 
 
 def flattened(value: Any, path: str = "") -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from naoctl.commands.artifacts import choose_checkpoint
-from naoctl.commands.jobs import flattened
+from naoctl.commands.jobs import add_settings, settings_of
 from naoctl.commands.submit import hand_in
 from naoctl.context import JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
 from naoctl.errors import InvalidInput
@@ -132,13 +132,13 @@ def compare_policies(
         raise InvalidInput("compare needs two policies or more", fix="Name another one.")
     with context.client() as client:
         cards = [known_policy(client, reference) for reference in policies]
-    specs = [flattened(card["spec"]) for card in cards]
+    specs = [settings_of(card["spec"]) for card in cards]
     paths = dict.fromkeys(path for spec in specs for path in spec)
     differing = [path for path in paths if len({str(spec.get(path)) for spec in specs}) > 1]
     if as_json:
         context.json(
             [
-                {**card, "spec": {path: spec.get(path) for path in differing}}
+                {**card, "spec": {path: spec[path] for path in differing if path in spec}}
                 for card, spec in zip(cards, specs, strict=True)
             ]
         )
@@ -150,8 +150,7 @@ def compare_policies(
     table.add_row("Aliases", *(", ".join(card["aliases"]) or MISSING for card in cards))
     table.add_row("Steps", *(f"{card['steps']:,}" for card in cards))
     table.add_row("Started from", *(card["parent_policy"] or MISSING for card in cards))
-    for path in differing:
-        table.add_row(path, *(cell(spec.get(path, MISSING)) for spec in specs))
+    add_settings(table, specs, differing)
     table.add_row("[bold]Evaluation[/bold]", *("" for _ in cards))
     table.add_row("Episodes", *(f"{card['episodes']:,}" if card["episodes"] else MISSING for card in cards))
     for title, texts in _results(cards):

@@ -15,7 +15,7 @@ import { follow } from "../stream.js";
 import { color, onTheme } from "../theme.js";
 import { loading, notice } from "./messages.js";
 import { axisOf } from "./results.js";
-import { flattened } from "./spec-list.js";
+import { flattened, knowledge, show } from "./spec-list.js";
 
 const MAX_JOBS = 32;
 const GRID = 400;
@@ -45,10 +45,16 @@ const GROUPINGS = {
 
 /** Paths that every list of jobs shows anyway. */
 const SHOWN = new Set(["seed", "task.name", "robot.name", "simulator.name", "algorithm.preset"]);
+/** Most settings of a job in its row of the table; more are in the table of settings only. */
+const MOST_SETTINGS = 4;
 let varying = [];
-const differing = (job) => {
-  const values = flattened(job.spec);
-  return varying.map((k) => ` · ${k.split(".").at(-1)} ${JSON.stringify(values[k] ?? null)}`).join("");
+/** Settings by path of each job, by id, with the defaults of those that an older version did not store. */
+const settings = new Map();
+const differing = (job, most = Infinity) => {
+  const values = settings.get(job.id) ?? {};
+  const own = varying.filter((k) => k in values);
+  if (own.length > most) return "";
+  return own.map((k) => ` · ${k.split(".").at(-1)} ${show(values[k])}`).join("");
 };
 
 /** Read a curve at `x` by linear interpolation; null outside of it. */
@@ -124,6 +130,7 @@ class CompareView {
         .toReversed();
     const missing = [];
     this.known = await descriptions();
+    this.knowledge = await knowledge(this.signal);
     await Promise.all(
       this.ids.slice(0, MAX_JOBS).map(async (id, i) => {
         try {
@@ -169,7 +176,13 @@ class CompareView {
   }
 
   build() {
-    const specs = this.items.map(({ job }) => flattened(job.spec));
+    settings.clear();
+    for (const { job } of this.items) {
+      const defaults = [...this.knowledge.training(job.spec)].filter(([, f]) => f.fallback !== undefined);
+      const missing = Object.fromEntries(defaults.map(([path, f]) => [path, f.fallback]));
+      settings.set(job.id, { ...missing, ...flattened(job.spec) });
+    }
+    const specs = [...settings.values()];
     const paths = new Set(specs.flatMap((values) => Object.keys(values)));
     varying = [...paths].filter(
       (k) =>
@@ -262,6 +275,7 @@ class CompareView {
       head,
       this.missing.map((m) => notice("warn", "", m)),
       h("section", { class: "card", style: { "margin-bottom": "1.14rem" } }, this.rows),
+      this.settingsTable(),
       h(
         "div",
         { class: "chart-tools" },
@@ -281,6 +295,46 @@ class CompareView {
       this.grid,
     );
     this.rebuildCharts();
+  }
+
+  /** The settings that differ, folded; a job that does not have a setting has none of its own. */
+  settingsTable() {
+    if (!varying.length) return null;
+    const cells = (k) => this.items.map(({ job }) => settings.get(job.id)).map((s) => (k in s ? show(s[k]) : "–"));
+    return h(
+      "details",
+      { class: "card", style: { "margin-bottom": "1.14rem" }, "data-part": "settings" },
+      h("summary", null, `${varying.length} settings differ`),
+      scroller(
+        "Settings that differ",
+        h(
+          "table",
+          { class: "plain" },
+          h(
+            "thead",
+            null,
+            h(
+              "tr",
+              null,
+              h("th", { scope: "col" }, "Setting"),
+              this.items.map(({ job }) => h("th", { scope: "col", class: "num" }, job.name)),
+            ),
+          ),
+          h(
+            "tbody",
+            null,
+            varying.map((k) =>
+              h(
+                "tr",
+                null,
+                h("th", { scope: "row" }, h("code", null, k)),
+                cells(k).map((text) => h("td", { class: "num" }, text)),
+              ),
+            ),
+          ),
+        ),
+      ),
+    );
   }
 
   /** Jobs by group label, in order of first appearance. */
@@ -383,7 +437,13 @@ class CompareView {
               "div",
               null,
               h("a", { href: `#/jobs/${item.job.id}` }, item.job.name),
-              h("div", { class: "muted" }, summary(item.job), ` · seed ${item.job.spec.seed}`, differing(item.job)),
+              h(
+                "div",
+                { class: "muted" },
+                summary(item.job),
+                ` · seed ${item.job.spec.seed}`,
+                differing(item.job, MOST_SETTINGS),
+              ),
             ),
           ),
         ),

@@ -2,8 +2,8 @@
 
 import { call, query } from "../api.js";
 import { fill, h } from "../dom.js";
-import { clock, duration, fixed, stamp, words } from "../format.js";
-import { latest } from "../jobs.js";
+import { clock, duration, stamp, withUnit, words } from "../format.js";
+import { shownMetric } from "../jobs.js";
 import { isEnded, STATES, stateBadge, tone } from "../states.js";
 
 const TONES = {
@@ -131,6 +131,13 @@ export class HistoryTab {
     const children = (await store.get("jobs", { parent: store.id, limit: 100 })).items;
     const group = store.job.group_id ? (await store.get("jobs", { group: store.job.group_id, limit: 200 })).items : [];
     if (this.gone) return;
+    /** The first metric of the job's task, from its evaluation where there is one. */
+    const first = (job) => {
+      const [metric] = store.known.listed(job.spec);
+      const shown = metric ? shownMetric(job, metric) : null;
+      if (shown?.value === undefined || shown.value === null) return null;
+      return h("span", { class: "muted" }, withUnit(metric, shown.value), shown.training ? " in training" : "");
+    };
     const node = (job, ...kids) =>
       h(
         "li",
@@ -140,9 +147,7 @@ export class HistoryTab {
           { class: "node", "aria-current": job.id === store.id ? "true" : null },
           h("a", { href: `#/jobs/${job.id}` }, job.name),
           stateBadge(job.state),
-          latest(job).speed_mps !== undefined
-            ? h("span", { class: "muted" }, `${fixed(latest(job).speed_mps)} m/s`)
-            : null,
+          first(job),
         ),
         kids.length ? h("ul", { class: "tree" }, kids) : null,
       );

@@ -214,7 +214,8 @@ class JobView {
       toast(`${this.store.job.name} was deleted.`);
       this.go("/");
     });
-    this.update(where);
+    if (!this.update(where))
+      fill(this.panel, notice("warn", `A job has no part “${where.tab}”.`, "Choose one of the parts above."));
   }
 
   destroy() {
@@ -232,9 +233,10 @@ class JobView {
     this.notes = h("p", { class: "notes", "data-part": "notes" });
     this.trouble = h("div");
     const stat = (key, label, cls) => {
-      const cell = { v: h("div", { class: "v" }), d: h("div", { class: "d" }), bar: null };
+      const cell = { k: null, v: h("div", { class: "v" }), d: h("div", { class: "d" }), bar: null };
       this.stats[key] = cell;
-      return h("div", { class: cls }, h("div", { class: "k" }, label), cell.v, cell.d);
+      cell.k = h("div", { class: "k" }, label);
+      return h("div", { class: cls }, cell.k, cell.v, cell.d);
     };
     this.listed = this.store.known.listed(job.spec).slice(0, MOST_STATS);
     const done = stat("steps", "Steps", "wide");
@@ -407,6 +409,8 @@ class JobView {
         : null,
     );
     const left = remaining(job);
+    setText(s.rate.k, isEnded(job.state) ? "Steps per second, at the end" : "Steps per second");
+    setText(s.elapsed.k, isEnded(job.state) || job.state === "paused" ? "Ran for" : "Running for");
     show(
       s.elapsed,
       duration(worked(job, this.store.events)),
