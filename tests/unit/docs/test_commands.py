@@ -180,6 +180,19 @@ def test_python_in_the_documents_runs(name: str, tmp_path: Path) -> None:
         runpy.run_path(str(path))
 
 
+def test_the_tests_that_prove_the_security_promises_exist() -> None:
+    """`tests/file.py::test_one`, and `::test_another` of the same file, in the table's last column."""
+    rows = [row for row in (ROOT / "SECURITY.md").read_text(encoding="utf-8").splitlines() if row.startswith("| ")]
+    assert len(rows) > 30
+    for row in rows[1:]:
+        named = re.findall(r"`(tests/[^`:]+)?(?:::(\w+))?`", row.rsplit("|", 2)[1])
+        file = ""
+        for path, test in named:
+            file = path or file
+            assert (ROOT / file).exists(), row
+            assert not test or f"def {test}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}: {test}"
+
+
 def test_source_files_that_documents_name_exist() -> None:
     """Such as ``naosprint/rl/ppo.py``, below any folder of the repository."""
     named = re.compile(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|yaml|cpp|hpp|js|sh))`")
