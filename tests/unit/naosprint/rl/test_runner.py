@@ -218,3 +218,31 @@ def test_a_short_training_learns(make_spec: Make, tmp_path: Path, recorder: Any)
     train(spec, workdir=tmp_path, reporter=recorder)
     speeds = [row["speed_mps"] for row in recorder.rows]
     assert np.mean(speeds[-3:]) > np.mean(speeds[:3]) + 0.15
+
+
+@pytest.mark.parametrize(
+    ("settings", "jump"),
+    [
+        ({"learning_rate_schedule": "linear", "learning_rate": 1e-3}, "learning rate from 0 to 0.0005"),
+        ({"learning_rate_schedule": "constant", "target_kl": 0.02, "target_kl_final": 0.01}, "target KL from 0.01 to"),
+        ({"learning_rate_schedule": "constant"}, None),
+    ],
+    ids=["learning rate", "target KL", "no schedule"],
+)
+def test_a_schedule_that_jumps_when_a_training_is_extended_is_named(
+    settings: dict[str, Any],
+    jump: str | None,
+    tmp_path: Path,
+    make_spec: Callable[..., TrainingSpec],
+    recorder: Any,
+) -> None:
+    short, long = (make_spec(total_steps=steps, **settings) for steps in (512, 1024))
+    finished = train(short, workdir=tmp_path, reporter=recorder)
+    assert train(long, workdir=tmp_path, reporter=recorder, resume=finished.checkpoint).steps == 1024
+    warnings = [text for level, text in recorder.lines if level == "warning" and "total_steps" in text]
+    if jump is None:
+        assert warnings == []
+    else:
+        (text,) = warnings
+        assert "total_steps is 1,024 instead of 512, which schedules follow at once" in text
+        assert jump in text

@@ -101,6 +101,16 @@ class Learner(ABC):
             "use the same robot and task"
         )
 
+    def jumps(self, before: TrainingSpec, steps: int) -> list[str]:
+        """Return in words what changes at once because this training has another total of steps than ``before``.
+
+        Args:
+            before: specification of the training that is extended, or shortened.
+            steps: its steps so far.
+        """
+        del before, steps
+        return []
+
     @abstractmethod
     def state(self) -> dict[str, AnyArray]:
         """Return everything else that the next update depends on, except the environments."""

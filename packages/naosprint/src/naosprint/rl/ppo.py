@@ -219,6 +219,10 @@ class PPO(Learner):
 
     # --- collection ---------------------------------------------------------------------------------------------------
 
+    def jumps(self, before: TrainingSpec, steps: int) -> list[str]:
+        """Return which scheduled settings change."""
+        return schedules.jumps(before, self.spec, steps)
+
     def collect(self, stop: Callable[[], bool] = lambda: False) -> bool:
         """Collect one rollout; see :meth:`Learner.collect`."""
         environment, rollout, policy, normalizer = self.environment, self.rollout, self.policy, self.normalizer

@@ -352,6 +352,13 @@ class _Session:
         self._earlier = _Progress(0, 0, manifest.episodes - self.environment.window.episodes - self._episodes_elsewhere)
         self.progress.training_s = manifest.training_s
         self._log(f"resumed at {manifest.steps:,} steps from {directory.name}")
+        before, after = manifest.stage_spec.planned_steps, self.spec.planned_steps
+        if before != after and (jumps := self.learner.jumps(manifest.stage_spec, self.learner.steps)):
+            self._reporter.log(
+                "warning",
+                f"total_steps is {after:,} instead of {before:,}, which schedules follow at once: {', '.join(jumps)}; "
+                "start from the policy instead of resuming for a schedule from its beginning",
+            )
 
     def warm_start(self, directory: Path) -> None:
         """Start from the weights and observation statistics of the checkpoint in ``directory``."""

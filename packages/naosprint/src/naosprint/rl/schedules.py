@@ -50,6 +50,16 @@ def target_kl(spec: TrainingSpec, steps: int) -> float | None:
     return float(final + (first - final) * max(0.0, remaining(spec, steps)))
 
 
+def jumps(before: TrainingSpec, after: TrainingSpec, steps: int) -> list[str]:
+    """Return in words which settings another total of steps changes at once, when a training is extended."""
+    found = []
+    for title, setting in (("learning rate", learning_rate), ("target KL", target_kl), ("log-std", log_std)):
+        old, new = setting(before, steps), setting(after, steps)
+        if old is not None and new is not None and old != new:
+            found.append(f"{title} from {old:.3g} to {new:.3g}")
+    return found
+
+
 def adapted_factor(spec: TrainingSpec, factor: float, kl: float, target: float | None) -> float:
     """Return the learning rate's factor after an update with this KL divergence.
 
