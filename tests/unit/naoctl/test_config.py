@@ -75,3 +75,23 @@ def test_private_files_are_private_and_whole(tmp_path: Path) -> None:
     assert path.read_text() == "two"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_stopped_service_is_not_the_current_one_if_another_was_before_it(tmp_path: Path) -> None:
+    """The only one stays: nothing else could be meant."""
+    first, second, third = (f"http://127.0.0.1:800{n}" for n in range(3))
+    path = tmp_path / "config.toml"
+    only = Config().with_token(first, "a")
+    assert only.stopped(first) == only
+    both = only.with_token(second, "b").with_token(second, "c")
+    both.save(path)
+    assert Config.load(path) == both
+    assert both.stopped(first) == both
+    after = both.stopped(second)
+    assert (after.current, after.previous, after.tokens[second]) == (first, None, "c")
+    assert after.stopped(second) == after
+    assert both.without(first).stopped(second).current == second
+    assert both.with_token(third, "d", current=False).current == second
+    path.write_text("previous = 3\n", encoding="utf-8")
+    with pytest.raises(InvalidInput, match="`current` and `previous` are strings"):
+        Config.load(path)

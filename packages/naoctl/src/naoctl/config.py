@@ -50,9 +50,10 @@ def config_path() -> Path:
 
 @dataclass(frozen=True)
 class Config:
-    """Tokens by service address, and the address that commands use by default."""
+    """Tokens by service address, the address that commands use by default, and the one that they used before."""
 
     current: str | None = None
+    previous: str | None = None
     tokens: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -71,10 +72,12 @@ class Config:
             raise InvalidInput(f"Cannot read {path}: {error}", fix="Repair or remove the file.") from None
         try:
             data = tomllib.loads(text)
-            current = data.get("current")
+            current, previous = data.get("current"), data.get("previous")
             servers = data.get("servers", {})
-            if not isinstance(current, str | None) or not isinstance(servers, dict):
-                raise ValueError("`current` is a string and `servers` a table")
+            if not isinstance(current, str | None) or not isinstance(previous, str | None):
+                raise ValueError("`current` and `previous` are strings")
+            if not isinstance(servers, dict):
+                raise ValueError("`servers` is a table")
             tokens = {normal_url(url): entry["token"] for url, entry in servers.items()}
             if not all(isinstance(token, str) for token in tokens.values()):
                 raise ValueError("every server has a `token`, a string")
@@ -82,7 +85,8 @@ class Config:
             raise InvalidInput(
                 f"{path} is damaged ({error})", fix="Remove it and sign in again with `naoctl login`."
             ) from None
-        return cls(current=normal_url(current) if current else None, tokens=tokens)
+        current, previous = (normal_url(url) if url else None for url in (current, previous))
+        return cls(current=current, previous=previous, tokens=tokens)
 
     def save(self, path: Path | None = None) -> Path:
         """Write the file atomically, readable by its owner only, and return its path."""
@@ -91,6 +95,8 @@ class Config:
         lines = []
         if self.current:
             lines.append(f"current = {_quoted(self.current)}\n")
+        if self.previous:
+            lines.append(f"previous = {_quoted(self.previous)}\n")
         lines += [
             f"\n[servers.{_quoted(url)}]\ntoken = {_quoted(token)}\n" for url, token in sorted(self.tokens.items())
         ]
@@ -100,13 +106,25 @@ class Config:
     def with_token(self, url: str, token: str, *, current: bool = True) -> Config:
         """Return a copy with this token, and with its service as the current one if requested."""
         url = normal_url(url)
-        return replace(self, current=url if current else self.current, tokens={**self.tokens, url: token})
+        tokens = {**self.tokens, url: token}
+        if not current:
+            return replace(self, tokens=tokens)
+        return replace(
+            self, current=url, previous=self.previous if self.current == url else self.current, tokens=tokens
+        )
+
+    def stopped(self, url: str) -> Config:
+        """Return a copy in which a service that was stopped is not the current one, if another was before it."""
+        if self.current != normal_url(url) or self.previous not in self.tokens:
+            return self
+        return replace(self, current=self.previous, previous=None)
 
     def without(self, url: str) -> Config:
         """Return a copy without this service."""
         url = normal_url(url)
         tokens = {known: token for known, token in self.tokens.items() if known != url}
-        return replace(self, current=None if self.current == url else self.current, tokens=tokens)
+        previous = None if url in (self.current, self.previous) else self.previous
+        return replace(self, current=None if self.current == url else self.current, previous=previous, tokens=tokens)
 
 
 @dataclass(frozen=True)

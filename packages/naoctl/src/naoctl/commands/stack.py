@@ -69,6 +69,8 @@ def up(
         if pipe:
             pipe.send(error=error.message, fix=error.fix)
         raise
+    finally:
+        _forget(supervisor.state.url)
 
 
 def _ready(context: Context, stack: object, root: Path, pipe: object, *, as_json: bool) -> None:
@@ -113,6 +115,14 @@ def _announce(context: Context, root: Path, stack: object, *, as_json: bool, det
     context.out.file.flush()
 
 
+def _forget(url: str | None) -> None:
+    """Make the service that commands used before a stopped one the current one again."""
+    config = Config.load()
+    changed = config.stopped(url) if url else config
+    if changed != config:
+        changed.save()
+
+
 def down(
     ctx: typer.Context,
     data_dir: DataDir = None,
@@ -123,11 +133,14 @@ def down(
     _need_stack()
     from naoctl.stack import control
     from naoctl.stack.layout import Layout
+    from naoctl.stack.state import StackState
 
     context = context_of(ctx)
     layout = Layout.at(data_dir)
     say = (lambda title, text: None) if as_json else context.say
+    state = StackState.load(layout) if layout.root.exists() else None
     done = control.stop(layout, say, now=now)
+    _forget(state.url if state else None)
     if as_json:
         context.json({"data_dir": str(layout.root), "stopped": done})
     else:
