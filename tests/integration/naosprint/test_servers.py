@@ -227,9 +227,12 @@ def small_spec(**fields: Any) -> TrainingSpec:
 
 
 def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
-    tmp_path: Path, handles: list[ServerHandle], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    handles: list[ServerHandle],
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """One episode is truncated with the reason and counted; the other environment is not affected."""
+    """One episode is truncated with the reason, told once, and counted; the other environment is not affected."""
     reporter = Killer(handles, deaths=1)
     result = train(small_spec(), workdir=tmp_path, reporter=reporter)
     assert (result.status, result.steps) == ("finished", 384)
@@ -238,6 +241,7 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
     assert warning.startswith("environment ")
     assert "episode truncated after" in warning
     assert "exit code -9" in warning
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == []
     assert len(handles) == 3
     assert not any(handle.alive() for handle in handles)
 
@@ -252,6 +256,8 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
     spec = EvaluationSpec.model_validate({"episodes": 4, "n_envs": 2, "task": "sprint2", "bootstrap_resamples": 100})
     evaluation = evaluate(result.checkpoint, spec, progress=progress)
     assert evaluation.summary["server_failures"] == 1
+    (told,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert "is run again, its server was lost" in told
     assert evaluation.summary["episodes"] == 4
     assert len(evaluation.trajectories.x) == 4
     assert np.abs(evaluation.trajectories.x[:, 0] + 14.0).max() < 0.1

@@ -280,7 +280,7 @@ class Fleet(ABC):
         for row in lost:
             self.restarts += not self._exchange.neglected(row)
             reason = self.reason(row)
-            logger.warning("server %d: %s; starting a replacement", row, reason)
+            logger.debug("server %d: %s; starting a replacement", row, reason)
             if self.restarts > self._max_failures:
                 raise ServerLostError(
                     f"{self.restarts} servers were lost, {self._max_failures} are allowed; last: server {row}: {reason}"
@@ -335,7 +335,7 @@ class Fleet(ABC):
             if not self.failed[row] and not self._entering[row] and self._exchange.failure(row):
                 self.failed[row] = True
                 # `reason` asks the launcher, which may take long: not with the lock held
-                logger.warning("server %d is lost: %s", row, self._exchange.failure(row))
+                logger.info("server %d is lost: %s", row, self._exchange.failure(row))
 
     def _fail(self, row: int, reason: str) -> None:
         """Mark a server as failed, unless it has failed already."""
