@@ -164,3 +164,16 @@ print("torch" in sys.modules, [name for name in sys.modules if name.startswith("
         text = code.format(block=block)
         done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
         assert done.stdout.split() == ["False", registered]
+
+
+def test_other_processes_make_environments_by_a_name_that_imports_them() -> None:
+    """As those that SubprocVecEnv starts from a notebook, which have imported nothing."""
+    code = (
+        "import gymnasium\n"
+        "from stable_baselines3.common.vec_env import SubprocVecEnv\n"
+        "make = lambda: gymnasium.make('naosprint:naosprint/Sprint-v0')\n"
+        "robots = SubprocVecEnv([make, make], start_method='spawn')\n"
+        "assert robots.reset().shape == (2, *robots.observation_space.shape)\n"
+        "robots.close()\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
