@@ -31,4 +31,6 @@ def service_environment(layout: Layout) -> dict[str, str]:
         "NAOSPRINT_API_PORT": str(state.api_port),
         "NAOSPRINT_WORKER_DIR": str(layout.work),
         "PYTHONUNBUFFERED": "1",
+        # paths in these variables are UTF-8 in every locale
+        "PYTHONUTF8": "1",
     }

@@ -65,7 +65,7 @@ class Postgres:
     @property
     def url(self) -> str:
         """Address of the database with its password."""
-        host = quote(str(self.socket_dir), safe="/")
+        host = quote(os.fsencode(self.socket_dir), safe="/")  # its bytes, whatever the locale makes of them
         return f"postgresql://{USER}:{quote(self.password, safe='')}@/{DATABASE}?host={host}"
 
     @property
