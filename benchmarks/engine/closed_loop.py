@@ -25,7 +25,7 @@ class TrainingWorld(EvaluationSpec):
     def applied_to(self, trained: TrainingSpec) -> TrainingSpec:
         """Return the evaluation's specification with the fast world in place of the exact one."""
         spec = super().applied_to(trained)
-        return spec.model_copy(update={"simulator": spec.simulator.model_copy(update={"exact": False})})
+        return spec.model_copy(update={"simulator": spec.simulator.model_copy(update={"engine": "fast"})})
 
 
 def evaluated(name: str, spec: EvaluationSpec) -> dict[str, Any]:

@@ -80,7 +80,7 @@ class Tree:
 
 def tree_of(robot: str) -> Tree:
     """Return the tree of ``T1`` or ``K1``."""
-    model = compiled(robot, exact=False).model
+    model = compiled(robot, engine="fast").model
     names = [model.body(body).name.removeprefix(PREFIX) for body in range(1, model.nbody)]
     return Tree(
         parents=[int(parent) - 1 for parent in model.body_parentid[1:]],

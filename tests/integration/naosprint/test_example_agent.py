@@ -123,7 +123,7 @@ def test_the_agent_plays_as_the_policy_does_in_the_simulator(
         seen, actions, targets = recorded(path, address)
     assert RESULT.fullmatch(capsys.readouterr().out)
     assert 20 < len(seen) < 1000
-    section = {"name": simulator, **({"exact": True} if simulator == "embedded" else {})}
+    section = {"name": simulator, **({"engine": "mujoco"} if simulator == "embedded" else {})}
     environment = open_environment(
         TrainingSpec.model_validate({"robot": robot, "simulator": section, "task": "sprint1"}), 1, threads=1
     )
@@ -289,7 +289,7 @@ def test_the_player_observes_and_commands_as_task_velocity_does(
         ports = (str(address.agent_port), str(address.monitor_port))
         # it hardly moves, so that it misses its target
         assert player.main([str(path), "--targets", "1", "--host", address.host, "--ports", *ports]) == 1
-    section = {"name": "embedded", "exact": True}
+    section = {"name": "embedded", "engine": "mujoco"}
     environment = open_environment(
         TrainingSpec.model_validate({"robot": "t1", "simulator": section, "task": "velocity"}), 1, threads=1
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import ModuleType
 
 import numpy as np
@@ -17,20 +17,21 @@ from naosim.simulator import PLAIN, RobotMotion, Scene, Simulator, Starts
 from .toy_simulator import CRAWLER, CRAWLING, CrawlerSimulator
 
 
-def embedded(name: str, scene: Scene = PLAIN, *, exact: bool = False, **parameters: object) -> Subject:
+def embedded(name: str, scene: Scene = PLAIN, settings: Mapping[str, object] = {}, **parameters: object) -> Subject:
     robot, kind = robots.get(name).with_parameters(parameters), kinds.get("embedded")
-    settings = kind.parameters(robot)(exact=True) if exact else kind.parameters(robot)()
-    return Subject(lambda n: kind.open(robot, n, settings, scene=scene), abilities=kind.abilities(robot))
+    chosen = kind.parameters(robot).model_validate(dict(settings))
+    return Subject(lambda n: kind.open(robot, n, chosen, scene=scene), abilities=kind.abilities(robot))
 
 
 SUBJECTS = {
     "nao-0": embedded("nao-0"),
     "nao-4": Subject(lambda n: EmbeddedSimulator(robots.get("nao-4"), n, sensor_digits=None, threads=2)),
     "nao-0 onboard": embedded("nao-0", onboard_sensing=True),
-    "t1": embedded("t1"),
+    "t1, fast": embedded("t1", settings={"engine": "fast"}),
+    "t1, mujoco": embedded("t1", settings={"engine": "mujoco"}),
     "k1": embedded("k1"),
     "t1 with a ball": embedded("t1", Scene(ball=True)),
-    "t1 with a ball, exact": embedded("t1", Scene(ball=True, goals=True), exact=True),
+    "t1 with a ball, mujoco": embedded("t1", Scene(ball=True, goals=True), {"engine": "mujoco"}),
     "k1 with a ball": embedded("k1", Scene(ball=True, goals=True)),
     "k1 with bodies": embedded("k1", Scene(bodies=True)),
     "crawler": Subject(lambda n: CrawlerSimulator(CRAWLER, n)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -24,18 +25,58 @@ def raise_number(monkeypatch: pytest.MonkeyPatch, kind: Kind, convert: Any = Non
 
 @pytest.mark.parametrize(("kind", "model"), [(Kind.TRAINING, TrainingSpec), (Kind.EVALUATION, EvaluationSpec)])
 def test_a_specification_of_the_format_before_is_converted(kind: Kind, model: Any, monkeypatch: Any) -> None:
-    before = {"chance": 7}
+    before = {"format": formats.CURRENT[kind], "chance": 7}
     raise_number(monkeypatch, kind, lambda document: {"seed": document["chance"]})
     assert read_stored(model, before).seed == 7
     written = stored(model(seed=7))
-    assert (written["format"], written["seed"]) == (2, 7)
+    assert (written["format"], written["seed"]) == (formats.CURRENT[kind], 7)
     assert stored(read_stored(model, written)) == stored(model.model_validate(written)) == written
-    assert stored(model.model_validate({"format": 1, **before})) == written  # a file of the version before
+    assert stored(model.model_validate(before)) == written  # a file of the version before
 
 
 def test_a_specification_has_no_number_while_none_means_its_format() -> None:
-    assert "format" not in stored(TrainingSpec())
-    assert stored(TrainingSpec.model_validate({"format": 1, "seed": 7})) == stored(TrainingSpec(seed=7))
+    assert "format" not in stored(EvaluationSpec())
+    assert stored(EvaluationSpec.model_validate({"format": 1, "seed": 7})) == stored(EvaluationSpec(seed=7))
+
+
+@pytest.mark.parametrize(("exact", "engine"), [(True, "mujoco"), (False, "fast"), (None, "fast")])
+@pytest.mark.parametrize("robot", ["t1", "k1"])
+def test_what_was_exact_is_an_engine(robot: str, exact: bool | None, engine: str, tmp_path: Path) -> None:
+    """In stored specifications, files of the version before, checkpoints and evaluations."""
+    from naosprint.rl.checkpoint import read_manifest
+
+    simulator = {"name": "embedded", "settle_steps": 50, **({} if exact is None else {"exact": exact})}
+    before = {"robot": robot, "simulator": simulator}
+    for spec in (read_stored(TrainingSpec, before), TrainingSpec.model_validate({"format": 1, **before})):
+        assert (spec.simulator.engine, spec.simulator.settle_steps) == (engine, 50)
+        assert stored(spec)["format"] == 2 and stored(spec)["simulator"]["engine"] == engine
+    summary = formats.current(Kind.RESULT, {"format": 2, "training": before})
+    assert TrainingSpec.model_validate(summary["training"]).simulator.engine == engine
+    document = json.loads(
+        next((ROOT / "packages/naopolicies/src").rglob(f"{robot}-sprint/checkpoint.json")).read_text()
+    )
+    document["format"], document["spec"]["simulator"] = 2, simulator
+    written = {name: value for name, value in document["spec"].items() if name != "runtime"}
+    text = json.dumps(written, sort_keys=True, separators=(",", ":"))
+    document["spec_sha256"] = hashlib.sha256(text.encode()).hexdigest()
+    (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
+    assert read_manifest(tmp_path).spec.simulator.engine == engine
+
+
+@pytest.mark.parametrize(("exact", "engine"), [(True, "mujoco"), (False, "fast"), ("true", "mujoco")])
+def test_the_error_about_exact_names_the_new_field(exact: object, engine: str) -> None:
+    with pytest.raises(ValidationError, match=f"exact was replaced; write engine: {engine}"):
+        TrainingSpec.model_validate({"robot": "t1", "simulator": {"exact": exact}})
+
+
+def test_a_nao_has_no_engine_to_choose() -> None:
+    assert "engine" not in read_stored(TrainingSpec, {"simulator": {"name": "embedded"}}).simulator.model_dump()
+
+
+@pytest.mark.parametrize("broken", [None, [], "embedded", {"exact": []}])
+def test_a_simulator_that_is_none_is_left_to_its_validation(broken: object) -> None:
+    assert formats.current(Kind.TRAINING, {"format": 1, "simulator": broken})
+    assert formats.current(Kind.CHECKPOINT, {"format": 2, "spec": broken})
 
 
 @pytest.mark.parametrize("kind", list(Kind))
@@ -47,11 +88,11 @@ def test_a_newer_format_is_one_sentence(kind: Kind) -> None:
 
 def test_a_format_without_conversion_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
-        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads format 2$"
+        formats.FormatError, match=r"^format 1 of this checkpoint is too old: this version reads formats 2 to 3$"
     ):
         formats.current(Kind.CHECKPOINT, {"format": 1})
     raise_number(monkeypatch, Kind.CHECKPOINT, dict)
-    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 3$"):
+    with pytest.raises(formats.FormatError, match=r"reads formats 2 to 4$"):
         formats.current(Kind.CHECKPOINT, {"format": 1})
 
 
@@ -74,9 +115,9 @@ def test_a_checkpoint_of_the_format_before_is_read(tmp_path: Path, monkeypatch: 
         return {**{name: value for name, value in old.items() if name != "rounds"}, "updates": old["rounds"]}
 
     raise_number(monkeypatch, Kind.CHECKPOINT, convert)
-    assert read_manifest(tmp_path).model_dump() == {**expected.model_dump(), "format": 3}
+    assert read_manifest(tmp_path).model_dump() == {**expected.model_dump(), "format": 4}
     monkeypatch.undo()
-    document["format"] = 3
+    document["format"] = 4
     (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(CheckpointError, match="newer version of naosprint"):
         read_manifest(tmp_path)

@@ -26,7 +26,7 @@ def symmetric_environment(robot: Robot, task: type[Task], n: int = 2, **settings
 
     The exact world steps the model itself, so the changes count; the engine of trainings has read its numbers before.
     """
-    simulator = MujocoSimulator(robot, n, EmbeddedParameters(truncate=False, exact=True))
+    simulator = MujocoSimulator(robot, n, EmbeddedParameters(truncate=False, engine="mujoco"))
     make_symmetric(simulator.world.model)
     model, geoms = simulator.world.model, simulator.world.geoms
     model.geom_contype[geoms], model.geom_conaffinity[geoms] = 2, 1  # no contacts between limbs

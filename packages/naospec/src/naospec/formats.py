@@ -28,14 +28,39 @@ class FormatError(ValueError):
     """Document of a format that this version cannot read."""
 
 
-CURRENT: dict[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1, Kind.CHECKPOINT: 2, Kind.RESULT: 2}
+CURRENT: dict[Kind, int] = {Kind.TRAINING: 2, Kind.EVALUATION: 1, Kind.CHECKPOINT: 3, Kind.RESULT: 3}
 """The formats that this version writes."""
 
 UNNUMBERED: Mapping[Kind, int] = {Kind.TRAINING: 1, Kind.EVALUATION: 1}
 """Formats of stored documents without a number; all others have one."""
 
 Document = dict[str, Any]
-CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {}
+
+
+def _engine(spec: Document) -> Document:
+    """Convert a training specification: ``simulator.exact`` became ``engine``."""
+    simulator = spec.get("simulator")
+    if not isinstance(simulator, Mapping) or "exact" not in simulator:
+        return spec
+    others = {name: value for name, value in simulator.items() if name != "exact"}
+    return {**spec, "simulator": {**others, "engine": "mujoco" if simulator["exact"] is True else "fast"}}
+
+
+def _engine_in(section: str) -> Callable[[Document], Document]:
+    """Return the conversion of a document that contains a training specification."""
+
+    def convert(document: Document) -> Document:
+        spec = document.get(section)
+        return {**document, section: _engine(dict(spec))} if isinstance(spec, Mapping) else document
+
+    return convert
+
+
+CONVERSIONS: dict[tuple[Kind, int], Callable[[Document], Document]] = {
+    (Kind.TRAINING, 1): _engine,
+    (Kind.CHECKPOINT, 2): _engine_in("spec"),
+    (Kind.RESULT, 2): _engine_in("training"),
+}
 """From each older format that can be read, the function that returns a document of the next one."""
 
 

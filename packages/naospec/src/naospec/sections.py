@@ -46,6 +46,12 @@ class Section(BaseModel):
 
     name: str = Field(default="", title="Name", description="Which plug-in the section configures.")
 
+    @classmethod
+    def replacement(cls, name: str, value: object) -> str:
+        """Return what replaces a setting that an older version had, with its value; empty if it had none."""
+        del name, value
+        return ""
+
 
 def section_models(group: str, name: str, robot: Any = None) -> type[Section]:
     """Return the settings model of one plug-in.
@@ -114,6 +120,10 @@ def _require_known(values: Mapping[str, Any], model: type[Section], owner: str) 
         InitErrorDetails(
             type=PydanticCustomError(
                 "unknown_setting", "{owner} has no such setting: {choices}", {"owner": owner, "choices": choices}
+            )
+            if not (replacement := model.replacement(name, value))
+            else PydanticCustomError(
+                "replaced_setting", "{name} was replaced; write {words}", {"name": name, "words": replacement}
             ),
             loc=(name,),
             input=value,

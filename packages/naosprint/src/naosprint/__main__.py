@@ -289,7 +289,7 @@ def _require_own_folder(workdir: Path, spec: TrainingSpec) -> None:
     from naosprint.rl.checkpoint import read_manifest
 
     for folder in sorted(workdir.glob("step-*"))[-1:]:
-        if read_manifest(folder).spec_sha256 != spec.digest():
+        if read_manifest(folder).spec.digest() != spec.digest():
             raise ValueError(f"{workdir}: has checkpoints of another specification ({folder.name}); use another folder")
 
 

@@ -11,15 +11,35 @@ from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
 from naojobs.webhooks import MessageType
-from naospec import EvaluationSpec, TrainingSpec
+from naospec import EvaluationSpec, TrainingSpec, formats
 from naospec.search import SearchSpec
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, HttpUrl, StringConstraints, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    HttpUrl,
+    StringConstraints,
+    model_validator,
+)
 
 from naosprint_api.patterns import ALIAS, ID, NAME, PLAIN, REFERENCE, TAG, TEXT
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
 #: Words that refer to a job in commands, and so are not allowed as names.
 RESERVED_NAMES = frozenset({"last"})
+
+
+def _current(spec: dict[str, Any]) -> dict[str, Any]:
+    """Return a stored training specification as this version accepts it; one that it cannot read stays as it is."""
+    try:
+        return formats.current(formats.Kind.TRAINING, spec)
+    except formats.FormatError:
+        return spec
+
+
+TrainingDocument = Annotated[dict[str, Any], BeforeValidator(_current)]
 
 
 def _not_reserved(name: str) -> str:
@@ -209,7 +229,7 @@ class JobPublic(_Public):
     waiting_reason: str | None = Field(
         None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
     )
-    spec: dict[str, Any] = Field(description="Specification of the training, as stored.")
+    spec: TrainingDocument = Field(description="Specification of the training, in the current format.")
     evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for no evaluation.")
     attempt: int = Field(description="Number of claims by workers.")
     failures: int = Field(description="Attempts lost since the last submit or retry.")
@@ -477,7 +497,7 @@ class PolicyPage(Page[PolicyCard]):
 class PolicyDetails(PolicyCard):
     """Policy with the specification that it was trained by, and its files."""
 
-    spec: dict[str, Any] = Field(description="Specification of the last job of the lineage.")
+    spec: TrainingDocument = Field(description="Specification of the last job of the lineage.")
     files: list[FilePublic] = Field(description="Files of its checkpoint.")
 
 

@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 from naosim import kinds, robots
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.kinds import EmbeddedParameters, Engine
 from naosim.simulator import PLAIN, Floats, Scene, Starts
 
 BALL = Scene(ball=True)
 RADIUS_M = 0.11
 EVERY = np.arange(2)
+ENGINES: tuple[Engine, ...] = ("mujoco", "fast")
 
 
 @contextmanager
-def opened(name: str = "t1", scene: Scene = BALL, *, n: int = 2, exact: bool = True) -> Iterator[MujocoSimulator]:
+def opened(
+    name: str = "t1", scene: Scene = BALL, *, n: int = 2, engine: Engine = "mujoco"
+) -> Iterator[MujocoSimulator]:
     """Open n robots in the middle of the field; they face +x."""
-    simulator = MujocoSimulator(robots.get(name), n, EmbeddedParameters(exact=exact), scene=scene)
+    simulator = MujocoSimulator(robots.get(name), n, EmbeddedParameters(engine=engine), scene=scene)
     try:
         simulator.load_starts(Starts(np.repeat(simulator.robot.nominal[None], 2, axis=0)))
         simulator.start(np.arange(n), np.arange(n) % 2)
@@ -40,10 +43,10 @@ def placed(*points: tuple[float, float]) -> Floats:
 
 
 @pytest.mark.parametrize("name", ["t1", "k1"])
-@pytest.mark.parametrize("exact", [True, False])
-def test_a_ball_in_view_is_reported_every_other_cycle(name: str, exact: bool) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_ball_in_view_is_reported_every_other_cycle(name: str, engine: Engine) -> None:
     """The two starts report it in different cycles, and what is reported is where the ball is."""
-    with opened(name, exact=exact) as simulator:
+    with opened(name, engine=engine) as simulator:
         simulator.place_ball(EVERY, placed((2.0, 0.5), (2.0, 0.5)))
         assert np.isfinite(simulator.perceptors["ball"]).all(), "at once"
         reports = []
@@ -112,7 +115,7 @@ def test_a_hand_touches_a_ball_that_falls_on_it(name: str, side: float) -> None:
 
 
 def test_bodies_move_as_their_velocities_say() -> None:
-    with opened(exact=True) as simulator:
+    with opened(engine="mujoco") as simulator:
         motion = replace(
             simulator.motion(EVERY),
             joints_rad_s=np.zeros((2, len(simulator.robot.joints))),
@@ -135,10 +138,10 @@ def test_bodies_move_as_their_velocities_say() -> None:
 
 
 @pytest.mark.parametrize("scene", [PLAIN, BALL])
-@pytest.mark.parametrize("exact", [True, False])
-def test_a_robot_begins_in_the_middle_of_another_ones_step(scene: Scene, exact: bool) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_robot_begins_in_the_middle_of_another_ones_step(scene: Scene, engine: Engine) -> None:
     """Its perceptors and its motion are the other's; the ball stays where it is."""
-    with opened(scene=scene, exact=exact) as simulator:
+    with opened(scene=scene, engine=engine) as simulator:
         targets = np.repeat(simulator.robot.nominal[None], 2, axis=0)
         for step in range(30):
             targets[0, 11:] = simulator.robot.nominal[11:] + 0.3 * np.sin(0.4 * step)
@@ -188,10 +191,10 @@ def test_snapshots_contain_ball_and_contacts() -> None:
             assert np.array_equal(values, there[name], equal_nan=True), name
 
 
-@pytest.mark.parametrize("exact", [True, False])
-def test_the_observed_world_moves_as_the_bare_one(exact: bool) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_observed_world_moves_as_the_bare_one(engine: Engine) -> None:
     """Reporting bodies changes no bit of the motion."""
-    with opened(scene=PLAIN, exact=exact) as plain, opened(scene=Scene(bodies=True), exact=exact) as observed:
+    with opened(scene=PLAIN, engine=engine) as plain, opened(scene=Scene(bodies=True), engine=engine) as observed:
         for step in range(40):
             targets = plain.robot.nominal + 0.3 * np.sin(0.3 * step + np.arange(len(plain.robot.joints)))
             for simulator in (plain, observed):
@@ -202,8 +205,8 @@ def test_the_observed_world_moves_as_the_bare_one(exact: bool) -> None:
 
 def test_the_fast_world_rolls_and_kicks_a_ball_nearly_as_the_exact_one() -> None:
     ends = []
-    for exact in (True, False):
-        with opened(exact=exact) as simulator:
+    for engine in ENGINES:
+        with opened(engine=engine) as simulator:
             simulator.place_ball(
                 EVERY, placed((2.0, 0.0), (0.27, -0.11)), np.array([[3.0, 0.0, 0.0], [-2.0, 0.0, 0.0]])
             )

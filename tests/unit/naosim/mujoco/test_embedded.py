@@ -21,7 +21,7 @@ POSES = np.stack([T1.nominal, T1.nominal + 0.03 * (np.arange(23) % 3 - 1)])
 
 def opened(n: int = 2, robot: Robot = T1, threads: int = 1, **settings: object) -> MujocoSimulator:
     simulator = MujocoSimulator(
-        robot, n, EmbeddedParameters.model_validate({"exact": True, **settings}), threads=threads
+        robot, n, EmbeddedParameters.model_validate({"engine": "mujoco", **settings}), threads=threads
     )
     simulator.load_starts(Starts(POSES if robot is T1 else robot.nominal[None], (-14.0, 0.0)))
     simulator.start(np.arange(n), np.arange(n) % (2 if robot is T1 else 1))
@@ -96,7 +96,7 @@ def test_a_command_acts_one_step_late_unless_told_otherwise() -> None:
 
 @BOTH
 def test_a_fast_world_lacks_nothing_but_the_ball(robot: Robot) -> None:
-    exact, fast = opened(1, robot).world, opened(1, robot, exact=False).world
+    exact, fast = opened(1, robot).world, opened(1, robot, engine="fast").world
     assert fast.kernel and not exact.kernel
     assert fast.model.nv == exact.model.nv - 6
     assert np.array_equal(fast.model.dof_frictionloss, exact.model.dof_frictionloss[6:])
@@ -104,7 +104,7 @@ def test_a_fast_world_lacks_nothing_but_the_ball(robot: Robot) -> None:
 
 
 def test_a_cycle_of_the_fast_world_is_the_exact_worlds() -> None:
-    exact, fast = (opened(1, exact=flag, action_delay=0, truncate=False) for flag in (True, False))
+    exact, fast = (opened(1, engine=engine, action_delay=0, truncate=False) for engine in ("mujoco", "fast"))
     source, target = exact.batch.data[0], fast.batch.data[0]
     names = ("qpos", "qvel", "qacc_warmstart", "ctrl")
     for step in range(100):
@@ -119,7 +119,7 @@ def test_a_cycle_of_the_fast_world_is_the_exact_worlds() -> None:
 
 
 def test_a_robot_on_its_feet_moves_as_in_the_exact_world() -> None:
-    exact, fast = opened(1), opened(1, exact=False)
+    exact, fast = opened(1), opened(1, engine="fast")
     farthest = 0.0
     for offset in 0.05 * np.sin(np.arange(300) / 8):
         for simulator in (exact, fast):

@@ -96,7 +96,7 @@ def test_a_substep_is_mj_steps_from_violent_states(
     """
     monkeypatch.setattr(batches, "SUBSTEPS", 1)
     rng = np.random.default_rng(8)
-    world = world_of(robot, exact=False, scene=scene)
+    world = world_of(robot, engine="fast", scene=scene)
     batch = filled(world, robot, 24, seed=4 + varied)
     worlds = [world.varied(0.2, factor, 1.1 * factor, rng) for factor in (0.8, 1.2)] if varied else [world] * 2
     worlds *= batch.n // 2
@@ -111,14 +111,14 @@ def test_a_substep_is_mj_steps_from_violent_states(
 
 
 def test_a_cycle_is_mj_steps() -> None:
-    world, rng = world_of(T1, exact=False), np.random.default_rng(8)
+    world, rng = world_of(T1, engine="fast"), np.random.default_rng(8)
     batch = filled(world, T1, 120)
     compared(batch, [world] * batch.n, np.array(T1.nominal) + rng.normal(size=(batch.n, 23)) * 0.5, SUBSTEPS)
 
 
 @pytest.mark.parametrize(("robot", "scene"), CASES)
 def test_instruction_sets_threads_and_neighbours_do_not_change_a_bit(robot: Robot, scene: Scene) -> None:
-    world, rng = world_of(robot, exact=False, scene=scene), np.random.default_rng(9)
+    world, rng = world_of(robot, engine="fast", scene=scene), np.random.default_rng(9)
     targets = np.array(robot.nominal) + rng.normal(size=(10, N, world.joints)) * 0.3
     source = filled(world, robot)
 
@@ -145,7 +145,7 @@ def test_instruction_sets_threads_and_neighbours_do_not_change_a_bit(robot: Robo
 
 @pytest.mark.parametrize(("robot", "scene"), CASES)
 def test_a_broken_robot_is_left_to_mujoco_and_its_neighbours_keep_their_bits(robot: Robot, scene: Scene) -> None:
-    world = world_of(robot, exact=False, scene=scene)
+    world = world_of(robot, engine="fast", scene=scene)
     whole, broken = filled(world, robot), filled(world, robot)
     broken.data[3].qvel[-7] = np.nan
     broken.data[9].qvel[world.first_speed - 3 : world.first_speed] = 1e12
@@ -161,8 +161,8 @@ def test_a_broken_robot_is_left_to_mujoco_and_its_neighbours_keep_their_bits(rob
 def test_another_topology_is_refused() -> None:
     for robot in (T1, K1):
         for scene in (PLAIN, BALL, PITCH):
-            assert topology_difference(world_of(robot, exact=False, scene=scene)) == ""
-    world = world_of(T1, exact=False)
+            assert topology_difference(world_of(robot, engine="fast", scene=scene)) == ""
+    world = world_of(T1, engine="fast")
     assert topology_difference(replace(world, robot="K1")) == "its bodies form another tree"
     model = copy.copy(world.model)
     model.geom_margin[3] = 0.01

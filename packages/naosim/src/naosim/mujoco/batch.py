@@ -88,7 +88,7 @@ class MujocoBatch:
         if self._kernel:
             difference = topology_difference(world)
             if difference:
-                raise ValueError(f"exact: the fast engine cannot step this robot because {difference}; use exact=true")
+                raise ValueError(f"engine: fast cannot step this robot because {difference}; use engine: mujoco")
             warm = _addresses(data.qacc_warmstart.ctypes.data for data in self.data)
             parts = Parts(world)
             self._worlds.use_kernel(

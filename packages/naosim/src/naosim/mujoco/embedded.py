@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts
 
-_EXACT = EmbeddedParameters(exact=True)
+_MUJOCO = EmbeddedParameters(engine="mujoco")
 
 _SETTLED_TOGETHER = 64
 _LOWEST_STANDING = 0.8
@@ -49,14 +49,14 @@ class MujocoSimulator(Simulator):
         self,
         robot: Robot,
         n: int,
-        parameters: EmbeddedParameters = _EXACT,
+        parameters: EmbeddedParameters = _MUJOCO,
         *,
         threads: int = 1,
         scene: Scene = PLAIN,
     ) -> None:
         super().__init__(robot, n, scene)
         self.parameters = parameters
-        self.world: World = world_of(robot, exact=parameters.exact, scene=scene)
+        self.world: World = world_of(robot, engine=parameters.engine, scene=scene)
         self._threads = threads
         self.batch = self._new_batch(n)
         self.perceptors = self.batch.perceptors

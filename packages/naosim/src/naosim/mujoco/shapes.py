@@ -21,7 +21,7 @@ def shapes_of(robot: str) -> tuple[Shape, ...]:
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
     """
     kind = library().mjtGeom
-    world = compiled(robot, True, PLAIN)
+    world = compiled(robot, "mujoco", PLAIN)
     found: dict[str, int] = {}
     shapes = []
     for geom in world.geoms:

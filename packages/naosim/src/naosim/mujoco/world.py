@@ -23,6 +23,7 @@ from naosim.fields import RCSSSERVERMJ
 from naosim.simulator import BALL, PLAIN, TOUCHING, Scene
 
 if TYPE_CHECKING:
+    from naosim.mujoco.kinds import Engine
     from naosim.robots import Robot
     from naosim.robots.booster import BoosterParameters
 
@@ -201,19 +202,19 @@ def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats)
     return shares
 
 
-def world_of(robot: Robot, *, exact: bool = True, scene: Scene = PLAIN) -> World:
+def world_of(robot: Robot, *, engine: Engine = "mujoco", scene: Scene = PLAIN) -> World:
     """Return the world of a robot with its gains."""
-    world = compiled(robot.data["model"], exact, scene)
+    world = compiled(robot.data["model"], engine, scene)
     return world.with_gains(*gains(robot))
 
 
 @cache
-def compiled(robot: str, exact: bool, scene: Scene = PLAIN) -> World:
+def compiled(robot: str, engine: Engine, scene: Scene = PLAIN) -> World:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
-    A world that is not exact has a ball only in a scene with one, and the robot's kernel steps it.
+    The fast world has a ball only in a scene with one, and the robot's kernel steps it.
     """
-    mujoco = library()
+    mujoco, exact = library(), engine == "mujoco"
     resources = Path(metadata.distribution("rcsssmj").locate_file("rcsssmj/resources"))  # type: ignore[arg-type]
     world = mujoco.MjSpec.from_file(str(resources / "environments/soccer/world.xml"))
     spec = mujoco.MjSpec.from_file(str(resources / f"robots/{robot}/robot.xml"))
