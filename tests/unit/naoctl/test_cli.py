@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 from naoctl import __version__
 from naoctl.cli import build_app, main
+from naoctl.commands.artifacts import export_flags
 from naoctl.config import Config
-from naoctl.errors import ExitCode
+from naoctl.errors import ExitCode, InvalidInput
 from naoctl.render import Curve, live_view
 from naospec import TrainingSpec
 from rich.console import Console
@@ -709,3 +710,11 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
     assert "sprint" in unknown.err
     # Bundled policies need no service: only a list and a name that is not bundled ask it.
     assert {item.path for item in server.received} == {"/policies", "/policies/sprnt"}
+
+
+def test_exports_are_named_only_if_requested() -> None:
+    assert export_flags(["c", "numpy"], None) == ["--format", "c", "--format", "numpy"]
+    assert export_flags(None, "kick") == ["--name", "kick"]
+    assert export_flags(["c"], "kick") == ["--format", "c", "--name", "kick"]
+    with pytest.raises(InvalidInput, match="unknown format 'x'"):
+        export_flags(["x"], None)

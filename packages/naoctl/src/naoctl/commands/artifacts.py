@@ -302,10 +302,11 @@ def export(
 
 def export_flags(formats: list[str] | None, name: str | None) -> list[str]:
     """Return the flags of ``naosprint export``. Raises InvalidInput for an unknown format."""
-    for name in formats or []:
-        if name not in EXPORT_FORMATS:
-            raise InvalidInput(f"--format: unknown format {name!r}", fix=f"Choose from {', '.join(EXPORT_FORMATS)}.")
-    words = [word for each in formats or [] for word in ("--format", each)]
+    words = []
+    for each in formats or []:
+        if each not in EXPORT_FORMATS:
+            raise InvalidInput(f"--format: unknown format {each!r}", fix=f"Choose from {', '.join(EXPORT_FORMATS)}.")
+        words += ["--format", each]
     return [*words, *(("--name", name) if name else ())]
 
 
