@@ -491,6 +491,11 @@ class Simulator(ABC):
         """Number of lost robots that have been started again."""
         return 0
 
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What the simulator counts besides: numbers of events by the name under which trainings report them."""
+        return {}
+
     def loss_reason(self, row: int) -> str:
         """Return why the robot ``row`` is lost; empty if it is not."""
         del row

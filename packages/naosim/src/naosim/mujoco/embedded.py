@@ -14,6 +14,8 @@ from naosim.mujoco.world import BALL_JOINT, World, library, torque_shares, world
 from naosim.simulator import CONTACT_N, PLAIN, STEP_S, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from naosim.robots import Robot
     from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts
 
@@ -299,6 +301,11 @@ class MujocoSimulator(Simulator):
     def failures(self) -> int:
         """Number of diverged robots that have been started again."""
         return self._failures
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Substeps that the fast engine left to ``mj_step``."""
+        return {"left_to_mujoco": self.batch.left_to_mujoco} if self.world.kernel else {}
 
     def loss_reason(self, row: int) -> str:
         """Return why the physics of the robot ``row`` diverged; empty if they did not."""

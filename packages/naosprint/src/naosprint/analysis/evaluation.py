@@ -159,7 +159,7 @@ def evaluate(
         with one_blas_thread():
             recorder = _Recorder(environment, policy, spec.episodes, len(starts), rng)
             recorder.run(progress, stop)
-        failures = environment.simulator.failures
+        failures, counters = environment.simulator.failures, dict(environment.simulator.counters)
     finally:
         environment.close()
     episodes = recorder.episodes()
@@ -176,6 +176,7 @@ def evaluate(
         "simulator": setting.simulator.name,
         "episodes": len(episodes),
         "server_failures": failures,
+        **{name: count for name, count in counters.items() if count},
         "results": [result.to_json() for result in results],
         "headline": list(task.presentation.headline),
         "tables": [table.to_json() for table in tables],

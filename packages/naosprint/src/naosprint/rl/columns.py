@@ -36,12 +36,34 @@ PACE: tuple[Metric, ...] = (
     ),
     Metric("memory_mb", "Memory", "MiB", "Memory of the training, with its servers; workers only.", 0),
     Metric("server_failures", "Server failures", "", "Servers that failed and were replaced; servers only.", 0),
+    Metric(
+        "left_to_mujoco",
+        "Left to MuJoCo",
+        "substeps",
+        "Substeps of 5 ms that the fast engine left to MuJoCo's mj_step, in this attempt; T1 and K1 only.",
+        0,
+    ),
 )
 """Metrics of a training's speed and of what it uses."""
+
+
+ENGINES: tuple[Metric, ...] = tuple(
+    Metric(
+        f"{name}_engine_reward",
+        f"Reward on the {name} engine",
+        "",
+        f"Mean reward per step of 8 episodes of at most 4 s without exploration, on the engine of {name}s; at "
+        "checkpoints of trainings on engine fast, at most 3 % of the time.",
+        4,
+        "higher",
+    )
+    for name in ("training", "evaluation")
+)
+"""Rewards of one policy on both engines: the same but for chance, unless there is a gap between the engines."""
 
 
 def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
     """Return the columns of a training's metrics, in order."""
     learner = plugins.load(plugins.LEARNERS, spec.algorithm.name)
     live = [metric for metric in spec.task_class.metrics if metric.live]
-    return (*PROGRESS, *EPISODE_METRICS, *live, *learner.metrics, *PACE)
+    return (*PROGRESS, *EPISODE_METRICS, *live, *learner.metrics, *ENGINES, *PACE)

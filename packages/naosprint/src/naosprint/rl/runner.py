@@ -25,6 +25,7 @@ from naosprint.rl.checkpoint import (
     require_like,
     save_checkpoint,
 )
+from naosprint.rl.engines import EngineComparison
 from naosprint.rl.learner import TrainingDivergedError
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.reporter import NullReporter
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray
     from naosprint.rl.learner import LearnerKind
+    from naosprint.rl.policy import Policy
     from naosprint.rl.reporter import Reporter
     from naosprint.tasks.environment import Environment
 
@@ -237,6 +239,8 @@ class _Session:
         self._workdir = workdir
         self._reporter = reporter
         self._min_checkpoint_s = min_checkpoint_s
+        self._engines = EngineComparison(spec)
+        self._trained_before_s = 0.0  # in earlier sessions
         self._saved_at = -inf
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
         self._episodes_elsewhere = 0  # in the other processes
@@ -261,6 +265,7 @@ class _Session:
         end = self.first_step + spec.planned_steps
         checkpoint = self._workdir / _name(self.steps)
         self._log(self._title())
+        self._trained_before_s = progress.training_s
         began_steps, began_s = self.steps, perf_counter()
         # saving a checkpoint at once verifies early that saving works
         if began_steps == 0:
@@ -294,14 +299,14 @@ class _Session:
                     * (now - began_s)
                     / (self.steps - began_steps),
                 }
-                means = self._report(metrics, pace)
-                if self.steps >= end and self.candidates.count > 1:
-                    self._compare(means)
                 interval = spec.runtime.checkpoint_interval_steps
                 saved = began_steps if self._saved_step is None else self._saved_step
                 due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
-                due = self.processes.any(due and self.processes.rank == 0)
-                if due or self.steps >= end:
+                due = self.processes.any(due and self.processes.rank == 0) or self.steps >= end
+                means = self._report({**metrics, **(self._compared() if due else {})}, pace)
+                if self.steps >= end and self.candidates.count > 1:
+                    self._compare(means)
+                if due:
                     checkpoint = self._save(self._state())
                     self._log(f"checkpoint at {self.steps:,} steps: {self._means()}")
         if self._saved_step != self.steps:
@@ -391,6 +396,20 @@ class _Session:
         if self.candidates.count > 1:
             self.candidates.start = policy
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
+
+    def _compared(self) -> dict[str, float]:
+        """Return the metrics of a comparison of the engines, if one is due."""
+        if self.processes.rank > 0:
+            return {}
+        algorithm, environment = self.spec.algorithm, self.environment.environment
+        kind: LearnerKind = plugins.load(plugins.LEARNERS, algorithm.name)
+
+        def policy() -> Policy:
+            observations, actions = environment.observer.names, environment.actuation.names
+            state = self.learner.policy_state()
+            return kind.load_policy(state, algorithm, observations=observations, actions=actions)
+
+        return self._engines.compare(policy, self.progress.training_s - self._trained_before_s)
 
     def _compare(self, means: Mapping[str, float]) -> None:
         """Add this candidate to those that are trained; after the last one, continue with the best."""
@@ -494,6 +513,7 @@ class _Session:
         simulator = self.environment.environment.simulator
         if simulator.failures or simulator.can_fail:
             row["server_failures"] = float(simulator.failures)
+        row |= {name: float(count) for name, count in simulator.counters.items()}
         self._reporter.metrics(dict(self._finite(row)))
         return means
 
