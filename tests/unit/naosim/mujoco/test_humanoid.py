@@ -158,6 +158,19 @@ def test_a_broken_robot_is_left_to_mujoco_and_its_neighbours_keep_their_bits(rob
     assert broken.left_to_mujoco > whole.left_to_mujoco == 0
 
 
+def test_a_robot_with_gains_or_centres_of_its_own_is_refused() -> None:
+    world = world_of(T1, engine="fast")
+    batch = MujocoBatch(world, 2, delay=0)
+    batch.set_world(0, world.varied(0.2, 0.5, 1.1, np.random.default_rng(1)))
+    with pytest.raises(ValueError, match="world: actuator_gainprm differ"):
+        batch.set_world(0, world.with_gains(np.ones(23), np.ones(23)))
+    for name in ("body_ipos", "geom_solref"):
+        model = copy.copy(world.model)
+        getattr(model, name)[5] += 0.01
+        with pytest.raises(ValueError, match=f"world: {name} differ"):
+            batch.set_world(1, replace(world, model=model))
+
+
 def test_another_topology_is_refused() -> None:
     for robot in (T1, K1):
         for scene in (PLAIN, BALL, PITCH):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim.mujoco.humanoid import Parts, shared_numbers, topology_difference, varied_numbers
+from naosim.mujoco.humanoid import SHARED, Parts, shared_numbers, topology_difference, varied_numbers
 from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
@@ -150,7 +150,17 @@ class MujocoBatch:
         self._worlds.step_bare(cycles)
 
     def set_world(self, row: int, world: World) -> None:
-        """Replace the model of one world by another with the same bodies and joints."""
+        """Replace the model of one world by another with the same bodies and joints.
+
+        Raises:
+            ValueError: if it differs in what a kernel has once for all robots of a batch.
+        """
+        shared = [name for name in SHARED if not np.array_equal(*(getattr(w.model, name) for w in (world, self.world)))]
+        if self._kernel and shared:
+            raise ValueError(
+                f"world: {', '.join(shared)} differ, which robots of a batch share in the fast engine; only masses, "
+                "friction and gravity may"
+            )
         self._models[row] = world.model  # the loop has only its address
         self._worlds.set_model(row, world.model._address)
         if self._kernel:

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _LIMITS = (1e-4, 0.9999)  # mjMINIMP, mjMAXIMP
+SHARED = (
+    *("actuator_gainprm", "body_pos", "body_ipos", "dof_damping", "dof_armature", "dof_frictionloss", "jnt_range"),
+    *("geom_size", "geom_solref", "geom_solimp"),
+)
+"""Arrays of a model that are numbers of the whole batch, and that randomisation might change."""
+
 _CONTACT_COUNT, _CONTACTS = 161576, 162432
 """Where ``ncon`` and ``contact`` are in MuJoCo's ``mjData``; humanoid_contacts.hpp has the same numbers."""
 
