@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -55,3 +56,12 @@ def test_a_training_on_mujoco_compares_nothing(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(engines, "MOST_SHARE", np.inf)
     rows = trained(tmp_path, engine="mujoco")
     assert not any(name in row for row in rows for name in (*NAMES, "left_to_mujoco"))
+
+
+def test_every_cycle_of_moving_robots_is_mj_steps() -> None:
+    """A share of what the benchmark holds against MuJoCo."""
+    against = runpy.run_path(str(Path(__file__).parents[4] / "benchmarks/engine/against_mujoco.py"))
+    words = [word for name in ("t1-sprint", "t1-getup", "k1-kick") for word in ("--motion", name)]
+    assert against["main"](["--robots", "2", "--cycles", "12", *words]) == 0
+    result = against["fuzzed"](against["T1"], 16)
+    assert result["changed_by_neighbours"] == result["not_finite_unreported"] == 0 < result["left_to_mujoco"]

@@ -1,0 +1,284 @@
+"""Hold the fast engine against ``mj_step``: every cycle of running, getting up, flailing and kicking, from full states.
+
+    python benchmarks/engine/against_mujoco.py [--robots 64] [--cycles 250] [--json FILE]
+
+For every robot and cycle of a motion, MuJoCo takes the four substeps from the state before the cycle, warm start and
+command included, to the minimum of its cost (tolerance 0). Prints the median, the 99.9th percentile and the maximum of
+the largest difference of a position and of a speed, and exits with 1 if any is outside 1e-10 m or rad and 1e-8 m/s or
+rad/s. States in which MuJoCo itself jumps by as much if positions change by 1e-15, as its contacts of K1's meshes do,
+are counted apart. Then the recorded commands are run again by MuJoCo from the first state, and by MuJoCo with a cold
+warm start: how far apart two exact runs are shows what a distance from the fast one means. Last, states that no policy
+reaches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import naopolicies
+import numpy as np
+from naosim.mujoco.batch import MujocoBatch
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.world import SUBSTEPS, World, library, world_of
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
+from naosim.simulator import PLAIN, Scene, Starts
+from naospec import EvaluationSpec
+from naospec.json_text import json_text
+from naosprint.rl.policy import load_policy
+from naosprint.tasks.environment import open_environment
+
+MOST_M, MOST_MPS = 1e-10, 1e-8
+AFTER = (10, 50, 100, 200)
+"""Cycles after which free runs are compared."""
+
+POLICIES = ("t1-sprint", "t1-run", "t1-getup", "k1-sprint")
+Cycle = tuple[MujocoBatch, World, Callable[[], object]]
+
+
+def driven(name: str, n: int, cycles: int) -> Iterator[Cycle]:
+    """Yield the cycles of n robots that a bundled policy drives, with the noise with which it explored."""
+    policy, manifest = load_policy(naopolicies.folder(name))
+    spec = EvaluationSpec().applied_to(manifest.stage_spec)
+    spec = spec.model_copy(update={"simulator": spec.simulator.model_copy(update={"engine": "fast"})})
+    environment, rng = open_environment(spec, n, threads=1, seed=1), np.random.default_rng(1)
+    try:
+        environment.load_starts(environment.task.starts(n, 1, spec.task.start_noise_deg))
+        environment.restart(np.arange(n), np.arange(n))
+        simulator = environment.simulator
+        assert isinstance(simulator, MujocoSimulator)
+        for _ in range(cycles):
+            actions = policy.act(environment.observations, rng)
+            yield simulator.batch, simulator.world, partial(environment.step, actions)
+            ended = np.flatnonzero(environment.terminated | environment.truncated)
+            environment.restart(ended, ended)
+    finally:
+        environment.close()
+
+
+def scripted(robot: Robot, motion: str, n: int, cycles: int) -> Iterator[Cycle]:
+    """Yield the cycles of n robots that stand, move at random, or swing a leg through a ball."""
+    scene = Scene(ball=True) if motion == "kick" else PLAIN
+    simulator = MujocoSimulator(robot, n, EmbeddedParameters(engine="fast"), scene=scene)
+    rng, everyone = np.random.default_rng(2), np.arange(n)
+    try:
+        simulator.load_starts(Starts(robot.nominal[None]))
+        simulator.start(everyone, np.zeros(n, dtype=np.int64))
+        targets = np.repeat(robot.nominal[None], n, axis=0)
+        hip = robot.joint_names.index("right_hip_pitch")
+        for cycle in range(cycles):
+            if motion == "flail" and cycle % 10 == 0:
+                targets = robot.nominal + rng.normal(size=targets.shape) * 0.8
+            if motion == "kick":
+                targets[:, hip] = robot.nominal[hip] + (0.6 if cycle % 40 < 15 else -0.9)
+                if cycle % 40 == 0:
+                    simulator.start(everyone, np.zeros(n, dtype=np.int64))
+                    feet = simulator.truth.torso_position + rng.uniform((0.1, -0.2, 0.0), (0.3, 0.2, 0.0), (n, 3))
+                    simulator.place_ball(everyone, np.column_stack([feet[:, :2], np.full(n, 0.11)]))
+            yield simulator.batch, simulator.world, partial(simulator.step, targets)
+    finally:
+        simulator.close()
+
+
+def motions(n: int, cycles: int) -> dict[str, Iterator[Cycle]]:
+    """Return all motions by name."""
+    named = {name: driven(name, n, cycles) for name in POLICIES}
+    for robot in (T1, K1):
+        for motion in ("stand", "flail", "kick"):
+            named[f"{robot.name}-{motion}"] = scripted(robot, motion, n, cycles)
+    return named
+
+
+def exact_model(world: World) -> Any:
+    """Return the world's model with a solver that ends at the minimum, not within a tolerance."""
+    model = copy.copy(world.model)
+    model.opt.tolerance = 0.0
+    return model
+
+
+def held(cycles: Iterator[Cycle]) -> dict[str, Any]:
+    """Compare every cycle of a motion; return the distribution of the differences, and of those of free runs."""
+    mujoco = library()
+    apart: list[tuple[float, float]] = []
+    states: list[np.ndarray] = []
+    commands: list[np.ndarray] = []
+    places: list[np.ndarray] = []
+    continued: np.ndarray = np.zeros(0)
+    model, data, jumping = None, None, 0
+    for batch, world, step in cycles:
+        if model is None:
+            model = exact_model(world)
+            data = mujoco.MjData(model)
+            states = [np.concatenate([[each.time], each.qpos, each.qvel, each.qacc_warmstart]) for each in batch.data]
+            continued = np.ones(batch.n, dtype=np.bool_)
+        if places:
+            moved = np.array([each.qpos for each in batch.data])
+            continued &= (moved == places[-1]).all(axis=1)  # not started again
+        before = [(each.time, each.qpos.copy(), each.qvel.copy(), each.qacc_warmstart.copy()) for each in batch.data]
+        step()
+        for state, ours in zip(before, batch.data, strict=True):
+            qpos, qvel = cycle_of(model, data, state, ours.ctrl)
+            difference = np.abs(qpos - ours.qpos).max(), np.abs(qvel - ours.qvel).max()
+            apart.append(difference)
+            if not (difference[0] <= MOST_M and difference[1] <= MOST_MPS):
+                jumping += jumps(model, data, state, ours.ctrl, qvel, difference[1])
+        commands.append(np.array([each.ctrl for each in batch.data]))
+        places.append(np.array([each.qpos for each in batch.data]))
+        left = batch.left_to_mujoco
+    differences = np.array(apart)
+    return {
+        "states": len(differences),
+        "left_to_mujoco": left,
+        **{
+            name: dict(zip(("median", "p99.9", "max"), np.quantile(column, (0.5, 0.999, 1.0)).tolist(), strict=True))
+            for name, column in zip(("position", "speed"), differences.T, strict=True)
+        },
+        "outside": int(np.count_nonzero(~(differences <= (MOST_M, MOST_MPS)).all(axis=1))) - jumping,  # NaN included
+        "jumping": jumping,
+        "free": free_runs(model, states, commands, places, np.flatnonzero(continued)),
+    }
+
+
+def cycle_of(model: Any, data: Any, state: tuple[Any, ...], ctrl: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and speeds after a cycle of MuJoCo from a full state."""
+    data.time, data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
+    data.ctrl[:] = ctrl
+    for _ in range(SUBSTEPS):
+        library().mj_step(model, data)
+    return data.qpos.copy(), data.qvel.copy()
+
+
+def jumps(model: Any, data: Any, state: tuple[Any, ...], ctrl: np.ndarray, speeds: np.ndarray, apart: float) -> bool:
+    """Return whether MuJoCo differs from itself as much if positions change in the last digits.
+
+    Its contacts of meshes jump: which points of two faces it reports depends on rounding.
+    """
+    moment, qpos, qvel, warm = state
+    rng = np.random.default_rng(4)
+    for _ in range(32):
+        moved = qpos + rng.normal(size=qpos.shape) * 1e-15
+        if np.abs(cycle_of(model, data, (moment, moved, qvel, warm), ctrl)[1] - speeds).max() > 0.1 * apart:
+            return True
+    return False
+
+
+def free_runs(
+    model: Any, states: list[np.ndarray], commands: list[np.ndarray], places: list[np.ndarray], rows: np.ndarray
+) -> list[dict[str, float]]:
+    """Compare runs of many cycles: the recorded one and MuJoCo's, and MuJoCo's with a cold warm start and MuJoCo's."""
+    mujoco = library()
+    ends = [after for after in AFTER if after <= len(places)]
+    found: dict[int, list[tuple[float, float]]] = {after: [] for after in ends}
+    for row in rows.tolist():
+        pair = [mujoco.MjData(model) for _ in range(2)]
+        for cold, data in enumerate(pair):
+            data.time, rest = states[row][0], states[row][1:]
+            data.qpos[:], data.qvel[:] = rest[: model.nq], rest[model.nq : model.nq + model.nv]
+            data.qacc_warmstart[:] = 0.0 if cold else rest[model.nq + model.nv :]
+        for cycle in range(max(ends, default=0)):
+            for data in pair:
+                data.ctrl[:] = commands[cycle][row]
+                for _ in range(SUBSTEPS):
+                    mujoco.mj_step(model, data)
+            if cycle + 1 in found:
+                warm, cold = (data.qpos for data in pair)
+                ours = places[cycle][row]
+                found[cycle + 1].append((np.abs(ours - warm).max(), np.abs(cold - warm).max()))
+    return [
+        {
+            "cycles": after,
+            "robots": len(values),
+            **{
+                f"{name}_{word}": float(function(np.array(values)[:, k]))
+                for k, name in enumerate(("fast", "cold"))
+                for word, function in (("median", np.median), ("max", np.max))
+            },
+        }
+        for after, values in found.items()
+        if values
+    ]
+
+
+def fuzzed(robot: Robot, n: int, scene: Scene = PLAIN) -> dict[str, Any]:
+    """Step states that no policy reaches: spins, deep penetration, joints far beyond their limits, NaN commands.
+
+    Every eighth robot gets a command that is not a number. The others keep their bits; finite ones stay finite or are
+    reported as diverged.
+    """
+    world, rng = world_of(robot, engine="fast", scene=scene), np.random.default_rng(3)
+    batches = [MujocoBatch(world, n, delay=0, truncate=False) for _ in range(2)]
+    scale = 10.0 ** rng.uniform(-1.0, 3.0, n)
+    for row in range(n):
+        quaternion = rng.normal(size=4)
+        state = (rng.normal(size=2), rng.uniform(-1.0, 0.7), quaternion / np.linalg.norm(quaternion))
+        angles, speeds = rng.normal(size=world.joints) * 2.0, rng.normal(size=world.model.nv) * scale[row]
+        for batch in batches:
+            data, first = batch.data[row], world.torso
+            data.qpos[first : first + 3], data.qpos[first + 3 : first + 7] = (*state[0], state[1]), state[2]
+            data.qpos[first + 7 :], data.qvel[:] = angles, speeds
+    targets = robot.nominal + rng.normal(size=(n, world.joints))
+    broken = targets.copy()
+    broken[::8, 0] = np.nan
+    for _ in range(5):
+        batches[0].step(targets)
+        batches[1].step(broken)
+    others = np.arange(n) % 8 != 0
+    same = (batches[0].save() == batches[1].save())[others]
+    diverged = batches[0].diverged
+    finite = np.array([np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all() for data in batches[0].data])
+    return {
+        "robots": n,
+        "diverged": int(diverged.sum()),
+        "left_to_mujoco": batches[0].left_to_mujoco,
+        "changed_by_neighbours": int(np.count_nonzero(~same.all(axis=1) & ~diverged[others])),
+        "not_finite_unreported": int(np.count_nonzero(~finite & ~diverged)),
+    }
+
+
+def main(words: list[str] | None = None) -> int:
+    """Compare all motions, print the results, and return 1 if a state is outside."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=64)
+    parser.add_argument("--cycles", type=int, default=250)
+    parser.add_argument("--motion", action="append", help="compare this one only; can be repeated")
+    parser.add_argument("--json", type=Path, help="write the results to this file")
+    options = parser.parse_args(words)
+    results: dict[str, Any] = {}
+    for name, cycles in motions(options.robots, options.cycles).items():
+        if options.motion and name not in options.motion:
+            continue
+        results[name] = result = held(cycles)
+        position, speed = result["position"], result["speed"]
+        print(
+            f"{name:<10} {result['states']:>7,} states, {result['outside']} outside, "
+            f"{result['jumping']} where MuJoCo jumps, "
+            f"{result['left_to_mujoco']} substeps left to mj_step; "
+            f"median, 99.9 %, max: {position['median']:.0e} {position['p99.9']:.0e} {position['max']:.1e} m or rad, "
+            f"{speed['median']:.0e} {speed['p99.9']:.0e} {speed['max']:.1e} m/s or rad/s"
+        )
+        for run in result["free"]:
+            print(
+                f"  free run of {run['cycles']} cycles, {run['robots']} robots, median and max: "
+                f"fast {run['fast_median']:.0e} {run['fast_max']:.0e}, "
+                f"cold warm start {run['cold_median']:.0e} {run['cold_max']:.0e}"
+            )
+    outside = sum(result["outside"] for result in results.values())
+    if not options.motion:
+        for robot in (T1, K1):
+            results[f"{robot.name}-fuzz"] = result = fuzzed(robot, 4 * options.robots)
+            print(f"{robot.name}-fuzz   " + ", ".join(f"{key} {value}" for key, value in result.items()))
+            outside += result["changed_by_neighbours"] + result["not_finite_unreported"]
+    if options.json:
+        options.json.write_text(json_text(results), encoding="utf-8")
+    return int(outside > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
