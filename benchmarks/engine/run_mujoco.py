@@ -4,18 +4,22 @@
 
 Both loops step 64 robots from the same states with the same commands, in turns, and CPU time of the one thread is
 counted, so that other work on the machine disturbs both alike. The bare loop calls ``mj_step`` four times a cycle and
-does nothing else; the other one sets commands, prints perceptors and reads contact forces besides.
+does nothing else; the other one prints perceptors and reads contact forces besides. Bundled policies drive the robots
+of the first measurements; both loops take their states and commands, so the ratio is that of running states.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from against_mujoco import POLICIES, driven
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.kinds import EmbeddedParameters, Engine
@@ -76,26 +80,64 @@ def measure(robot: Robot, motion: str, engine: Engine) -> dict[str, Any]:
     }
 
 
+def measure_driven(name: str) -> dict[str, Any]:
+    """Return cycles per CPU second of the fast engine and of the bare loop, in states to which a policy drives."""
+    seconds: dict[str, list[float]] = {"loop": [], "bare": []}
+    batches: dict[str, MujocoBatch] = {}
+    for step, (source, world, advance) in enumerate(driven(name, ROBOTS_AT_ONCE, STEPS)):
+        batches = batches or {each: MujocoBatch(world, ROBOTS_AT_ONCE, delay=0) for each in seconds}
+        states = source.save()
+        advance()
+        for batch in batches.values():
+            for row, state in enumerate(states):
+                batch.load(row, state)
+                batch.data[row].ctrl[:] = source.data[row].ctrl
+        for each in ("loop", "bare") if step % 2 else ("bare", "loop"):
+            began = time.thread_time()
+            if each == "loop":
+                batches[each].step_unchanged()
+            else:
+                batches[each].step_bare(1)
+            seconds[each].append(time.thread_time() - began)
+    medians = {each: float(np.median(values)) for each, values in seconds.items()}
+    return {
+        "robot": name.partition("-")[0],
+        "motion": name,
+        "engine": "fast",
+        "loop_cycles_per_s": round(ROBOTS_AT_ONCE / medians["loop"]),
+        "bare_cycles_per_s": round(ROBOTS_AT_ONCE / medians["bare"]),
+        "ratio": round(medians["bare"] / medians["loop"], 4),
+    }
+
+
 def main() -> None:
     """Measure all robots and motions, print a table, write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results_mujoco.json"))
     arguments = parser.parse_args()
     results = []
-    print(f"{'robot':<6}{'motion':<8}{'engine':<8}{'loop cycles/s':>14}{'bare cycles/s':>14}{'ratio':>8}")
-    for robot in ROBOTS:
-        for motion in ("stand", "trot"):
-            for engine in ENGINES:
-                result = measure(robot, motion, engine)
-                results.append(result)
-                print(
-                    f"{result['robot']:<6}{motion:<8}{engine:<8}"
-                    f"{result['loop_cycles_per_s']:>14,}{result['bare_cycles_per_s']:>14,}{result['ratio']:>8.1%}"
-                )
+    print(f"{'robot':<6}{'motion':<12}{'engine':<8}{'loop cycles/s':>14}{'bare cycles/s':>14}{'ratio':>8}")
+    measurements = [
+        *(partial(measure_driven, name) for name in POLICIES),
+        *(
+            partial(measure, robot, motion, engine)
+            for robot in ROBOTS
+            for motion in ("stand", "trot")
+            for engine in ENGINES
+        ),
+    ]
+    for one in measurements:
+        result = one()
+        results.append(result)
+        print(
+            f"{result['robot']:<6}{result['motion']:<12}{result['engine']:<8}"
+            f"{result['loop_cycles_per_s']:>14,}{result['bare_cycles_per_s']:>14,}{result['ratio']:>8.2f}"
+        )
     document = {
         "measured": time.strftime("%Y-%m-%d"),
         "mujoco": MUJOCO_VERSION,
         "processor": platform.processor() or platform.machine(),
+        "load": [round(load, 1) for load in os.getloadavg()],
         "robots_at_once": ROBOTS_AT_ONCE,
         "results": results,
     }
