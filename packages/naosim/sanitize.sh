@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Build the engine with AddressSanitizer and UndefinedBehaviorSanitizer into a scratch folder and run its unit tests on that build.
+# Build both engines with AddressSanitizer and UndefinedBehaviorSanitizer into a scratch folder and run their unit tests on that build.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 python=${PYTHON:-$here/../../.venv/bin/python}
