@@ -25,8 +25,8 @@ import naopolicies
 import numpy as np
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters
-from naosim.mujoco.world import SUBSTEPS, World, library, world_of
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.world import SUBSTEPS, MujocoWorld, library, world_of
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1
 from naosim.simulator import PLAIN, Scene, Starts
@@ -40,7 +40,7 @@ AFTER = (10, 50, 100, 200)
 """Cycles after which free runs are compared."""
 
 POLICIES = ("t1-sprint", "t1-run", "t1-getup", "k1-sprint")
-Cycle = tuple[MujocoBatch, World, Callable[[], object]]
+Cycle = tuple[MujocoBatch, MujocoWorld, Callable[[], object]]
 
 
 def driven(name: str, n: int, cycles: int) -> Iterator[Cycle]:
@@ -66,7 +66,7 @@ def driven(name: str, n: int, cycles: int) -> Iterator[Cycle]:
 def scripted(robot: Robot, motion: str, n: int, cycles: int) -> Iterator[Cycle]:
     """Yield the cycles of n robots that stand, move at random, or swing a leg through a ball."""
     scene = Scene(ball=True) if motion == "kick" else PLAIN
-    simulator = MujocoSimulator(robot, n, EmbeddedParameters(engine="fast"), scene=scene)
+    simulator = MujocoSimulator(robot, n, BoosterEmbeddedParameters(engine="fast"), scene=scene)
     rng, everyone = np.random.default_rng(2), np.arange(n)
     try:
         simulator.load_starts(Starts(robot.nominal[None]))
@@ -96,7 +96,7 @@ def motions(n: int, cycles: int) -> dict[str, Iterator[Cycle]]:
     return named
 
 
-def exact_model(world: World) -> Any:
+def exact_model(world: MujocoWorld) -> Any:
     """Return the world's model with a solver that ends at the minimum, not within a tolerance."""
     model = copy.copy(world.model)
     model.opt.tolerance = 0.0

@@ -22,7 +22,7 @@ import numpy as np
 from against_mujoco import POLICIES, driven
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters, Engine
+from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
 from naosim.mujoco.world import MUJOCO_VERSION
 from naosim.robots.booster import ROBOTS
 from naosim.robots.description import Robot
@@ -48,7 +48,7 @@ def targets_of(robot: Robot, motion: str, step: int) -> np.ndarray:
 
 def measure(robot: Robot, motion: str, engine: Engine) -> dict[str, Any]:
     """Return cycles per CPU second of both loops."""
-    simulator = MujocoSimulator(robot, ROBOTS_AT_ONCE, EmbeddedParameters(engine=engine, action_delay=0))
+    simulator = MujocoSimulator(robot, ROBOTS_AT_ONCE, BoosterEmbeddedParameters(engine=engine, action_delay=0))
     simulator.load_starts(Starts(robot.nominal[None]))
     everyone = np.arange(ROBOTS_AT_ONCE)
     simulator.start(everyone, np.zeros(ROBOTS_AT_ONCE, dtype=np.int64))

@@ -41,9 +41,9 @@ import httpx
 import psutil
 from naojobs import retention
 from naojobs.history import violations
-from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, Metric, Worker
+from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, MetricsRecord, Worker
 from naojobs.states import ENDED, WorkState
-from naojobs.store import Manifest, StoreError
+from naojobs.store import StoreError, StoreManifest
 from naospec.flat import nest
 from sqlalchemy import DateTime, func, select, update
 from stack import SPOILED, Stack, wait_until_ready
@@ -365,7 +365,7 @@ def check(stack: Stack, user: User, weights: dict[int, str], steps: int) -> list
         for job in jobs.values():
             events = session.scalars(select(Event).where(Event.job_id == job.id).order_by(Event.id)).all()
             wrong += [f"{job.id}: {text}" for text in violations(event.kind for event in events)]
-            for model, order in ((Event, Event.id), (Log, Log.id), (Metric, Metric.seq)):
+            for model, order in ((Event, Event.id), (Log, Log.id), (MetricsRecord, MetricsRecord.seq)):
                 rows = select(model.attempt).where(model.job_id == job.id).order_by(order)
                 attempts = [attempt for attempt in session.scalars(rows) if model is not Event or attempt]
                 if attempts != sorted(attempts):
@@ -374,7 +374,11 @@ def check(stack: Stack, user: User, weights: dict[int, str], steps: int) -> list
                 wrong.append(f"{job.id} failed: {job.error}")
             if job.state is not WorkState.SUCCEEDED:
                 continue
-            found = list(session.scalars(select(Metric.step).where(Metric.job_id == job.id).order_by(Metric.step)))
+            found = list(
+                session.scalars(
+                    select(MetricsRecord.step).where(MetricsRecord.job_id == job.id).order_by(MetricsRecord.step)
+                )
+            )
             if found != list(range(ROLLOUT, steps + 1, ROLLOUT)):
                 wrong.append(f"{job.id} has {len(found)} rows of metrics for {steps // ROLLOUT} updates")
             count = session.scalar(select(func.count()).select_from(Evaluation).where(Evaluation.job_id == job.id))
@@ -390,7 +394,7 @@ def check(stack: Stack, user: User, weights: dict[int, str], steps: int) -> list
     for key, manifest in artifacts:
         with tempfile.TemporaryDirectory() as folder:
             try:
-                stack.store.get_directory(key, Path(folder), Manifest.model_validate(manifest))
+                stack.store.get_directory(key, Path(folder), StoreManifest.model_validate(manifest))
             except StoreError as error:
                 wrong.append(str(error))
     kept = {file.rsplit("/", 1)[0] for file in stack.store.list("jobs")}
@@ -419,7 +423,7 @@ def final_weights(stack: Stack, job_id: str) -> str:
     with stack.sessions() as session:
         newest = select(Checkpoint.manifest).where(Checkpoint.job_id == job_id).order_by(Checkpoint.step.desc())
         manifest = session.scalar(newest.limit(1))
-    entry = Manifest.model_validate(manifest).entry("policy.npz")
+    entry = StoreManifest.model_validate(manifest).entry("policy.npz")
     assert entry is not None
     return entry.sha256
 

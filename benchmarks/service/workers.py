@@ -39,7 +39,7 @@ from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions, make_engine, make_sessions
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Lease
-from naojobs.models import Job, Metric
+from naojobs.models import Job, MetricsRecord
 from naojobs.records import Batch, LogLine, MetricsRow
 from naojobs.states import WorkState
 from naospec.json_text import json_text
@@ -338,7 +338,7 @@ def main() -> int:
             submits, statuses = submit_jobs(service, options.workers / options.job_s, options.seconds)
             outcomes = [part.result() for part in parts]
         with service.sessions() as session:
-            stored = session.execute(select(func.count()).select_from(Metric)).scalar_one()
+            stored = session.execute(select(func.count()).select_from(MetricsRecord)).scalar_one()
             by_state = {
                 str(state): count
                 for state, count in session.execute(select(Job.state, func.count()).group_by(Job.state))

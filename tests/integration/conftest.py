@@ -29,7 +29,7 @@ from naojobs.roles import Role, create_roles
 from naojobs.settings import ServiceSettings
 from naojobs.store import ArtifactStore
 from naojobs.tokens import Scope, create_token
-from naosprint_api.__main__ import Server, make_server
+from naosprint_api.__main__ import ApiServer, make_server
 from naosprint_api.settings import ApiSettings
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session, sessionmaker
@@ -234,13 +234,13 @@ class RunningApi:
     """An API that answers on a loopback port."""
 
     url: str
-    server: Server
+    server: ApiServer
 
 
 @pytest.fixture(scope="module")
 def start_api(service_environment: dict[str, str]) -> Iterator[Callable[..., RunningApi]]:
     """Start APIs in threads of this process, with their own settings; they end with the module."""
-    running: list[tuple[Server, threading.Thread]] = []
+    running: list[tuple[ApiServer, threading.Thread]] = []
 
     def start(**settings: object) -> RunningApi:
         listener = socket.create_server(("127.0.0.1", 0))

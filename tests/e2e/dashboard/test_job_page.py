@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from naojobs.database import notify
-from naojobs.models import Log, Metric
+from naojobs.models import Log, MetricsRecord
 
 if TYPE_CHECKING:
     import httpx
@@ -71,7 +71,7 @@ def test_curves_have_axes_a_choice_and_saved_views(
     with stack.sessions.begin() as session:
         for i in range(1, 60):
             values = {"reward": 10.0 ** (i % 4), "episode_steps": 5.0, "time_s": float(i)}
-            session.add(Metric(job_id=job_id, attempt=1, step=i * 1000, time_s=float(i), values=values))
+            session.add(MetricsRecord(job_id=job_id, attempt=1, step=i * 1000, time_s=float(i), values=values))
         notify(session, job_id)
     browser.sign_in(token)
     browser.open(f"/jobs/{job_id}")

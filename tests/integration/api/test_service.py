@@ -22,7 +22,7 @@ import httpx
 import pytest
 from naojobs import lifecycle, records
 from naojobs.lifecycle import Lease
-from naojobs.models import Event, Job, Log, Metric, Token
+from naojobs.models import Event, Job, Log, MetricsRecord, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
 from sqlalchemy import func, select, update
@@ -362,7 +362,7 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
         of_owner = select(Job.id).where(Job.owner == "hoarder")
         rows = sum(
             session.scalar(select(func.count()).select_from(table).where(table.job_id.in_(of_owner))) or 0
-            for table in (Event, Log, Metric)
+            for table in (Event, Log, MetricsRecord)
         )
     assert counted == rows
     for limits, refused in (

@@ -28,7 +28,7 @@ from naojobs.retention import Retention, sweep
 from naojobs.roles import Role, create_roles
 from naojobs.settings import ServiceSettings
 from naojobs.states import WorkState
-from naojobs.store import ArtifactStore, Manifest
+from naojobs.store import ArtifactStore, StoreManifest
 from naojobs.submission import JobRequest
 from naosprint_worker.sink import JobSink
 
@@ -129,7 +129,7 @@ class Place:
             rows = session.scalars(sqlalchemy.select(Checkpoint).order_by(Checkpoint.step)).all()
         for row in rows:
             target = self.calls.parent / "fetched" / row.id
-            self.store.get_directory(row.key, target, Manifest.model_validate(row.manifest))
+            self.store.get_directory(row.key, target, StoreManifest.model_validate(row.manifest))
         return [(row.step, row.key) for row in rows]
 
 

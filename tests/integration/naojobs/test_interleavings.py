@@ -23,9 +23,9 @@ from naojobs.models import Evaluation, Event, Job
 from naojobs.settings import ServiceSettings
 from naojobs.states import LEASED, WorkState
 from naojobs.submission import JobRequest
-from naosprint_worker.context import Context
+from naosprint_worker.context import WorkerContext
 from naosprint_worker.memory import MemoryBudget
-from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, Outcome, TrainerExitCode
 from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent
@@ -40,7 +40,11 @@ ACTIONS = ("request", "request", "run", "evaluate", "checkpoint", "look", "shut 
 
 def ending(how: str, intent: Intent) -> Ending:
     """Return the end of a child whose supervisor had noted ``intent``."""
-    codes = {"finished": ExitCode.FINISHED, "stopped": ExitCode.STOPPED, "failed": ExitCode.PERMANENT}
+    codes = {
+        "finished": TrainerExitCode.FINISHED,
+        "stopped": TrainerExitCode.STOPPED,
+        "failed": TrainerExitCode.PERMANENT,
+    }
     intents = {
         "stalled": Intent.STALLED,
         "memory": Intent.MEMORY,
@@ -49,7 +53,7 @@ def ending(how: str, intent: Intent) -> Ending:
     }
     outcome = None
     if how == "unavailable":
-        outcome = Outcome(ExitCode.TRANSIENT, SERVICE_UNAVAILABLE, "the store did not answer")
+        outcome = Outcome(TrainerExitCode.TRANSIENT, SERVICE_UNAVAILABLE, "the store did not answer")
     elif how in codes:
         outcome = Outcome(codes[how], how, f"the training {how}")
     code = -9 if outcome is None else outcome.code
@@ -59,7 +63,7 @@ def ending(how: str, intent: Intent) -> Ending:
 class Attempt:
     """What a worker and its child do in one attempt, one transaction at a time, without the training."""
 
-    def __init__(self, context: Context, claim: JobClaim, steps: itertools.count[int]) -> None:
+    def __init__(self, context: WorkerContext, claim: JobClaim, steps: itertools.count[int]) -> None:
         self._context, self.lease, self._steps = context, claim.lease, steps
         self._run = Run(context, claim)
         self.intent = Intent.NONE
@@ -103,7 +107,7 @@ class Attempt:
 class World:
     """A job, and what can happen to it."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: WorkerContext) -> None:
         self.sessions = context.sessions
         self._context = context
         self.job_id = submission.submit(self.sessions, JobRequest(), owner="tester")[0].id
@@ -151,15 +155,15 @@ class World:
 
 
 @pytest.fixture
-def context(service_settings: ServiceSettings, sessions: Sessions, tmp_path: Path) -> Context:
+def context(service_settings: ServiceSettings, sessions: Sessions, tmp_path: Path) -> WorkerContext:
     """A worker's context."""
     everything = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
     settings = WorkerSettings.model_validate(service_settings.model_dump())
-    return Context(settings, sessions, "worker", everything, tmp_path, MemoryBudget(1 << 40))
+    return WorkerContext(settings, sessions, "worker", everything, tmp_path, MemoryBudget(1 << 40))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_any_order_of_transactions_follows_the_table(context: Context, seed: int) -> None:
+def test_any_order_of_transactions_follows_the_table(context: WorkerContext, seed: int) -> None:
     random = Random(seed)
     world, attempt = World(context), None
     for _ in range(150):
@@ -184,7 +188,7 @@ def test_any_order_of_transactions_follows_the_table(context: Context, seed: int
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_requests_within_milliseconds_of_each_other_follow_the_table(context: Context, seed: int) -> None:
+def test_requests_within_milliseconds_of_each_other_follow_the_table(context: WorkerContext, seed: int) -> None:
     """Two users and a worker that does an attempt act at once."""
     random = Random(seed)
     world = World(context)
@@ -217,7 +221,7 @@ def test_requests_within_milliseconds_of_each_other_follow_the_table(context: Co
         assert state is WorkState.CANCELLED
 
 
-def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(context: Context) -> None:
+def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(context: WorkerContext) -> None:
     world = World(context)
     attempt = world.claim()
     assert attempt is not None
@@ -235,7 +239,7 @@ def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(con
     assert row.not_before is not None
 
 
-def test_attempt_that_the_database_outlived_counts_and_one_that_ended_with_it_does_not(context: Context) -> None:
+def test_attempt_that_the_database_outlived_counts_and_one_that_ended_with_it_does_not(context: WorkerContext) -> None:
     world = World(context)
     for restarted, failures in ((True, 0), (False, 1)):
         assert world.claim() is not None
@@ -250,7 +254,7 @@ def test_attempt_that_the_database_outlived_counts_and_one_that_ended_with_it_do
 
 
 @pytest.mark.parametrize("how", ENDS)
-def test_a_cancel_that_was_acknowledged_is_kept_however_the_child_ends(context: Context, how: str) -> None:
+def test_a_cancel_that_was_acknowledged_is_kept_however_the_child_ends(context: WorkerContext, how: str) -> None:
     """The request comes after the supervisor's last look."""
     world = World(context)
     attempt = world.claim()

@@ -15,7 +15,7 @@ from naojobs import backups, lifecycle, records, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
 from naojobs.lifecycle import JobClaim
-from naojobs.models import Evaluation, Event, Job, LeaseClock, Metric
+from naojobs.models import Evaluation, Event, Job, LeaseClock, MetricsRecord
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import GroupRequest, JobRequest
@@ -676,7 +676,11 @@ def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessi
 
     def rows() -> list[tuple[int, int]]:
         with sessions.begin() as session:
-            found = session.query(Metric).where(Metric.job_id == running.lease.job_id).order_by(Metric.step)
+            found = (
+                session.query(MetricsRecord)
+                .where(MetricsRecord.job_id == running.lease.job_id)
+                .order_by(MetricsRecord.step)
+            )
             return [(row.step, row.attempt) for row in found]
 
     assert rows() == [(10, 1), (20, 1), (25, 2), (30, 1), (35, 2), (40, 1)]

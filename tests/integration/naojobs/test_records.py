@@ -11,7 +11,7 @@ from naojobs import lifecycle, records, registry, submission
 from naojobs.capabilities import Capabilities
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.lifecycle import Lease
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, MetricsRecord
 from naojobs.states import ENDED, EVALUATION_STATES, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import JobRequest
 from naospec import EvaluationSpec
@@ -39,7 +39,7 @@ def lease(sessions: Sessions) -> Lease:
 
 
 def rows(sessions: Sessions, model: Any, job_id: str) -> list[Any]:
-    order = model.step if model is Metric else model.id
+    order = model.step if model is MetricsRecord else model.id
     with sessions.begin() as session:
         return session.query(model).where(model.job_id == job_id).order_by(order).all()
 
@@ -49,7 +49,7 @@ def test_metrics_written_twice_are_there_once(sessions: Sessions, lease: Lease) 
     records.append_metrics(sessions, lease, batch)
     records.append_metrics(sessions, lease, batch)
     records.append_metrics(sessions, lease, [{"step": 20, "reward": 3.0}])
-    found = rows(sessions, Metric, lease.job_id)
+    found = rows(sessions, MetricsRecord, lease.job_id)
     assert [(row.step, row.time_s, row.values["reward"]) for row in found] == [(10, 1.5, 1.0), (20, None, 3.0)]
     assert found[1].seq > found[0].seq
     with sessions.begin() as session:
@@ -59,7 +59,7 @@ def test_metrics_written_twice_are_there_once(sessions: Sessions, lease: Lease) 
 
 def test_figures_that_are_no_numbers_are_left_out(sessions: Sessions, lease: Lease) -> None:
     records.append_metrics(sessions, lease, [{"step": 1, "a": float("nan"), "b": float("inf"), "c": 1.0}])
-    assert rows(sessions, Metric, lease.job_id)[0].values == {"step": 1.0, "c": 1.0}
+    assert rows(sessions, MetricsRecord, lease.job_id)[0].values == {"step": 1.0, "c": 1.0}
     with pytest.raises(ValueError, match="without step"):
         records.append_metrics(sessions, lease, [{"reward": 1.0}])
 
@@ -87,7 +87,7 @@ def test_text_that_the_server_cannot_hold_is_replaced_everywhere(sessions: Sessi
     records.record_event(sessions, lease, "report", f"e{bad}", {"paths": [f"p{bad}"], f"k{bad}": {"x": f"v{bad}"}})
     submission.edit(sessions, lease.job_id, notes=f"o{bad}", tags=[f"t{bad}"])
     lifecycle.transition(sessions, lease, WorkState.FAILED, error=f"f{bad}")
-    (metric,) = rows(sessions, Metric, lease.job_id)
+    (metric,) = rows(sessions, MetricsRecord, lease.job_id)
     assert [stored(name) for name in sorted(metric.values)] == [f"m{good}", "reward", "step"]
     assert [stored(line.message) for line in rows(sessions, Log, lease.job_id)] == [f"l{good}", "fine"]
     (event,) = [event for event in rows(sessions, Event, lease.job_id) if event.kind == "report"]
@@ -120,7 +120,7 @@ def test_a_batch_written_twice_is_there_once(sessions: Sessions, lease: Lease) -
     assert records.write(sessions, lease, batch) == records.write(sessions, lease, batch)
     assert [row.message for row in rows(sessions, Log, lease.job_id)] == ["once"]
     assert [row.message for row in rows(sessions, Event, lease.job_id)].count("once") == 1
-    assert [row.step for row in rows(sessions, Metric, lease.job_id)] == [10]
+    assert [row.step for row in rows(sessions, MetricsRecord, lease.job_id)] == [10]
     records.write(sessions, lease, records.Batch(logs=[records.LogLine("info", "once")]))
     assert len(rows(sessions, Log, lease.job_id)) == 2, "another batch"
 
@@ -237,7 +237,7 @@ def test_a_batch_is_written_as_a_whole_or_not_at_all(sessions: Sessions, lease: 
         checkpoints=[records.StoredCheckpoint(10, f"{lease.job_id}/10", {"files": []})],
     )
     broken = replace(batch, events=[records.EventRecord("k" * 41, "longer than its column")])
-    counts = {model: len(rows(sessions, model, lease.job_id)) for model in (Metric, Log, Event, Checkpoint)}
+    counts = {model: len(rows(sessions, model, lease.job_id)) for model in (MetricsRecord, Log, Event, Checkpoint)}
     with pytest.raises(DataError):
         records.write(sessions, lease, broken)
     for model, count in counts.items():
@@ -247,7 +247,7 @@ def test_a_batch_is_written_as_a_whole_or_not_at_all(sessions: Sessions, lease: 
     ids = records.write(sessions, lease, batch)
     assert [row.id for row in rows(sessions, Checkpoint, lease.job_id)] == [ids[10]]
     assert records.write(sessions, lease, batch) == ids, "a repeated write keeps the checkpoint"
-    assert len(rows(sessions, Metric, lease.job_id)) == 1
+    assert len(rows(sessions, MetricsRecord, lease.job_id)) == 1
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ import psycopg
 import pytest
 from naojobs import submission
 from naojobs.database import CHANNEL, make_engine, make_sessions, upgrade
-from naojobs.models import Checkpoint, Event, Job, LeaseClock, Metric, Worker
+from naojobs.models import Checkpoint, Event, Job, LeaseClock, MetricsRecord, Worker
 from naojobs.notifications import Notifier, make_celery
 from naojobs.roles import Role, create_roles
 from naojobs.states import ENDED, WorkState
@@ -324,10 +324,14 @@ class Service:
                 session.scalars(select(Checkpoint).where(Checkpoint.job_id == job_id).order_by(Checkpoint.created_at))
             )
 
-    def metrics(self, job_id: str) -> list[Metric]:
+    def metrics(self, job_id: str) -> list[MetricsRecord]:
         """Return its metrics by step."""
         with self.sessions() as session:
-            return list(session.scalars(select(Metric).where(Metric.job_id == job_id).order_by(Metric.step)))
+            return list(
+                session.scalars(
+                    select(MetricsRecord).where(MetricsRecord.job_id == job_id).order_by(MetricsRecord.step)
+                )
+            )
 
     def until(self, condition: Callable[[], T], *, timeout_s: float = 90, what: str = "") -> T:
         """Return the first true value of ``condition``, which is tried whenever a job changes."""

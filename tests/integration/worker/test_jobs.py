@@ -13,7 +13,7 @@ from naojobs import lifecycle, submission
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
-from naojobs.store import Manifest, artifact_of
+from naojobs.store import StoreManifest, artifact_of
 from naospec import EvaluationSpec, plugins
 
 from .conftest import ROLLOUT, Service, WorkerProcess
@@ -50,7 +50,7 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
     assert [checkpoint.step for checkpoint in stored] == [0, ROLLOUT * 10, ROLLOUT * 20]
     for checkpoint in stored:
         folder = tmp_path / checkpoint.id
-        shared.store.get_directory(checkpoint.key, folder, Manifest.model_validate(checkpoint.manifest))
+        shared.store.get_directory(checkpoint.key, folder, StoreManifest.model_validate(checkpoint.manifest))
         assert json.loads((folder / "checkpoint.json").read_text())["steps"] == checkpoint.step
 
     with shared.sessions() as session:
@@ -69,7 +69,7 @@ def test_job_is_trained_evaluated_and_stored(shared: Service, finished: str, tmp
 
 def assert_report(service: Service, evaluation: Evaluation, *, updates: int, film: bool) -> None:
     """A self-contained page, plots with their data, and a film if requested, are stored with the evaluation."""
-    names = {entry.name for entry in Manifest.model_validate(evaluation.manifest).files}
+    names = {entry.name for entry in StoreManifest.model_validate(evaluation.manifest).files}
     assert {"report.html", "report.json", "learning-curve.csv"} <= names
     page = service.store.get_bytes(f"{evaluation.key}/report.html").decode()
     assert service.job(evaluation.job_id).name in page

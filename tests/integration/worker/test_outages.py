@@ -19,7 +19,7 @@ from naojobs import backups, lifecycle, submission
 from naojobs.models import Evaluation, Job, Log
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
-from naojobs.store import Manifest
+from naojobs.store import StoreManifest
 from naospec import EvaluationSpec
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from sqlalchemy import select, text
@@ -186,7 +186,7 @@ def lose_the_store(service: Service, server: S3Server, job_id: str, seconds: flo
     assert steps[:-1] == list(range(0, steps[-2] + 1, ROLLOUT * 20)), "none is missing"
     for checkpoint in (stored[-1], stored[known]):
         service.store.get_directory(
-            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+            checkpoint.key, service.folder / checkpoint.id, StoreManifest.model_validate(checkpoint.manifest)
         )
     assert_whole(service, job_id, steps[-1])
 
@@ -284,7 +284,7 @@ def test_store_that_stays_away_costs_no_step_and_no_attempt(service: Service, tm
     assert [checkpoint.step for checkpoint in stored][:-1] == list(range(0, stored[-2].step + 1, ROLLOUT * 20))
     for checkpoint in stored:
         service.store.get_directory(
-            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+            checkpoint.key, service.folder / checkpoint.id, StoreManifest.model_validate(checkpoint.manifest)
         )
     assert_whole(service, job_id, steps)
     assert not (service.folder / "work" / "spool").exists()
@@ -305,7 +305,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
     stored = service.checkpoints(job_id)
     for checkpoint in stored:
         service.store.get_directory(
-            checkpoint.key, service.folder / checkpoint.id, Manifest.model_validate(checkpoint.manifest)
+            checkpoint.key, service.folder / checkpoint.id, StoreManifest.model_validate(checkpoint.manifest)
         )
     # Those that had to wait are stored like all others; the last one is that of the pause.
     assert [checkpoint.step for checkpoint in stored[:-1]] == [

@@ -20,7 +20,7 @@ from naojobs.database import REVISION, upgrade
 from naojobs.models import Evaluation, Job
 from naojobs.roles import create_roles
 from naojobs.states import WorkState
-from naojobs.store import Manifest
+from naojobs.store import StoreManifest
 from naospec import EvaluationSpec, TrainingSpec, formats
 from sqlalchemy import select, text
 
@@ -92,7 +92,7 @@ def test_jobs_of_the_release_before_run_on(before: Service) -> None:
     document = json.loads(service.store.get_bytes(f"{kept.key}/evaluation.json"))
     summary = formats.current(formats.Kind.RESULT, document)
     assert TrainingSpec.model_validate(summary["training"]).total_steps == 10_240
-    assert Manifest.model_validate_json(service.store.get_bytes(f"{kept.key}/manifest.json")).files
+    assert StoreManifest.model_validate_json(service.store.get_bytes(f"{kept.key}/manifest.json")).files
 
 
 def revision(service: Service) -> str:

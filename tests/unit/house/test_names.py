@@ -1,7 +1,8 @@
-"""Only the tasks name metrics of the sprint."""
+"""Names: only the tasks name metrics of the sprint, and a public class has a name of its own."""
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -34,3 +35,16 @@ def test_only_tasks_name_metrics_of_the_sprint() -> None:
             if len(lines) > DEFAULT_TASK.get(name, 0):
                 found[name] = lines
     assert not found
+
+
+def test_a_public_class_name_stands_once() -> None:
+    """In all packages and services together."""
+    found: dict[str, list[str]] = {}
+    for path in [*ROOT.glob("packages/*/src/**/*.py"), *ROOT.glob("services/*/src/**/*.py")]:
+        if "skills" in path.parts:
+            continue  # copied into the code of teams
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    twice = {name: paths for name, paths in found.items() if len(paths) > 1}
+    assert not twice, twice

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from naoctl.client import ApiError, Client, Event
+from naoctl.client import ApiError, Client, StreamEvent
 from naoctl.config import Target
 from naoctl.errors import CliError, ExitCode, Unreachable
 from naospec.proxies import exempt_loopback, is_loopback
@@ -124,7 +124,7 @@ def test_a_stream_goes_on_behind_the_last_event(server: Any, client: Client, eve
         request.stream(*parts[len(server.received) - 1])
 
     lost: list[str] = []
-    seen: list[Event] = []
+    seen: list[StreamEvent] = []
     for message in client.events("/stream", on_lost=lambda reason, wait: lost.append(reason), sleep=no_sleep):
         seen.append(message)
         if message.kind == "end":

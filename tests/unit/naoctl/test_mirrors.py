@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from naoctl.client import Client
-from naoctl.mirrors import Copy, Mirror, MlflowMirror, WandbMirror, flat, mirror_jobs
+from naoctl.mirrors import Copy, DownloadMirror, MlflowMirror, WandbMirror, flat, mirror_jobs
 
 Job = dict[str, Any]
 RESULT = {"results": [{"name": "top_speed_mps", "value": 4.03}, {"name": "time_28m_s", "value": None}]}
@@ -104,7 +104,7 @@ def test_a_tracking_system_that_is_away_is_tried_again(
     class Unreliable:
         def __init__(self) -> None:
             fail()
-            self._mirror: Mirror = mlflow()
+            self._mirror: DownloadMirror = mlflow()
 
         def finished(self) -> set[str]:
             return self._mirror.finished()

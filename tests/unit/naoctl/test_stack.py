@@ -27,13 +27,13 @@ from naoctl.errors import StackError
 from naoctl.stack import child as child_module
 from naoctl.stack import launch, ports
 from naoctl.stack.broker import Broker
-from naoctl.stack.child import Child, Program, rotate, tail
+from naoctl.stack.child import Program, StackProcess, rotate, tail
 from naoctl.stack.doctor import examine
 from naoctl.stack.layout import Layout
 from naoctl.stack.passwords import read_secrets
 from naoctl.stack.postgres import Postgres, find_programs, launch_command, missing_rights
 from naoctl.stack.state import MARK, FolderLock, ProcessRecord, StackState, is_locked, marked_processes
-from naoctl.stack.supervisor import Options, Supervisor, clear_leftovers, find_migrations
+from naoctl.stack.supervisor import Options, StackSupervisor, clear_leftovers, find_migrations
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="the kernel's signal at a parent's death is Linux's")
 
@@ -291,7 +291,7 @@ def program(layout: Layout, code: str) -> Program:
 
 
 def test_a_child_that_dies_is_started_again_later_and_later(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
-    child = Child(program(layout, "import os; print(os.environ['X'], 'of this run'); raise SystemExit(3)"))
+    child = StackProcess(program(layout, "import os; print(os.environ['X'], 'of this run'); raise SystemExit(3)"))
     waits = []
     for _ in range(8):
         child.start()
@@ -316,7 +316,7 @@ def test_a_child_leads_a_session_that_is_killed_whole(layout: Layout) -> None:
         "p = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']); "
         "print(p.pid, flush=True); time.sleep(600)"
     )
-    child = Child(program(layout, code))
+    child = StackProcess(program(layout, code))
     child.start()
     deadline = time.monotonic() + 10
     while not child.last_words(1) and time.monotonic() < deadline:
@@ -354,7 +354,7 @@ def broker_program(broker: Broker, port: int, command: list[str]) -> Program:
     ids=["as meant", "all addresses", "another port", "no password"],
 )
 def test_a_program_that_does_not_listen_as_meant_ends_the_start(
-    supervisor: tuple[Supervisor, list[str]], tmp_path: Path, options: tuple[str, ...], error: str
+    supervisor: tuple[StackSupervisor, list[str]], tmp_path: Path, options: tuple[str, ...], error: str
 ) -> None:
     layout = Layout.at(tmp_path / "x[b]* 'c'")
     layout.make()
@@ -373,10 +373,10 @@ def test_a_program_that_does_not_listen_as_meant_ends_the_start(
 
 
 @pytest.fixture
-def supervisor(layout: Layout) -> Iterator[tuple[Supervisor, list[str]]]:
+def supervisor(layout: Layout) -> Iterator[tuple[StackSupervisor, list[str]]]:
     """A supervisor that has nothing to do yet, and what it says."""
     said: list[str] = []
-    made = Supervisor(layout, Options(), lambda title, text: said.append(f"{title}: {text}"))
+    made = StackSupervisor(layout, Options(), lambda title, text: said.append(f"{title}: {text}"))
     yield made, said
     made._lock.release()
     for end in (made._wake_read, made._wake_write):
@@ -385,7 +385,7 @@ def supervisor(layout: Layout) -> Iterator[tuple[Supervisor, list[str]]]:
 
 @pytest.mark.parametrize("text", ["", "{", '{"stack_id": 1}', "\0"], ids=["empty", "torn", "partial", "zeros"])
 def test_a_state_that_a_power_cut_left_keeps_no_stack_from_starting(
-    layout: Layout, supervisor: tuple[Supervisor, list[str]], text: str
+    layout: Layout, supervisor: tuple[StackSupervisor, list[str]], text: str
 ) -> None:
     layout.state.write_text(text)
     supervisor[0]._take_folder()
@@ -395,10 +395,10 @@ def test_a_state_that_a_power_cut_left_keeps_no_stack_from_starting(
     assert "damaged" in supervisor[1][0]
 
 
-def test_a_full_disk_ends_no_supervisor(layout: Layout, supervisor: tuple[Supervisor, list[str]]) -> None:
+def test_a_full_disk_ends_no_supervisor(layout: Layout, supervisor: tuple[StackSupervisor, list[str]]) -> None:
     running, said = supervisor
     running._take_folder()
-    child = Child(program(layout, "raise SystemExit(3)"))
+    child = StackProcess(program(layout, "raise SystemExit(3)"))
     running.children["api"] = child
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # every write to a file fails
@@ -494,7 +494,9 @@ def test_data_of_an_unknown_postgres_is_refused(layout: Layout) -> None:
         find_programs(layout.postgres)
 
 
-def test_postgres_locks_of_a_power_cut_are_cleared(supervisor: tuple[Supervisor, list[str]], layout: Layout) -> None:
+def test_postgres_locks_of_a_power_cut_are_cleared(
+    supervisor: tuple[StackSupervisor, list[str]], layout: Layout
+) -> None:
     """Their number is now that of another process, or they are empty; those of a server that runs stay."""
     postgres = Postgres(layout, "secret")
     postgres.make()
@@ -522,7 +524,7 @@ def test_postgres_locks_of_a_power_cut_are_cleared(supervisor: tuple[Supervisor,
             other.kill()
 
 
-def test_postgres_without_passwords_is_refused(supervisor: tuple[Supervisor, list[str]], layout: Layout) -> None:
+def test_postgres_without_passwords_is_refused(supervisor: tuple[StackSupervisor, list[str]], layout: Layout) -> None:
     postgres = Postgres(layout, "secret")
     postgres.make()
     rules = layout.postgres / "pg_hba.conf"

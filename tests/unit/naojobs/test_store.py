@@ -15,10 +15,10 @@ from naojobs.settings import ServiceSettings
 from naojobs.store import (
     ArtifactStore,
     CorruptArtifactError,
-    FileEntry,
-    Manifest,
+    ManifestEntry,
     MissingArtifactError,
     StoreError,
+    StoreManifest,
     check_key,
     checkpoint_key,
     new_nonce,
@@ -63,7 +63,7 @@ def test_without_its_manifest_an_artifact_is_not_there(
 ) -> None:
     put = store.put_bytes
 
-    def fail(key: str, data: bytes) -> FileEntry:
+    def fail(key: str, data: bytes) -> ManifestEntry:
         if key.endswith("manifest.json"):
             raise StoreError("disk full")
         return put(key, data)
@@ -89,8 +89,8 @@ def test_a_changed_file_is_found_out(
 
 @pytest.mark.parametrize("name", ["../out", "/etc/x", "a/../../x", "a//b", "."])
 def test_a_manifest_cannot_lead_out_of_the_folder(store: ArtifactStore, tmp_path: Path, name: str) -> None:
-    entry = FileEntry(name=name, size=1, sha256="0" * 64)
-    store.put_bytes("a/manifest.json", Manifest(files=(entry,)).model_dump_json().encode())
+    entry = ManifestEntry(name=name, size=1, sha256="0" * 64)
+    store.put_bytes("a/manifest.json", StoreManifest(files=(entry,)).model_dump_json().encode())
     with pytest.raises(CorruptArtifactError):
         store.get_directory("a", tmp_path / "out")
     with pytest.raises(CorruptArtifactError):

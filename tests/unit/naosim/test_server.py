@@ -7,7 +7,7 @@ from naosim import cli
 from naosim.simspark.protocol import ProtocolError
 from naosim.simspark.server import ServerSettings
 from naosim.simspark.server_game import TEAM_SIZE, Ball, Game
-from naosim.simspark.server_robot import Robot
+from naosim.simspark.server_robot import ServerRobot
 
 
 def test_players_get_free_numbers_and_places_of_their_own() -> None:
@@ -50,7 +50,7 @@ def test_a_ball_falls_bounces_and_comes_to_rest() -> None:
 
 
 def test_hearing_takes_every_other_cycle() -> None:
-    robot = Robot(0, digits=2, seed=1, noise=False)
+    robot = ServerRobot(0, digits=2, seed=1, noise=False)
     robot.join("A", 1, 1)
     heard = []
     for k in range(8):

@@ -87,7 +87,7 @@ def _damaged(tmp_path: Path, **changes: object) -> Path:
 )
 def test_damaged_trace_names_file_and_field(tmp_path: Path, changes: dict[str, object], field: str) -> None:
     path = _damaged(tmp_path, **changes)
-    with pytest.raises(traces.TraceError, match=field) as error:
+    with pytest.raises(traces.NaoTraceError, match=field) as error:
         traces.load(path)
     assert "damaged.npz" in str(error.value)
 
@@ -96,13 +96,13 @@ def test_damaged_trace_names_file_and_field(tmp_path: Path, changes: dict[str, o
 def test_unreadable_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "broken.npz"
     path.write_bytes(content)
-    with pytest.raises(traces.TraceError, match=r"broken\.npz"):
+    with pytest.raises(traces.NaoTraceError, match=r"broken\.npz"):
         traces.load(path)
 
 
 def test_pickled_arrays_are_never_loaded(tmp_path: Path) -> None:
     path = _damaged(tmp_path, extra=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(traces.TraceError, match="plain arrays"):
+    with pytest.raises(traces.NaoTraceError, match="plain arrays"):
         traces.load(path)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.world import library
 from naosim.robots import Robot
 from naosim.simulator import Starts
@@ -26,7 +26,7 @@ def symmetric_environment(robot: Robot, task: type[Task], n: int = 2, **settings
 
     The exact world steps the model itself, so the changes count; the engine of trainings has read its numbers before.
     """
-    simulator = MujocoSimulator(robot, n, EmbeddedParameters(truncate=False, engine="mujoco"))
+    simulator = MujocoSimulator(robot, n, BoosterEmbeddedParameters(truncate=False, engine="mujoco"))
     make_symmetric(simulator.world.model)
     model, geoms = simulator.world.model, simulator.world.geoms
     model.geom_contype[geoms], model.geom_conaffinity[geoms] = 2, 1  # no contacts between limbs

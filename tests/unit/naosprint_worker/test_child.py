@@ -12,12 +12,12 @@ from pathlib import Path
 
 import psutil
 import pytest
-from naosprint_worker.child import Child
+from naosprint_worker.child import TrainingProcess
 
 
-def start(tmp_path: Path, program: str, *, on_exit: threading.Event | None = None) -> Child:
+def start(tmp_path: Path, program: str, *, on_exit: threading.Event | None = None) -> TrainingProcess:
     """Start a Python program that writes a file named ``ready`` when it is ready."""
-    return Child(
+    return TrainingProcess(
         [sys.executable, "-c", textwrap.dedent(program)],
         env=dict(os.environ),
         cwd=tmp_path,

@@ -15,7 +15,7 @@ from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 from naosprint import CheckpointError, TrainingDivergedError
 from naosprint_worker.child_process import StopRequest, StopRequestedError, classify
-from naosprint_worker.outcome import ExitCode
+from naosprint_worker.outcome import TrainerExitCode
 from naosprint_worker.retry import PatienceExhaustedError
 from naosprint_worker.runs import child_environment
 from naosprint_worker.settings import WorkerSettings
@@ -25,33 +25,33 @@ from sqlalchemy.exc import OperationalError
 @pytest.mark.parametrize(
     ("error", "code", "kind"),
     [
-        (StopRequestedError(), ExitCode.STOPPED, "stopped"),
-        (LeaseLostError("gone"), ExitCode.FENCED, "lease_lost"),
-        (TrainingDivergedError("loss is nan"), ExitCode.PERMANENT, "diverged"),
-        (CheckpointError("damaged"), ExitCode.PERMANENT, "checkpoint"),
-        (CorruptArtifactError("damaged"), ExitCode.PERMANENT, "checkpoint"),
-        (MissingArtifactError("gone"), ExitCode.PERMANENT, "checkpoint"),
-        (StoreError("refused"), ExitCode.TRANSIENT, "service_unavailable"),
-        (PatienceExhaustedError("gave up"), ExitCode.TRANSIENT, "service_unavailable"),
-        (OperationalError("SELECT", {}, Exception("down")), ExitCode.TRANSIENT, "service_unavailable"),
-        (OSError(errno.ENOSPC, "No space left on device"), ExitCode.DISK_FULL, "disk_full"),
-        (OSError(errno.EDQUOT, "Disk quota exceeded"), ExitCode.DISK_FULL, "disk_full"),
-        (OSError("12 requested and 0 written"), ExitCode.TRANSIENT, "system"),
-        (ConnectionResetError("simulator"), ExitCode.TRANSIENT, "system"),
-        (LauncherUnavailableError("Docker: refused"), ExitCode.TRANSIENT, "service_unavailable"),
-        (ServersUnavailableError("server 3: Docker: refused"), ExitCode.TRANSIENT, "service_unavailable"),
-        (ServerLostError("21 servers were lost"), ExitCode.TRANSIENT, "system"),
-        (MemoryError(), ExitCode.TRANSIENT, "system"),
-        (ValueError("n_envs: too many"), ExitCode.PERMANENT, "error"),
-        (SystemExit(0), ExitCode.PERMANENT, "exit"),
-        (SystemExit(75), ExitCode.PERMANENT, "exit"),
-        (SystemExit("done"), ExitCode.PERMANENT, "exit"),
+        (StopRequestedError(), TrainerExitCode.STOPPED, "stopped"),
+        (LeaseLostError("gone"), TrainerExitCode.FENCED, "lease_lost"),
+        (TrainingDivergedError("loss is nan"), TrainerExitCode.PERMANENT, "diverged"),
+        (CheckpointError("damaged"), TrainerExitCode.PERMANENT, "checkpoint"),
+        (CorruptArtifactError("damaged"), TrainerExitCode.PERMANENT, "checkpoint"),
+        (MissingArtifactError("gone"), TrainerExitCode.PERMANENT, "checkpoint"),
+        (StoreError("refused"), TrainerExitCode.TRANSIENT, "service_unavailable"),
+        (PatienceExhaustedError("gave up"), TrainerExitCode.TRANSIENT, "service_unavailable"),
+        (OperationalError("SELECT", {}, Exception("down")), TrainerExitCode.TRANSIENT, "service_unavailable"),
+        (OSError(errno.ENOSPC, "No space left on device"), TrainerExitCode.DISK_FULL, "disk_full"),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), TrainerExitCode.DISK_FULL, "disk_full"),
+        (OSError("12 requested and 0 written"), TrainerExitCode.TRANSIENT, "system"),
+        (ConnectionResetError("simulator"), TrainerExitCode.TRANSIENT, "system"),
+        (LauncherUnavailableError("Docker: refused"), TrainerExitCode.TRANSIENT, "service_unavailable"),
+        (ServersUnavailableError("server 3: Docker: refused"), TrainerExitCode.TRANSIENT, "service_unavailable"),
+        (ServerLostError("21 servers were lost"), TrainerExitCode.TRANSIENT, "system"),
+        (MemoryError(), TrainerExitCode.TRANSIENT, "system"),
+        (ValueError("n_envs: too many"), TrainerExitCode.PERMANENT, "error"),
+        (SystemExit(0), TrainerExitCode.PERMANENT, "exit"),
+        (SystemExit(75), TrainerExitCode.PERMANENT, "exit"),
+        (SystemExit("done"), TrainerExitCode.PERMANENT, "exit"),
     ],
 )
-def test_judgement(error: BaseException, code: ExitCode, kind: str, tmp_path: Path) -> None:
+def test_judgement(error: BaseException, code: TrainerExitCode, kind: str, tmp_path: Path) -> None:
     outcome = classify(error, tmp_path)
     assert (outcome.code, outcome.kind) == (code, kind)
-    assert code is ExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
+    assert code is TrainerExitCode.STOPPED or " ".join(str(error).split())[:100] in outcome.message
 
 
 def test_judgement_keeps_the_traceback(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_full_disk_behind_another_error_is_found(tmp_path: Path) -> None:
             raise CheckpointError("cannot be written") from error
     except CheckpointError as error:
         outcome = classify(error, tmp_path / "attempt")
-    assert (outcome.code, outcome.kind) == (ExitCode.DISK_FULL, "disk_full")
+    assert (outcome.code, outcome.kind) == (TrainerExitCode.DISK_FULL, "disk_full")
     assert f"the worker's folder {tmp_path}" in outcome.message
 
 

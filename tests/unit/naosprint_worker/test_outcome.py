@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from naosprint_worker.outcome import OUTCOME_FILE, ExitCode, Outcome, describe_exit, last_lines, public
+from naosprint_worker.outcome import OUTCOME_FILE, Outcome, TrainerExitCode, describe_exit, last_lines, public
 
 
 def test_outcome_survives_the_round_trip(tmp_path: Path) -> None:
-    outcome = Outcome(ExitCode.PERMANENT, "diverged", "loss is not finite at step 4096 — ö", "Traceback …")
+    outcome = Outcome(TrainerExitCode.PERMANENT, "diverged", "loss is not finite at step 4096 — ö", "Traceback …")
     outcome.write(tmp_path)
     assert Outcome.read(tmp_path) == outcome
     assert [path.name for path in tmp_path.iterdir()] == [OUTCOME_FILE]

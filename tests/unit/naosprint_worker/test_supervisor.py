@@ -19,12 +19,12 @@ from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Requests
 from naojobs.models import WorkKind
 from naojobs.states import WorkState
-from naosprint_worker.child import Child
+from naosprint_worker.child import TrainingProcess
 from naosprint_worker.memory import MemoryBudget
-from naosprint_worker.outcome import ExitCode
+from naosprint_worker.outcome import TrainerExitCode
 from naosprint_worker.runs import describe_ending
 from naosprint_worker.settings import WorkerSettings
-from naosprint_worker.supervisor import Ending, Intent, Supervisor
+from naosprint_worker.supervisor import Ending, Intent, TrainingSupervisor
 from sqlalchemy.exc import OperationalError
 
 GO_ON = Requests(WorkState.RUNNING, cancel=False)
@@ -63,7 +63,7 @@ class Bench:
         self._folder = folder
         self._program = textwrap.dedent(program)
         fields = {"worker_poll_s": 0.02, "heartbeat_s": 0.05, "worker_stop_grace_s": 30.0, **settings}
-        self.supervisor = Supervisor(
+        self.supervisor = TrainingSupervisor(
             WorkerSettings.model_construct(**fields),  # type: ignore[arg-type]
             start=self._start,
             beat=self._beat,
@@ -91,8 +91,8 @@ class Bench:
     def _run(self) -> None:
         self.ending = self.supervisor.run()
 
-    def _start(self, on_exit: Callable[[], None]) -> Child:
-        return Child(
+    def _start(self, on_exit: Callable[[], None]) -> TrainingProcess:
+        return TrainingProcess(
             [sys.executable, "-c", self._program],
             env=dict(os.environ),
             cwd=self._folder,
@@ -148,7 +148,7 @@ def test_requests_of_users_are_obeyed(bench: Callable[..., Bench], requests: Req
     each.start()
     each.answer = requests
     ending = each.join()
-    assert (ending.intent, ending.returncode, ending.overstayed) == (intent, ExitCode.STOPPED, False)
+    assert (ending.intent, ending.returncode, ending.overstayed) == (intent, TrainerExitCode.STOPPED, False)
 
 
 def test_an_evaluation_at_the_end_of_a_job_is_not_paused(bench: Callable[..., Bench]) -> None:
@@ -166,7 +166,7 @@ def test_a_child_that_runs_longer_than_it_may_is_stopped(bench: Callable[..., Be
     each = bench(OBEDIENT, time_limit_s=0.3)
     each.start()
     ending = each.join()
-    assert (ending.intent, ending.returncode) == (Intent.TIME_LIMIT, ExitCode.STOPPED)
+    assert (ending.intent, ending.returncode) == (Intent.TIME_LIMIT, TrainerExitCode.STOPPED)
 
 
 def test_child_that_does_not_stop_is_killed_after_the_grace_period(bench: Callable[..., Bench]) -> None:
@@ -202,7 +202,7 @@ def test_database_that_stays_away_ends_the_attempt(bench: Callable[..., Bench]) 
     each.start()
     each.answer = OperationalError("SELECT 1", {}, ConnectionError("refused"))
     ending = each.join()
-    assert (ending.intent, ending.returncode) == (Intent.CUT_OFF, ExitCode.STOPPED)
+    assert (ending.intent, ending.returncode) == (Intent.CUT_OFF, TrainerExitCode.STOPPED)
 
 
 FROZEN = """

@@ -38,7 +38,7 @@ class ApiError(CliError):
 
 
 @dataclass(frozen=True)
-class Event:
+class StreamEvent:
     """Server-sent event: its type, its id and its decoded JSON."""
 
     kind: str
@@ -147,7 +147,7 @@ class Client:
         patience_s: float = 300.0,
         on_lost: Callable[[str, float], None] | None = None,
         sleep: Callable[[float], None] = time.sleep,
-    ) -> Iterator[Event]:
+    ) -> Iterator[StreamEvent]:
         """Yield server-sent events; reconnect after a lost connection and continue after the last event.
 
         Args:
@@ -173,7 +173,7 @@ class Client:
                         wait_s, lost_at = RECONNECT_FIRST_S, None
                         last_id = message.id or last_id
                         if message.data:
-                            yield Event(message.event, message.id, json.loads(message.data))
+                            yield StreamEvent(message.event, message.id, json.loads(message.data))
             except ApiError as error:
                 # A service that starts, or that restarts behind a proxy, answers with these; all others are final.
                 if error.status not in (429, 502, 503, 504):

@@ -47,7 +47,7 @@ class Copy(Protocol):
         """Write the results and the final state of a job that has ended or is paused."""
 
 
-class Mirror(Protocol):
+class DownloadMirror(Protocol):
     """Tracking system that keeps copies of jobs."""
 
     def finished(self) -> set[str]:
@@ -59,7 +59,7 @@ class Mirror(Protocol):
 
 def mirror_jobs(
     client: Client,
-    connect: Callable[[], Mirror],
+    connect: Callable[[], DownloadMirror],
     chosen: Collection[str] = (),
     *,
     note: Callable[[str], None] = lambda text: None,

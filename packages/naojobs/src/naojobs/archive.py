@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import BinaryIO
 
 from naojobs.errors import JobError
-from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, Manifest, MissingArtifactError, artifact_of
+from naojobs.store import ARTIFACTS, MANIFEST_NAME, ArtifactStore, MissingArtifactError, StoreManifest, artifact_of
 
 
 class DamagedArchiveError(JobError):
@@ -97,7 +97,7 @@ def _fits(key: str, manifest: bytes, digests: Mapping[str, str]) -> bool:
     """Return whether the SHA-256 of every file matches the manifest under `key`."""
     folder = key.removesuffix(MANIFEST_NAME)
     try:
-        files = Manifest.model_validate_json(manifest).files
+        files = StoreManifest.model_validate_json(manifest).files
     except ValueError:
         return False
     return all(digests.get(folder + file.name) == file.sha256 for file in files)

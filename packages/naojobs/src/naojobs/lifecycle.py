@@ -31,8 +31,8 @@ from naojobs.models import (
     Event,
     Job,
     LeaseClock,
-    Metric,
-    Policy,
+    MetricsRecord,
+    PolicyRecord,
     PolicyVersion,
     WorkKind,
     generation,
@@ -376,8 +376,8 @@ def delete(sessions: Sessions, job_id: str) -> None:
         if child is not None:
             raise ConflictError(f"job {child} starts from the policy of job {job_id}; wait for its end, or cancel it")
         registered = session.execute(
-            select(Policy.name, PolicyVersion.number)
-            .join(PolicyVersion, PolicyVersion.policy_id == Policy.id)
+            select(PolicyRecord.name, PolicyVersion.number)
+            .join(PolicyVersion, PolicyVersion.policy_id == PolicyRecord.id)
             .join(Checkpoint, Checkpoint.id == PolicyVersion.checkpoint_id)
             .where(Checkpoint.job_id == job_id)
             .limit(1)
@@ -697,7 +697,10 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
         if session.scalar(_begun(job, step, resumed_from)) is not None:
             return  # a commit that seemed to fail did not
         newest = session.scalar(
-            select(Metric).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1),
+            select(MetricsRecord)
+            .where(MetricsRecord.job_id == job.id, MetricsRecord.step <= step)
+            .order_by(MetricsRecord.step.desc())
+            .limit(1),
         )
         job.progress_step = job.began_step = step
         job.latest_metrics = newest.values if newest is not None else {}

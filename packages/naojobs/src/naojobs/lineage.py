@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from naojobs.models import Checkpoint, Job, Metric, Policy, PolicyVersion
+from naojobs.models import Checkpoint, Job, MetricsRecord, PolicyRecord, PolicyVersion
 
 #: Largest number of rows of a learning curve.
 CURVE_ROWS = 200
@@ -49,9 +49,9 @@ def lineage_of(session: Session, checkpoint: Checkpoint) -> list[dict[str, Any]]
 def _registered(session: Session, job: Job) -> str | None:
     """Return the first version of a policy that is the checkpoint which a job started from."""
     found = session.execute(
-        select(Policy.name, PolicyVersion.number)
-        .join(Policy, Policy.id == PolicyVersion.policy_id)
-        .where(PolicyVersion.checkpoint_id == job.parent_checkpoint_id, Policy.owner == job.owner)
+        select(PolicyRecord.name, PolicyVersion.number)
+        .join(PolicyRecord, PolicyRecord.id == PolicyVersion.policy_id)
+        .where(PolicyVersion.checkpoint_id == job.parent_checkpoint_id, PolicyRecord.owner == job.owner)
         .order_by(PolicyVersion.created_at)
         .limit(1)
     ).first()
@@ -62,7 +62,10 @@ def _part(session: Session, job: Job, checkpoint_id: str, step: int, parent_poli
     spec = trained_by(job)
     curve = _curve(session, job, step)
     last = session.scalar(
-        select(Metric.time_s).where(Metric.job_id == job.id, Metric.step <= step).order_by(Metric.step.desc()).limit(1)
+        select(MetricsRecord.time_s)
+        .where(MetricsRecord.job_id == job.id, MetricsRecord.step <= step)
+        .order_by(MetricsRecord.step.desc())
+        .limit(1)
     )
     return {
         "job": job.name,
@@ -88,12 +91,12 @@ def _curve(session: Session, job: Job, step: int) -> dict[str, list[float]]:
     )
     numbered = (
         select(
-            Metric.step,
-            Metric.values,
-            func.row_number().over(order_by=Metric.step).label("place"),
+            MetricsRecord.step,
+            MetricsRecord.values,
+            func.row_number().over(order_by=MetricsRecord.step).label("place"),
             func.count().over().label("total"),
         )
-        .where(Metric.job_id == job.id, Metric.step <= step)
+        .where(MetricsRecord.job_id == job.id, MetricsRecord.step <= step)
         .subquery()
     )
     stride = func.greatest((numbered.c.total + CURVE_ROWS - 1) / CURVE_ROWS, 1)

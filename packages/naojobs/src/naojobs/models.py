@@ -195,7 +195,7 @@ class Job(Work, Base):
 METRICS_SEQ: Sequence = Sequence("metrics_seq", metadata=Base.metadata)
 
 
-class Metric(Base):
+class MetricsRecord(Base):
     """Row of training metrics, written once per PPO update."""
 
     __tablename__ = "metrics"
@@ -255,7 +255,7 @@ class Checkpoint(Base):
     step: Mapped[int] = mapped_column(BigInteger)
     #: Location of its files in the store: `key/name`.
     key: Mapped[str]
-    #: A `naojobs.store.Manifest`.
+    #: A `naojobs.store.StoreManifest`.
     manifest: Mapped[dict[str, Any]]
     #: Bytes of its files.
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
@@ -277,7 +277,7 @@ class Evaluation(Work, Base):
     #: Metrics over all episodes; they count once it has succeeded.
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     key: Mapped[str | None]
-    #: A `naojobs.store.Manifest`.
+    #: A `naojobs.store.StoreManifest`.
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     #: Bytes of its files.
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
@@ -422,7 +422,7 @@ class Delivery(Base):
     )
 
 
-class Policy(Base):
+class PolicyRecord(Base):
     """Registered policy of a user; each version is a checkpoint of one of the user's jobs."""
 
     __tablename__ = "policies"

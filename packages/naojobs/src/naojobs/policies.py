@@ -23,7 +23,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
 from naojobs.lineage import lineage_of, trained_by
-from naojobs.models import Checkpoint, Job, Policy, PolicyAlias, PolicyVersion
+from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 #: Alias of the newest version, which no user sets.
@@ -85,12 +85,12 @@ def register(
         if job is None:
             raise NotFoundError(f"no job {wanted.job_id}")
         session.execute(
-            insert(Policy)
+            insert(PolicyRecord)
             .values(id=new_id("policy"), owner=job.owner, name=name)
-            .on_conflict_do_nothing(index_elements=[Policy.owner, Policy.name])
+            .on_conflict_do_nothing(index_elements=[PolicyRecord.owner, PolicyRecord.name])
         )
         policy = session.scalars(
-            select(Policy).where(Policy.owner == job.owner, Policy.name == name).with_for_update()
+            select(PolicyRecord).where(PolicyRecord.owner == job.owner, PolicyRecord.name == name).with_for_update()
         ).one()
         of_policy = PolicyVersion.policy_id == policy.id
         if idempotency_key is not None:
@@ -151,7 +151,7 @@ def _checkpoint(session: Session, wanted: Registration) -> Checkpoint:
     return checkpoint
 
 
-def _point(session: Session, policy: Policy, alias: str, number: int) -> None:
+def _point(session: Session, policy: PolicyRecord, alias: str, number: int) -> None:
     statement = insert(PolicyAlias).values(policy_id=policy.id, name=alias, number=number)
     session.execute(
         statement.on_conflict_do_update(
@@ -160,7 +160,7 @@ def _point(session: Session, policy: Policy, alias: str, number: int) -> None:
     )
 
 
-def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[Policy, PolicyVersion]:
+def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[PolicyRecord, PolicyVersion]:
     """Return a registered policy and the version that a reference names.
 
     Args:
@@ -173,7 +173,9 @@ def find(session: Session, owned: ColumnElement[bool], reference: str) -> tuple[
         ConflictError: several owners have a policy of this name.
     """
     name, wanted = split(reference)
-    found = session.scalars(select(Policy).where(Policy.name == name, owned).order_by(Policy.owner)).all()
+    found = session.scalars(
+        select(PolicyRecord).where(PolicyRecord.name == name, owned).order_by(PolicyRecord.owner)
+    ).all()
     if not found:
         raise NotFoundError(f"there is no policy {name!r}")
     if len(found) > 1:
@@ -252,8 +254,8 @@ def delete_policy(sessions: Sessions, policy_id: str) -> None:
         session.delete(_locked(session, policy_id))
 
 
-def _locked(session: Session, policy_id: str) -> Policy:
-    policy = session.scalar(select(Policy).where(Policy.id == policy_id).with_for_update())
+def _locked(session: Session, policy_id: str) -> PolicyRecord:
+    policy = session.scalar(select(PolicyRecord).where(PolicyRecord.id == policy_id).with_for_update())
     if policy is None:
         raise NotFoundError("the policy was deleted just now")
     return policy

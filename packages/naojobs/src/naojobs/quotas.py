@@ -12,7 +12,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from naojobs.errors import QuotaError
-from naojobs.models import Checkpoint, Evaluation, Job, Policy, PolicyVersion, Study, Token, Webhook
+from naojobs.models import Checkpoint, Evaluation, Job, PolicyRecord, PolicyVersion, Study, Token, Webhook
 from naojobs.states import OPEN
 
 
@@ -37,7 +37,9 @@ def _sizes(owner: str) -> tuple[Any, ...]:
 
 
 def _versions(what: Any, owner: str) -> Any:
-    return select(what).join(Policy, Policy.id == PolicyVersion.policy_id).where(Policy.owner == owner)
+    return (
+        select(what).join(PolicyRecord, PolicyRecord.id == PolicyVersion.policy_id).where(PolicyRecord.owner == owner)
+    )
 
 
 class Quota(Enum):

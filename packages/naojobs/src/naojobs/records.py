@@ -24,7 +24,7 @@ from naojobs.capabilities import Requirements
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
 from naojobs.lifecycle import Lease, add_event, hold_evaluation, hold_job
-from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, Metric
+from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
 
 #: Longer log messages are truncated.
@@ -39,19 +39,19 @@ def _upsert_metrics() -> Insert:
     columns = column("step", BigInteger), column("time_s", Double), column("values", JSONB)
     row = func.jsonb_to_recordset(bindparam("rows", type_=JSONB)).table_valued(*columns).render_derived(with_types=True)
     own = bindparam("job_id", type_=Text), bindparam("attempt", type_=Integer)
-    statement = upsert(Metric.__table__).from_select(  # type: ignore[arg-type]
+    statement = upsert(MetricsRecord.__table__).from_select(  # type: ignore[arg-type]
         ["job_id", "attempt", "step", "time_s", "values"],
         select(*own, row.c.step, row.c.time_s, row.c["values"]).order_by(row.c.step),
     )
     return statement.on_conflict_do_update(
-        index_elements=[Metric.job_id, Metric.step],
+        index_elements=[MetricsRecord.job_id, MetricsRecord.step],
         set_={
             "attempt": statement.excluded.attempt,
             "time_s": statement.excluded.time_s,
             "values": statement.excluded["values"],
             "seq": METRICS_SEQ.next_value(),
         },
-        where=Metric.attempt <= statement.excluded.attempt,
+        where=MetricsRecord.attempt <= statement.excluded.attempt,
     )
 
 
@@ -206,8 +206,8 @@ def _size(manifest: Mapping[str, Any]) -> int:
 
 def _drop_superseded(session: Session, job: Job) -> None:
     """Delete the metrics of earlier attempts beyond the step at which this one began."""
-    beyond = (Metric.job_id == job.id, Metric.attempt < job.attempt, Metric.step > job.began_step)
-    session.execute(delete(Metric).where(*beyond))
+    beyond = (MetricsRecord.job_id == job.id, MetricsRecord.attempt < job.attempt, MetricsRecord.step > job.began_step)
+    session.execute(delete(MetricsRecord).where(*beyond))
 
 
 # --- evaluations ------------------------------------------------------------------------------------------------------
@@ -285,11 +285,15 @@ def job_name(sessions: Sessions, job_id: str) -> str:
 def metrics_steps(sessions: Sessions, job_id: str) -> set[int]:
     """Return the steps of a job's rows of metrics."""
     with sessions() as session:
-        return set(session.scalars(select(Metric.step).where(Metric.job_id == job_id)))
+        return set(session.scalars(select(MetricsRecord.step).where(MetricsRecord.job_id == job_id)))
 
 
 def metrics_until(sessions: Sessions, job_id: str, step: int) -> Iterator[dict[str, Any]]:
     """Yield a job's rows of metrics up to and including `step`, in order."""
-    rows = select(Metric.values).where(Metric.job_id == job_id, Metric.step <= step).order_by(Metric.step)
+    rows = (
+        select(MetricsRecord.values)
+        .where(MetricsRecord.job_id == job_id, MetricsRecord.step <= step)
+        .order_by(MetricsRecord.step)
+    )
     with sessions() as session:
         yield from session.scalars(rows.execution_options(yield_per=500))

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from naojobs import backups
 from naojobs.database import Sessions
 from naojobs.lifecycle import Lease, hold_job
-from naojobs.models import Checkpoint, Evaluation, Job, Metric, PolicyVersion
+from naojobs.models import Checkpoint, Evaluation, Job, MetricsRecord, PolicyVersion
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
@@ -71,9 +71,9 @@ def _spared(session: Session, job_id: str) -> set[str]:
     of_job = Checkpoint.job_id == job_id
     best = session.scalar(
         select(Checkpoint.id)
-        .join(Metric, (Metric.job_id == Checkpoint.job_id) & (Metric.step == Checkpoint.step))
-        .where(of_job, Metric.values.has_key(BEST_BY))
-        .order_by(Metric.values[BEST_BY].as_float().desc(), Checkpoint.step.desc())
+        .join(MetricsRecord, (MetricsRecord.job_id == Checkpoint.job_id) & (MetricsRecord.step == Checkpoint.step))
+        .where(of_job, MetricsRecord.values.has_key(BEST_BY))
+        .order_by(MetricsRecord.values[BEST_BY].as_float().desc(), Checkpoint.step.desc())
         .limit(1),
     )
     evaluated = session.scalars(select(Evaluation.checkpoint_id).where(Evaluation.job_id == job_id))

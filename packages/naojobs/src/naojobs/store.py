@@ -52,7 +52,7 @@ class CorruptArtifactError(StoreError):
     """Artifact that does not match its manifest."""
 
 
-class FileEntry(BaseModel):
+class ManifestEntry(BaseModel):
     """Describes one file of a manifest."""
 
     model_config = ConfigDict(frozen=True)
@@ -62,19 +62,19 @@ class FileEntry(BaseModel):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the content, in hexadecimal.")
 
 
-class Manifest(BaseModel):
+class StoreManifest(BaseModel):
     """Lists the files of one artifact; it is written after all of them, so an artifact with a manifest is complete."""
 
     model_config = ConfigDict(frozen=True)
 
-    files: tuple[FileEntry, ...]
+    files: tuple[ManifestEntry, ...]
 
     @property
     def size(self) -> int:
         """Return the size of all files, in bytes."""
         return sum(entry.size for entry in self.files)
 
-    def entry(self, name: str) -> FileEntry | None:
+    def entry(self, name: str) -> ManifestEntry | None:
         """Return the entry of the file called `name`, or none."""
         return next((entry for entry in self.files if entry.name == name), None)
 
@@ -199,15 +199,15 @@ class ArtifactStore:
         """Return the folder of a local store, none for S3."""
         return self._store.prefix if isinstance(self._store, LocalStore) else None
 
-    def put_bytes(self, key: str, data: bytes) -> FileEntry:
+    def put_bytes(self, key: str, data: bytes) -> ManifestEntry:
         """Write `data` under `key`, atomically. Raises StoreError."""
         check_key(key)
         with _store_errors(f"put {key}"):
             obstore.put(self._store, key, data)
             self._settle(key)
-        return FileEntry(name=key.rsplit("/", 1)[-1], size=len(data), sha256=hashlib.sha256(data).hexdigest())
+        return ManifestEntry(name=key.rsplit("/", 1)[-1], size=len(data), sha256=hashlib.sha256(data).hexdigest())
 
-    def put_directory(self, key: str, directory: Path) -> Manifest:
+    def put_directory(self, key: str, directory: Path) -> StoreManifest:
         """Write every file below `directory` under `key/`, its manifest last; return the manifest.
 
         Raises:
@@ -228,16 +228,16 @@ class ArtifactStore:
                 # A single request is atomic; an upload in parts may leave some that no listing shows, and that cost.
                 obstore.put(self._store, target, path, use_multipart=False)
                 self._settle(target)
-            entries.append(FileEntry(name=name, size=size, sha256=digest))
-        manifest = Manifest(files=tuple(entries))
+            entries.append(ManifestEntry(name=name, size=size, sha256=digest))
+        manifest = StoreManifest(files=tuple(entries))
         self.put_bytes(f"{key}/{MANIFEST_NAME}", manifest.model_dump_json().encode())
         return manifest
 
-    def manifest(self, key: str) -> Manifest:
+    def manifest(self, key: str) -> StoreManifest:
         """Read the manifest under `key`. Raises MissingArtifactError, StoreError, CorruptArtifactError."""
         data = self.get_bytes(f"{key}/{MANIFEST_NAME}")
         try:
-            return Manifest.model_validate(json.loads(data))
+            return StoreManifest.model_validate(json.loads(data))
         except ValueError as error:
             raise CorruptArtifactError(f"{key}/{MANIFEST_NAME}: not a manifest: {error}") from error
 
@@ -272,7 +272,7 @@ class ArtifactStore:
 
         return pieces()
 
-    def get_directory(self, key: str, directory: Path, manifest: Manifest | None = None) -> Manifest:
+    def get_directory(self, key: str, directory: Path, manifest: StoreManifest | None = None) -> StoreManifest:
         """Read an artifact into `directory` (made if need be) and verify every file.
 
         Raises:

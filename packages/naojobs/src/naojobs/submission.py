@@ -27,7 +27,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lifecycle import add_event, lock
 from naojobs.lineage import trained_by
-from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Policy, Study
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import OPEN, WorkState
 
@@ -311,7 +311,7 @@ def _with_parent(session: Session, request: JobRequest, owner: str, see_all: boo
     if request.parent_job_id is not None:
         raise InvalidError("give a parent policy or a parent job, not both", "parent_policy")
     try:
-        policy, version = policies.find(session, Policy.owner == owner, reference)
+        policy, version = policies.find(session, PolicyRecord.owner == owner, reference)
     except NotFoundError as error:
         if reference in naopolicies.names():
             check_fit(request, TrainingSpec.model_validate(naopolicies.spec(reference)))

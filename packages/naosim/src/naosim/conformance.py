@@ -62,7 +62,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Result:
+class SimulatorCheck:
     """Outcome of one check; the message is empty if it passed."""
 
     name: str
@@ -79,7 +79,7 @@ def check(
     lose: Callable[[Simulator, int], None] | None = None,
     tolerance_deg: float = 0.0,
     abilities: frozenset[Ability] = frozenset(),
-) -> list[Result]:
+) -> list[SimulatorCheck]:
     """Run all checks and return their results; see :class:`Subject` for the arguments."""
     subject = Subject(open_simulator, lose, tolerance_deg, abilities)
     results = []
@@ -88,9 +88,9 @@ def check(
         try:
             one(subject)
         except Exception as error:  # a simulator that raises does not conform either
-            results.append(Result(name, False, f"{type(error).__name__}: {error}"))
+            results.append(SimulatorCheck(name, False, f"{type(error).__name__}: {error}"))
         else:
-            results.append(Result(name, True))
+            results.append(SimulatorCheck(name, True))
     return results
 
 

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from naosprint.analysis.evaluation import Evaluation, evaluate
+    from naosprint.analysis.evaluation import EvaluationRun, evaluate
     from naosprint.rl.checkpoint import CheckpointError
     from naosprint.rl.learner import TrainingDivergedError
     from naosprint.rl.reporter import NullReporter, Reporter
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CheckpointError",
-    "Evaluation",
+    "EvaluationRun",
     "NullReporter",
     "Reporter",
     "TrainResult",

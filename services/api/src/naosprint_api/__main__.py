@@ -25,7 +25,7 @@ _GRACE_S = 10
 _GARBAGE = 20_000
 
 
-class Server(uvicorn.Server):
+class ApiServer(uvicorn.Server):
     """Server that closes all streams when it stops: they would never end otherwise."""
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
@@ -43,7 +43,7 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def make_server(settings: ApiSettings) -> Server:
+def make_server(settings: ApiSettings) -> ApiServer:
     """Return a server that is ready to run."""
     asgi, service = create_asgi(settings)
     bounds = Bounds(per_address=settings.api_max_connections_per_address, trusted=settings.api_trusted_proxies)
@@ -62,7 +62,7 @@ def make_server(settings: ApiSettings) -> Server:
         limit_concurrency=4096,
         backlog=1024,
     )
-    return Server(config, service)
+    return ApiServer(config, service)
 
 
 def answer_evenly() -> None:

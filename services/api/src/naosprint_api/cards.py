@@ -9,9 +9,9 @@ from typing import Any
 
 import naopolicies
 from naojobs.database import Sessions
-from naojobs.models import Checkpoint, Policy, PolicyVersion
+from naojobs.models import Checkpoint, PolicyRecord, PolicyVersion
 from naojobs.policies import aliases_of
-from naojobs.store import Manifest
+from naojobs.store import StoreManifest
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
@@ -90,11 +90,11 @@ def _newest_cards(
         .subquery()
     )
     statement = (
-        select(Policy, PolicyVersion)
-        .join(PolicyVersion, PolicyVersion.policy_id == Policy.id)
+        select(PolicyRecord, PolicyVersion)
+        .join(PolicyVersion, PolicyVersion.policy_id == PolicyRecord.id)
         .join(newest, (newest.c.policy_id == PolicyVersion.policy_id) & (newest.c.number == PolicyVersion.number))
-        .where(owned, Policy.id > after)
-        .order_by(Policy.id)
+        .where(owned, PolicyRecord.id > after)
+        .order_by(PolicyRecord.id)
         .limit(limit)
     )
     with sessions.begin() as session:
@@ -102,7 +102,7 @@ def _newest_cards(
         return [(policy.id, card) for (policy, _), card in zip(rows, _cards(session, rows), strict=True)]
 
 
-def version_page(sessions: Sessions, policy: Policy, *, limit: int, before: int | None) -> PolicyPage:
+def version_page(sessions: Sessions, policy: PolicyRecord, *, limit: int, before: int | None) -> PolicyPage:
     """Return up to `limit` versions of a registered policy, those before a number if given, newest first."""
     statement = select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).limit(limit + 1)
     if before is not None:
@@ -113,16 +113,16 @@ def version_page(sessions: Sessions, policy: Policy, *, limit: int, before: int 
     return PolicyPage(items=page, next_cursor=str(page[-1].version) if len(versions) > limit else None)
 
 
-def version_details(sessions: Sessions, policy: Policy, version: PolicyVersion) -> PolicyDetails:
+def version_details(sessions: Sessions, policy: PolicyRecord, version: PolicyVersion) -> PolicyDetails:
     """Return a version of a registered policy with its specification and its files."""
     with sessions.begin() as session:
         (card,) = _cards(session, [(policy, version)])
         checkpoint = session.get_one(Checkpoint, version.checkpoint_id)
-    files = files_view(Manifest.model_validate(checkpoint.manifest), f"/checkpoints/{checkpoint.id}")
+    files = files_view(StoreManifest.model_validate(checkpoint.manifest), f"/checkpoints/{checkpoint.id}")
     return PolicyDetails(**dict(card), spec=version.spec, files=files)
 
 
-def _cards(session: Session, rows: Sequence[tuple[Policy, PolicyVersion]]) -> list[PolicyCard]:
+def _cards(session: Session, rows: Sequence[tuple[PolicyRecord, PolicyVersion]]) -> list[PolicyCard]:
     aliases = aliases_of(session, list({policy.id for policy, _ in rows}))
     evaluations = summaries_of(session, [version.checkpoint_id for _, version in rows])
     cards = []

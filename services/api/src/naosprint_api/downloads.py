@@ -14,7 +14,7 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import Request
 from fastapi.responses import RedirectResponse, Response, StreamingResponse
 from naojobs.errors import NotFoundError
-from naojobs.store import ArtifactStore, FileEntry, Manifest
+from naojobs.store import ArtifactStore, ManifestEntry, StoreManifest
 from starlette.types import Receive, Scope, Send
 
 from naosprint_api.problems import FieldError, ProblemError
@@ -89,7 +89,7 @@ def send_file(
     store: ArtifactStore,
     threads: CapacityLimiter,
     key: str,
-    manifest: Manifest,
+    manifest: StoreManifest,
     name: str,
     *,
     presigned: bool,
@@ -129,7 +129,7 @@ def send_file(
 
 
 def send_archive(
-    store: ArtifactStore, threads: CapacityLimiter, key: str, manifest: Manifest, folder: str, at: datetime
+    store: ArtifactStore, threads: CapacityLimiter, key: str, manifest: StoreManifest, folder: str, at: datetime
 ) -> Response:
     """Answer with all files of an artifact as one tar archive, its files below `folder`."""
     headers = {
@@ -140,7 +140,7 @@ def send_archive(
     return StoredResponse(content, threads, headers=headers, media_type="application/x-tar")
 
 
-def _header(entry: FileEntry, folder: str, at: datetime | None = None) -> bytes:
+def _header(entry: ManifestEntry, folder: str, at: datetime | None = None) -> bytes:
     info = tarfile.TarInfo(f"{folder}/{entry.name}")
     info.size = entry.size
     info.mode = 0o644
@@ -148,12 +148,12 @@ def _header(entry: FileEntry, folder: str, at: datetime | None = None) -> bytes:
     return info.tobuf(tarfile.PAX_FORMAT)
 
 
-def _archive_size(manifest: Manifest, folder: str) -> int:
+def _archive_size(manifest: StoreManifest, folder: str) -> int:
     files = sum(len(_header(entry, folder)) + -(-entry.size // _BLOCK) * _BLOCK for entry in manifest.files)
     return files + 2 * _BLOCK
 
 
-def _archive(store: ArtifactStore, key: str, manifest: Manifest, folder: str, at: datetime) -> Iterator[bytes]:
+def _archive(store: ArtifactStore, key: str, manifest: StoreManifest, folder: str, at: datetime) -> Iterator[bytes]:
     for entry in manifest.files:
         yield _header(entry, folder, at)
         yield from store.stream(f"{key}/{entry.name}")

@@ -35,7 +35,7 @@ THREADS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class FeedBatch:
     """News of a job since a position; `state` is None if the job was deleted."""
 
     #: The changes as server-sent events, encoded once for all followers.
@@ -60,13 +60,13 @@ class Feed:
         self._limiter = anyio.CapacityLimiter(THREADS)
         #: Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
         #: include everything committed until now.
-        self._gathering: dict[_Wanted, tuple[asyncio.Task[Batch], Iterator[int]]] = {}
+        self._gathering: dict[_Wanted, tuple[asyncio.Task[FeedBatch], Iterator[int]]] = {}
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
         """Run a read in one of the threads for followers."""
         return await anyio.to_thread.run_sync(function, limiter=self._limiter)
 
-    async def news(self, job_id: str, seen: Position, kinds: frozenset[str], *, hurried: bool = False) -> Batch:
+    async def news(self, job_id: str, seen: Position, kinds: frozenset[str], *, hurried: bool = False) -> FeedBatch:
         """Return what is new about a job; `hurried` for a follower that is known to be behind."""
         wanted = job_id, seen, kinds, hurried
         if wanted not in self._gathering:
@@ -78,7 +78,7 @@ class Feed:
         await asyncio.sleep(turn * APART_S % LONGEST_S)
         return batch
 
-    async def _gather(self, wanted: _Wanted) -> Batch:
+    async def _gather(self, wanted: _Wanted) -> FeedBatch:
         job_id, seen, kinds, hurried = wanted
         try:
             await asyncio.sleep(HURRIED_GATHER_S if hurried else GATHER_S)
@@ -86,10 +86,10 @@ class Feed:
             del self._gathering[wanted]
         return await self.in_thread(partial(self._read, job_id, seen, kinds))
 
-    def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> Batch:
+    def _read(self, job_id: str, seen: Position, kinds: frozenset[str]) -> FeedBatch:
         news = news_of(self._sessions, job_id, seen, kinds, workers=self._workers())
         if news.job is None:
-            return Batch(b"", seen)
+            return FeedBatch(b"", seen)
         events: list[bytes] = []
 
         def add(event: str, text: str, **moved: int) -> None:
@@ -107,4 +107,4 @@ class Feed:
         job = news.job
         shown = job_view(job, news.waiting_reason, news.result).model_dump_json()
         state = format_sse_event(event="state", data_str=shown, id=str(seen))
-        return Batch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)
+        return FeedBatch(b"".join(events), seen, news.more, job.state, job.error, job.updated_at, state)

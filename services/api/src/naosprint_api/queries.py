@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Metric, Policy, Study, Worker
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, MetricsRecord, PolicyRecord, Study, Worker
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
@@ -170,7 +170,7 @@ def owned_policies(principal: Principal, owner: str | None) -> ColumnElement[boo
         if owner is not None and owner != principal.owner:
             raise NotFoundError(f"no policies of {owner} that this token may see; leave `owner` out")
         owner = principal.owner
-    return true() if owner is None else Policy.owner == owner
+    return true() if owner is None else PolicyRecord.owner == owner
 
 
 def list_studies(
@@ -204,13 +204,13 @@ def metrics_columns(sessions: Sessions, job_id: str, *, after_step: int, max_poi
     """
     numbered = (
         select(
-            Metric.step,
-            Metric.values,
-            func.row_number().over(order_by=Metric.step.desc()).label("from_end"),
+            MetricsRecord.step,
+            MetricsRecord.values,
+            func.row_number().over(order_by=MetricsRecord.step.desc()).label("from_end"),
             func.count().over().label("total"),
-            func.max(Metric.seq).over().label("last_seq"),
+            func.max(MetricsRecord.seq).over().label("last_seq"),
         )
-        .where(Metric.job_id == job_id, Metric.step > after_step)
+        .where(MetricsRecord.job_id == job_id, MetricsRecord.step > after_step)
         .subquery()
     )
     stride = (numbered.c.total + max_points - 1) / max_points
@@ -309,7 +309,7 @@ class News:
     waiting_reason: str | None = None
     #: Its evaluation, if one has finished.
     result: JobResult | None = None
-    metrics: list[Metric] = field(default_factory=list)
+    metrics: list[MetricsRecord] = field(default_factory=list)
     logs: list[Log] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     #: Whether there is more of some kind than the limit.
@@ -338,9 +338,9 @@ def news_of(
         if "metrics" in kinds:
             news.metrics = list(
                 session.scalars(
-                    select(Metric)
-                    .where(Metric.job_id == job_id, Metric.seq > seen.metrics)
-                    .order_by(Metric.seq)
+                    select(MetricsRecord)
+                    .where(MetricsRecord.job_id == job_id, MetricsRecord.seq > seen.metrics)
+                    .order_by(MetricsRecord.seq)
                     .limit(limit),
                 ),
             )

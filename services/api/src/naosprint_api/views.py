@@ -8,7 +8,7 @@ from urllib.parse import quote
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log
 from naojobs.registry import WorkerStatus
 from naojobs.states import WorkState
-from naojobs.store import Manifest
+from naojobs.store import StoreManifest
 
 from naosprint_api.schemas import (
     CheckpointPublic,
@@ -41,7 +41,7 @@ def log_view(log: Log) -> LogPublic:
 
 def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
     """Return a checkpoint with the addresses of its files."""
-    manifest = Manifest.model_validate(checkpoint.manifest)
+    manifest = StoreManifest.model_validate(checkpoint.manifest)
     root = f"/checkpoints/{checkpoint.id}"
     return CheckpointPublic(
         id=checkpoint.id,
@@ -58,7 +58,7 @@ def checkpoint_view(checkpoint: Checkpoint) -> CheckpointPublic:
 def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -> EvaluationPublic:
     """Return an evaluation with the addresses of its files, and the reason why no worker can take it."""
     succeeded = evaluation.state is WorkState.SUCCEEDED
-    manifest = Manifest.model_validate(evaluation.manifest) if succeeded and evaluation.manifest else None
+    manifest = StoreManifest.model_validate(evaluation.manifest) if succeeded and evaluation.manifest else None
     root = f"/evaluations/{evaluation.id}"
     return EvaluationPublic.model_validate(
         {
@@ -93,7 +93,7 @@ def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> 
     return WorkerPublic(alive=worker.alive, jobs=jobs, **{name: getattr(worker.row, name) for name in names})
 
 
-def files_view(manifest: Manifest, root: str) -> list[FilePublic]:
+def files_view(manifest: StoreManifest, root: str) -> list[FilePublic]:
     """Return the files of an artifact with their addresses below `root`."""
     return [
         FilePublic(name=entry.name, size=entry.size, sha256=entry.sha256, url=f"{root}/files/{quote(entry.name)}")

@@ -43,13 +43,13 @@ def _health() -> int:
 def _run() -> int:
     from naosprint_worker.application import make_application, serve
     from naosprint_worker.settings import WorkerSettings
-    from naosprint_worker.worker import Worker
+    from naosprint_worker.worker import WorkLoop
 
     settings = WorkerSettings()  # type: ignore[call-arg]  # the environment fills it
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     for chatty in ("celery.worker.strategy", "celery.app.trace"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
-    worker = Worker(settings)
+    worker = WorkLoop(settings)
     worker.start()
     try:
         return serve(make_application(settings, worker), worker, settings)

@@ -10,12 +10,12 @@ from celery.signals import setup_logging, worker_ready, worker_shutting_down
 from naojobs.notifications import WAKE_UP, make_celery
 
 from naosprint_worker.settings import WorkerSettings
-from naosprint_worker.worker import Worker
+from naosprint_worker.worker import WorkLoop
 
 logger = logging.getLogger(__name__)
 
 
-def make_application(settings: WorkerSettings, worker: Worker) -> Celery:
+def make_application(settings: WorkerSettings, worker: WorkLoop) -> Celery:
     """Return the Celery application of a worker.
 
     One message is taken at a time and only by a worker with a free slot, so that another worker receives the next.
@@ -36,7 +36,7 @@ def make_application(settings: WorkerSettings, worker: Worker) -> Celery:
     return app
 
 
-def serve(app: Celery, worker: Worker, settings: WorkerSettings) -> int:
+def serve(app: Celery, worker: WorkLoop, settings: WorkerSettings) -> int:
     """Receive messages until SIGTERM and return the exit status."""
 
     def on_ready(**_: Any) -> None:

@@ -16,7 +16,7 @@ import psutil
 TRACEBACK_SIGNAL = signal.SIGUSR2
 
 
-class Child:
+class TrainingProcess:
     """A supervised process and its process group.
 
     The child's standard input is a pipe whose other end only this process has: when this process dies in any way, the

@@ -22,14 +22,14 @@ from naojobs import lifecycle
 from naojobs.database import Sessions, make_sessions
 from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Lease
-from naojobs.store import ArtifactStore, CorruptArtifactError, Manifest, MissingArtifactError, StoreError
+from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError, StoreManifest
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
 
 from naosprint_worker.child import TRACEBACK_SIGNAL
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.guard import prefer_as_oom_victim, watch_parent
-from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, Outcome
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, Outcome, TrainerExitCode
 from naosprint_worker.progress import Progress
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
@@ -113,7 +113,7 @@ class Services:
         self,
         key: str,
         folder: Path,
-        manifest: Manifest,
+        manifest: StoreManifest,
         *,
         patience_s: float | None = None,
         on_retry: Callable[[Exception, float], None] | None = None,
@@ -200,18 +200,18 @@ def classify(error: BaseException, workdir: Path) -> Outcome:
     text = "".join(traceback.format_exception(error))
     if not isinstance(error, Exception):
         message = f"a task, learner or library ended the process: {describe(error)}"
-        return Outcome(ExitCode.PERMANENT, "exit", message, text)
+        return Outcome(TrainerExitCode.PERMANENT, "exit", message, text)
     if isinstance(error, StopRequestedError):
-        return Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
+        return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
     if isinstance(error, LeaseLostError):
-        return Outcome(ExitCode.FENCED, "lease_lost", describe(error))
+        return Outcome(TrainerExitCode.FENCED, "lease_lost", describe(error))
     if _tells_of_full_disk(error, workdir):
         message = f"no space left on the disk of the worker's folder {workdir.parent}: {describe(error)}"
-        return Outcome(ExitCode.DISK_FULL, "disk_full", message, text)
+        return Outcome(TrainerExitCode.DISK_FULL, "disk_full", message, text)
     if isinstance(error, TrainingDivergedError):
-        return Outcome(ExitCode.PERMANENT, "diverged", describe(error), text)
+        return Outcome(TrainerExitCode.PERMANENT, "diverged", describe(error), text)
     if isinstance(error, CheckpointError | CheckpointsUnusableError | CorruptArtifactError | MissingArtifactError):
-        return Outcome(ExitCode.PERMANENT, "checkpoint", describe(error), text)
+        return Outcome(TrainerExitCode.PERMANENT, "checkpoint", describe(error), text)
     away: tuple[type[Exception], ...] = (
         PatienceExhaustedError,
         StoreError,
@@ -220,10 +220,10 @@ def classify(error: BaseException, workdir: Path) -> Outcome:
         *DATABASE_ERRORS,
     )
     if isinstance(error, away):
-        return Outcome(ExitCode.TRANSIENT, SERVICE_UNAVAILABLE, describe(error), text)
+        return Outcome(TrainerExitCode.TRANSIENT, SERVICE_UNAVAILABLE, describe(error), text)
     if isinstance(error, OSError | MemoryError | ServerLostError):
-        return Outcome(ExitCode.TRANSIENT, "system", describe(error), text)
-    return Outcome(ExitCode.PERMANENT, "error", describe(error), text)
+        return Outcome(TrainerExitCode.TRANSIENT, "system", describe(error), text)
+    return Outcome(TrainerExitCode.PERMANENT, "error", describe(error), text)
 
 
 def _tells_of_full_disk(error: BaseException, workdir: Path) -> bool:

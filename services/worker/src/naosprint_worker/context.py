@@ -13,7 +13,7 @@ from naosprint_worker.settings import WorkerSettings
 
 
 @dataclass(frozen=True)
-class Context:
+class WorkerContext:
     """Settings, services and identity of a worker."""
 
     settings: WorkerSettings

@@ -11,14 +11,14 @@ from collections.abc import Callable
 from naojobs import lifecycle, records
 from naojobs.lifecycle import EvaluationClaim
 from naojobs.states import WorkState
-from naojobs.store import Manifest, StoreError, evaluation_key, new_nonce
+from naojobs.store import StoreError, StoreManifest, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
 
 from naosprint_worker.assignment import EvaluationAssignment
 from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
-from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
 
@@ -30,14 +30,14 @@ def work(services: Services) -> Outcome:
         return _evaluate(services, claim)
     except StopRequestedError:
         services.requeue_if_orphaned(claim.lease)
-        return Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
+        return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
 
 
 def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
     lease, patience_s = claim.lease, services.settings.worker_patience_s
     checkpoint, result = services.workdir / "checkpoint", services.workdir / "evaluation"
     with services.stop.interruptible():
-        services.fetch(claim.checkpoint.key, checkpoint, Manifest.model_validate(claim.checkpoint.manifest))
+        services.fetch(claim.checkpoint.key, checkpoint, StoreManifest.model_validate(claim.checkpoint.manifest))
     _database(services, lambda: lifecycle.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
     summary = evaluate_into(
         result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, services=services
@@ -54,7 +54,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
         services,
         lambda: records.record_result(services.sessions, lease, summary=summary, key=key, manifest=manifest),
     )
-    return Outcome(ExitCode.FINISHED, "finished", "the evaluator finished")
+    return Outcome(TrainerExitCode.FINISHED, "finished", "the evaluator finished")
 
 
 def _database(services: Services, call: Callable[[], object]) -> None:

@@ -20,7 +20,7 @@ OUTCOME_FILE = "outcome.json"
 SERVICE_UNAVAILABLE = "service_unavailable"
 
 
-class ExitCode(enum.IntEnum):
+class TrainerExitCode(enum.IntEnum):
     """Ways in which a child reports its end, and its exit statuses (numbers from sysexits.h where one fits).
 
     A status alone is no report: any library can end the process with one.
@@ -50,7 +50,7 @@ _PATH = re.compile(r"(?<![\w./…-])(['\"]?)/(?:(?:(?<=['\"]/)[^'\"\n]*|[^\s'\":
 class Outcome:
     """A child's own report of how it ended."""
 
-    code: ExitCode
+    code: TrainerExitCode
     kind: str
     message: str
     traceback: str = ""
@@ -78,7 +78,7 @@ class Outcome:
         """Return the report in ``workdir``, or None if the child died before writing one."""
         try:
             data = json.loads((workdir / OUTCOME_FILE).read_text(encoding="utf-8"))
-            code, kind, message = ExitCode(data["code"]), str(data["kind"]), str(data["message"])
+            code, kind, message = TrainerExitCode(data["code"]), str(data["kind"]), str(data["message"])
             return cls(code, kind, message, str(data.get("traceback", "")))
         except (OSError, ValueError, KeyError, TypeError):
             return None

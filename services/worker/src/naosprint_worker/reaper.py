@@ -9,7 +9,7 @@ from naojobs import lifecycle, registry
 from naojobs.database import Sessions
 from naosim.launchers import reap_servers
 
-from naosprint_worker.context import Context
+from naosprint_worker.context import WorkerContext
 from naosprint_worker.orphans import OrphanSweeper
 
 logger = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ class LostWork:
 class Reaper:
     """Periodic recovery; any number of workers may run one at once."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: WorkerContext) -> None:
         self._context = context
         self._orphans = OrphanSweeper(context.settings.worker_dir, grace_s=context.settings.worker_orphan_grace_s + 5)
         self.lost = LostWork(context.sessions, context.settings.lease_s)

@@ -21,15 +21,15 @@ from naojobs.states import WorkState
 from naosim.launchers import LABELS_VARIABLE
 
 from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
-from naosprint_worker.child import Child
-from naosprint_worker.context import Context
+from naosprint_worker.child import TrainingProcess
+from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.memory import MIB, Share
 from naosprint_worker.orphans import child_marks
-from naosprint_worker.outcome import SERVICE_UNAVAILABLE, ExitCode, describe_exit, public
+from naosprint_worker.outcome import SERVICE_UNAVAILABLE, TrainerExitCode, describe_exit, public
 from naosprint_worker.retry import PatienceExhaustedError, describe, retry
 from naosprint_worker.settings import WorkerSettings
-from naosprint_worker.supervisor import Ending, Intent, Supervisor
+from naosprint_worker.supervisor import Ending, Intent, TrainingSupervisor
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ def child_environment(settings: WorkerSettings) -> dict[str, str]:
 class Run:
     """One attempt at a piece of work, from the claim to its next state."""
 
-    def __init__(self, context: Context, claim: Claim) -> None:
+    def __init__(self, context: WorkerContext, claim: Claim) -> None:
         self._context = context
         self._claim = claim
         self._lease = claim.lease
@@ -74,7 +74,7 @@ class Run:
         sessions, lease_s = context.sessions, context.settings.lease_s
         self._closing = threading.Event()
         self._share: Share | None = None
-        self._supervisor = Supervisor(
+        self._supervisor = TrainingSupervisor(
             context.settings,
             start=self._start,
             beat=lambda: lifecycle.heartbeat(sessions, self._lease, lease_s=lease_s),
@@ -121,9 +121,9 @@ class Run:
             return TrainingAssignment.from_claim(self._claim)
         return EvaluationAssignment(claim=self._claim)
 
-    def _start(self, on_exit: Callable[[], None]) -> Child:
+    def _start(self, on_exit: Callable[[], None]) -> TrainingProcess:
         settings = self._context.settings
-        return Child(
+        return TrainingProcess(
             [sys.executable, "-P", "-m", f"naosprint_worker.{self._program}", "--workdir", str(self._workdir)],
             env={
                 **child_environment(settings),
@@ -141,11 +141,11 @@ class Run:
         """Set the state according to how the child ended."""
         text = public(describe_ending(self._program, ending))
         logger.info("%s %s attempt %d: %s", self._lease.kind, self._lease.id, self._lease.attempt, text)
-        without_checkpoint = self.kind is WorkKind.JOB and ending.reported is not ExitCode.STOPPED
+        without_checkpoint = self.kind is WorkKind.JOB and ending.reported is not TrainerExitCode.STOPPED
         where = f" without a last checkpoint ({text})" if without_checkpoint else ""
-        if ending.intent is Intent.LEASE_LOST or ending.reported is ExitCode.FENCED:
+        if ending.intent is Intent.LEASE_LOST or ending.reported is TrainerExitCode.FENCED:
             return
-        if ending.reported is ExitCode.FINISHED:
+        if ending.reported is TrainerExitCode.FINISHED:
             missing = lifecycle.succeed(self._context.sessions, self._lease)
             if missing is None:
                 return
@@ -162,7 +162,7 @@ class Run:
             self._give_back(WorkState.PAUSED, f"paused as requested{where}")
         elif ending.intent is Intent.SHUTDOWN:
             self._give_back(WorkState.QUEUED, f"requeued: the worker shuts down{where}")
-        elif ending.reported is ExitCode.PERMANENT:
+        elif ending.reported is TrainerExitCode.PERMANENT:
             self._fail(ending, text)
         elif ending.intent is Intent.STALLED:
             self._log_ending(ending)
@@ -249,7 +249,7 @@ def describe_ending(who: str, ending: Ending) -> str:
     if ending.outcome is not None:
         return ending.outcome.message if ending.returncode > 0 else f"{who}: {ending.outcome.message}"
     text = f"the {who} ended by {describe_exit(ending.returncode)}"
-    if ending.returncode == ExitCode.DISK_FULL:
+    if ending.returncode == TrainerExitCode.DISK_FULL:
         return f"the {who} found no space left on the disk of the worker's folder"
     if ending.returncode == 0:
         text += " before it had reported its end"

@@ -22,7 +22,7 @@ from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import InvalidError
 from naojobs.ids import same_id
-from naojobs.models import Evaluation, Job, Metric, Study, StudyState, Trial, TrialState
+from naojobs.models import Evaluation, Job, MetricsRecord, Study, StudyState, Trial, TrialState
 from naojobs.states import ENDED, WorkState
 from naojobs.submission import add_job
 from naospec.search import Choices, IntRange, Parameter, Pruning, SearchSpec
@@ -267,12 +267,14 @@ class _Pass:
         """Return the means of the pruning metric by interval, numbered from 1, of the complete ones behind `after`."""
         pruning = self._search.pruning
         length = pruning.interval_steps or 1
-        steps = Metric.step
+        steps = MetricsRecord.step
         number = (steps + length - 1) // length
         statement = (
-            select(number.label("number"), func.avg(Metric.values[pruning.metric].as_float()))
-            .where(Metric.job_id == job.id, steps > after * length, steps <= job.progress_step // length * length)
-            .where(Metric.values.has_key(pruning.metric))
+            select(number.label("number"), func.avg(MetricsRecord.values[pruning.metric].as_float()))
+            .where(
+                MetricsRecord.job_id == job.id, steps > after * length, steps <= job.progress_step // length * length
+            )
+            .where(MetricsRecord.values.has_key(pruning.metric))
             .group_by("number")
             .order_by("number")
         )

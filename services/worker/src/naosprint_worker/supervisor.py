@@ -16,10 +16,10 @@ from naojobs.errors import LeaseLostError
 from naojobs.lifecycle import Requests
 from naojobs.states import WorkState
 
-from naosprint_worker.child import Child
+from naosprint_worker.child import TrainingProcess
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.memory import MIB
-from naosprint_worker.outcome import ExitCode, Outcome, last_lines
+from naosprint_worker.outcome import Outcome, TrainerExitCode, last_lines
 from naosprint_worker.progress import ProgressWatch
 from naosprint_worker.retry import describe
 from naosprint_worker.settings import WorkerSettings
@@ -73,12 +73,12 @@ class Ending:
     last_output: str
 
     @property
-    def reported(self) -> ExitCode | None:
+    def reported(self) -> TrainerExitCode | None:
         """How our own code ended it; None if something else ended the process."""
         return self.outcome.code if self.outcome is not None else None
 
 
-class Supervisor:
+class TrainingSupervisor:
     """Supervisor of a child that works under a lease.
 
     ``beat`` renews the lease and returns the users' requests; ``look`` only reads them; ``report_stall`` records the
@@ -93,7 +93,7 @@ class Supervisor:
         self,
         settings: WorkerSettings,
         *,
-        start: Callable[[Callable[[], None]], Child],
+        start: Callable[[Callable[[], None]], TrainingProcess],
         beat: Callable[[], Requests],
         look: Callable[[], Requests],
         report_stall: Callable[[float | None], None],
@@ -140,7 +140,7 @@ class Supervisor:
         returncode = child.wait()
         assert returncode is not None
         outcome = Outcome.read(self._workdir)
-        stopped = outcome is not None and outcome.code is ExitCode.STOPPED
+        stopped = outcome is not None and outcome.code is TrainerExitCode.STOPPED
         if self._intent is Intent.NONE and self._shutdown and stopped:
             self._intent = Intent.SHUTDOWN  # the signal that ended the worker has reached the child, too
         return Ending(
@@ -155,7 +155,7 @@ class Supervisor:
             ),
         )
 
-    def _watch(self, child: Child) -> None:
+    def _watch(self, child: TrainingProcess) -> None:
         settings = self._settings
         started = contact = beaten = time.monotonic()
         progress = ProgressWatch(self._workdir)
@@ -205,20 +205,20 @@ class Supervisor:
             self._report_stall(idle_s if stalled else None)
             self._stalled = stalled
 
-    def _obey(self, child: Child, requests: Requests) -> None:
+    def _obey(self, child: TrainingProcess, requests: Requests) -> None:
         if requests.cancel:
             self._stop(child, Intent.CANCEL)
         elif requests.state is WorkState.PAUSING:
             self._stop(child, Intent.PAUSE)
 
-    def _stop(self, child: Child, intent: Intent) -> None:
+    def _stop(self, child: TrainingProcess, intent: Intent) -> None:
         self._intent = max(self._intent, intent)
         if self._kill_at is None:
             logger.info("stopping child %d: %s", child.pid, intent.name.lower())
             self._kill_at = time.monotonic() + self._grace_s
             child.terminate()
 
-    def _check_memory(self, child: Child) -> None:
+    def _check_memory(self, child: TrainingProcess) -> None:
         now = time.monotonic()
         if now - self._weighed_at < MEMORY_PERIOD_S:
             return

@@ -22,7 +22,14 @@ from naojobs.checkpoints import CheckpointRef, checkpoints_of
 from naojobs.errors import ConflictError
 from naojobs.ids import same_id
 from naojobs.states import WorkState
-from naojobs.store import CorruptArtifactError, Manifest, MissingArtifactError, StoreError, evaluation_key, new_nonce
+from naojobs.store import (
+    CorruptArtifactError,
+    MissingArtifactError,
+    StoreError,
+    StoreManifest,
+    evaluation_key,
+    new_nonce,
+)
 from naospec import EvaluationSpec
 from naosprint.threads import quiet_openmp
 
@@ -31,7 +38,7 @@ from naosprint_worker.child_process import CheckpointsUnusableError, Services, S
 from naosprint_worker.database import DATABASE_ERRORS
 from naosprint_worker.evaluation import evaluate_into
 from naosprint_worker.memory import MIB
-from naosprint_worker.outcome import ExitCode, Outcome
+from naosprint_worker.outcome import Outcome, TrainerExitCode
 from naosprint_worker.recorder import Recorder
 from naosprint_worker.report import add_report
 from naosprint_worker.retry import retry
@@ -87,11 +94,11 @@ class Attempt:
         try:
             outcome = self._run()
         except StopRequestedError:
-            outcome = Outcome(ExitCode.STOPPED, "stopped", "stopped on request")
+            outcome = Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
         finally:
             self._recorder.abandon()
             self._spool.close()
-        if outcome.code is ExitCode.STOPPED:
+        if outcome.code is TrainerExitCode.STOPPED:
             self._services.requeue_if_orphaned(self._lease)
         return outcome
 
@@ -157,7 +164,7 @@ class Attempt:
             self._evaluate(result, checkpoint_id, evaluation)
         with services.stop.interruptible():
             self._recorder.close()
-        return Outcome(ExitCode.FINISHED, "finished", "the trainer finished")
+        return Outcome(TrainerExitCode.FINISHED, "finished", "the trainer finished")
 
     def _stopped(self, step: int) -> Outcome:
         """Record what is possible within the grace period; the rest stays for the next attempt."""
@@ -172,7 +179,7 @@ class Attempt:
             mib = self._spool.size / MIB
             message += f"; {mib:.1f} MiB of checkpoints wait on the worker's disk"
             logger.warning("the store does not answer: %s", message)
-        return Outcome(ExitCode.STOPPED, "stopped", message)
+        return Outcome(TrainerExitCode.STOPPED, "stopped", message)
 
     def _evaluate(self, trained: naosprint.TrainResult, checkpoint_id: str, spec: EvaluationSpec) -> None:
         services, lease = self._services, self._lease
@@ -304,7 +311,7 @@ class Attempt:
         self._services.fetch(
             reference.key,
             folder,
-            Manifest.model_validate(reference.manifest),
+            StoreManifest.model_validate(reference.manifest),
             patience_s=patience_s,
             on_retry=lambda error, _: self._recorder.log("warning", f"fetching {reference.key} again: {error}"),
         )

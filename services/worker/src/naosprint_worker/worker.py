@@ -23,7 +23,7 @@ from sqlalchemy import Engine
 
 from naosprint_worker import __version__, spool
 from naosprint_worker.capabilities import installed_capabilities
-from naosprint_worker.context import Context
+from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS, open_engine
 from naosprint_worker.memory import MIB, MemoryBudget
 from naosprint_worker.reaper import Reaper
@@ -37,7 +37,7 @@ logger = logging.getLogger(__name__)
 OWNER_FILE = "owner"
 
 
-class Worker:
+class WorkLoop:
     """Worker process without its connection to the broker.
 
     Its slots are filled by one thread, which looks for waiting work whenever a wake-up message arrives or a run ends,
@@ -53,7 +53,7 @@ class Worker:
         self._engine: Engine = open_engine(
             settings, pool_size=settings.worker_concurrency + 4, application_name="naosprint-worker"
         )
-        self._context = Context(
+        self._context = WorkerContext(
             settings=settings,
             sessions=make_sessions(self._engine),
             worker_id=self.id,

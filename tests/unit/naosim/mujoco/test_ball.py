@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from naosim import kinds, robots
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters, Engine
+from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
 from naosim.simulator import PLAIN, Floats, Scene, Starts
 
 BALL = Scene(ball=True)
@@ -24,7 +24,7 @@ def opened(
     name: str = "t1", scene: Scene = BALL, *, n: int = 2, engine: Engine = "mujoco"
 ) -> Iterator[MujocoSimulator]:
     """Open n robots in the middle of the field; they face +x."""
-    simulator = MujocoSimulator(robots.get(name), n, EmbeddedParameters(engine=engine), scene=scene)
+    simulator = MujocoSimulator(robots.get(name), n, BoosterEmbeddedParameters(engine=engine), scene=scene)
     try:
         simulator.load_starts(Starts(np.repeat(simulator.robot.nominal[None], 2, axis=0)))
         simulator.start(np.arange(n), np.arange(n) % 2)

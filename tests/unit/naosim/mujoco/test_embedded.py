@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import sole_heights
 from naosim.mujoco.traces import load
 from naosim.mujoco.world import MujocoUnavailableError, library, metadata
@@ -21,7 +21,7 @@ POSES = np.stack([T1.nominal, T1.nominal + 0.03 * (np.arange(23) % 3 - 1)])
 
 def opened(n: int = 2, robot: Robot = T1, threads: int = 1, **settings: object) -> MujocoSimulator:
     simulator = MujocoSimulator(
-        robot, n, EmbeddedParameters.model_validate({"engine": "mujoco", **settings}), threads=threads
+        robot, n, BoosterEmbeddedParameters.model_validate({"engine": "mujoco", **settings}), threads=threads
     )
     simulator.load_starts(Starts(POSES if robot is T1 else robot.nominal[None], (-14.0, 0.0)))
     simulator.start(np.arange(n), np.arange(n) % (2 if robot is T1 else 1))
@@ -280,7 +280,7 @@ def test_the_recordings_start_is_reached_by_the_simulators_own_start() -> None:
     gains = {name: float(gain) for name, gain in zip(K1.joint_names, trace.command[0, :, 2], strict=True)}
     damping = {name: float(gain) for name, gain in zip(K1.joint_names, trace.command[0, :, 3], strict=True)}
     robot = K1.with_parameters({"kp": gains, "kd": damping})
-    simulator = MujocoSimulator(robot, 1, EmbeddedParameters(settle_steps=75))
+    simulator = MujocoSimulator(robot, 1, BoosterEmbeddedParameters(settle_steps=75))
     simulator.load_starts(Starts(held[None], (-10.0, 0.0)))
     simulator.start(np.array([0]), np.array([0]))
     assert np.abs(simulator.perceptors["joint_angles"] - trace.perceptors["joint_angles"][0]).max() < 3.0  # it sways

@@ -11,7 +11,7 @@ import pytest
 from naosim.mujoco import batch as batches
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.humanoid import topology_difference
-from naosim.mujoco.world import SUBSTEPS, World, library, world_of
+from naosim.mujoco.world import SUBSTEPS, MujocoWorld, library, world_of
 from naosim.robots.booster import K1, T1
 from naosim.simulator import Scene
 
@@ -28,7 +28,7 @@ CASES = [
 ]
 
 
-def violent(rng: np.random.Generator, world: World, robot: Robot, data: Any, row: int) -> None:
+def violent(rng: np.random.Generator, world: MujocoWorld, robot: Robot, data: Any, row: int) -> None:
     """Set a state that no policy should reach: any orientation, in the ground, beyond the limits, fast.
 
     With a ball, two of three touch the robot or nearly do, or a goal's post.
@@ -56,7 +56,7 @@ def violent(rng: np.random.Generator, world: World, robot: Robot, data: Any, row
     data.qpos[2] = max(data.qpos[2], rng.uniform(0.09, 0.115))
 
 
-def filled(world: World, robot: Robot, n: int = N, threads: int = 1, isa: str = "", seed: int = 3) -> MujocoBatch:
+def filled(world: MujocoWorld, robot: Robot, n: int = N, threads: int = 1, isa: str = "", seed: int = 3) -> MujocoBatch:
     batch = MujocoBatch(world, n, delay=0, truncate=False, threads=threads, isa=isa)
     rng = np.random.default_rng(seed)
     for row, data in enumerate(batch.data):
@@ -64,7 +64,7 @@ def filled(world: World, robot: Robot, n: int = N, threads: int = 1, isa: str = 
     return batch
 
 
-def compared(batch: MujocoBatch, worlds: list[World], targets: np.ndarray, steps: int) -> None:
+def compared(batch: MujocoBatch, worlds: list[MujocoWorld], targets: np.ndarray, steps: int) -> None:
     """Step the batch, and ``mj_step`` from the same states to the minimum, as the kernel; compare all they leave."""
     mujoco = library()
     exact = {id(world): copy.copy(world.model) for world in worlds}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from naosim import robots
-from naosim.mujoco.world import World, library, world_of
+from naosim.mujoco.world import MujocoWorld, library, world_of
 from naosim.robots import Robot
 from naosim.robots.actuation import Actuation
 from naosim.robots.booster import K1, T1
@@ -119,7 +119,7 @@ def test_an_action_of_one_is_three_quarters_of_a_radian() -> None:
 class Mirror:
     """Reflection of a robot's state at the plane y = 0."""
 
-    def __init__(self, robot: Robot, world: World) -> None:
+    def __init__(self, robot: Robot, world: MujocoWorld) -> None:
         self.first = world.torso
         self.partner = [robot.joint_names.index(joint.mirror) for joint in robot.joints]
         # angle of a joint = mirror_sign * sign * sign of the partner * angle of the partner

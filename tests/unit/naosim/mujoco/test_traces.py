@@ -107,5 +107,5 @@ def test_unusable_recordings_are_named(tmp_path: Path, change: object, message: 
         data = dict(archive)
     change(data)  # type: ignore[operator]
     np.savez(tmp_path / "broken.npz", **data)
-    with pytest.raises(traces.TraceError, match=message):
+    with pytest.raises(traces.MujocoTraceError, match=message):
         traces.check(tmp_path / "broken.npz")

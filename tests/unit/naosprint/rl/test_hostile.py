@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naosim.mujoco.traces import TraceError as MujocoTraceError
+from naosim.mujoco.traces import MujocoTraceError as MujocoTraceError
 from naosim.mujoco.traces import is_recording
 from naosim.mujoco.traces import load as load_mujoco_trace
 from naosim.npz import read_npz
-from naosim.simspark.traces import TraceError
+from naosim.simspark.traces import NaoTraceError
 from naosim.simspark.traces import load as load_trace
 from naosprint.analysis.report import ReportError, read_metrics
 from naosprint.export import build_header
@@ -104,7 +104,7 @@ def test_members_that_share_their_bytes_are_refused(entries: int, method: int, t
 
     assert peak_of(read) < 8_000_000
     assert not is_recording(path)
-    for load, error in ((load_trace, TraceError), (load_mujoco_trace, MujocoTraceError)):
+    for load, error in ((load_trace, NaoTraceError), (load_mujoco_trace, MujocoTraceError)):
         with pytest.raises(error):
             load(path)
 
@@ -178,7 +178,7 @@ def test_what_is_no_regular_file_is_not_read(kind: str, name: str, copy: Path) -
         (copy / name).mkdir()
     with pytest.raises(CheckpointError, match="not a regular file"):
         load_policy(copy)
-    for read, error in ((read_metrics, ReportError), (load_trace, TraceError)):
+    for read, error in ((read_metrics, ReportError), (load_trace, NaoTraceError)):
         with pytest.raises(error, match="not a regular file"):
             read(copy / name)
 

@@ -12,7 +12,7 @@ import typer
 
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job
 from naoctl.errors import CliError, ExitCode
-from naoctl.mirrors import Mirror, MlflowMirror, WandbMirror, mirror_jobs
+from naoctl.mirrors import DownloadMirror, MlflowMirror, WandbMirror, mirror_jobs
 from naoctl.render import print_json_line
 
 Jobs = Annotated[
@@ -76,7 +76,7 @@ def _require(package: str) -> None:
         raise CliError(f"{package} is not installed here", fix=f"Install naoctl[{package}].")
 
 
-def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], Mirror], *, as_json: bool) -> None:
+def _copy(context: Context, jobs: list[str] | None, connect: Callable[[], DownloadMirror], *, as_json: bool) -> None:
     def note(text: str) -> None:
         if as_json:
             print_json_line(context.out, {"kind": "note", "data": text})

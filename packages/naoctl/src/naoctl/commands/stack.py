@@ -44,7 +44,7 @@ def up(
     _need_stack()
     from naoctl.stack.control import ReadyPipe, start_detached
     from naoctl.stack.layout import Layout
-    from naoctl.stack.supervisor import Options, Supervisor
+    from naoctl.stack.supervisor import Options, StackSupervisor
 
     context = context_of(ctx)
     layout = Layout.at(data_dir)
@@ -62,7 +62,7 @@ def up(
         if pipe:
             pipe.send(say=[title, text])
 
-    supervisor = Supervisor(layout, options, tell)
+    supervisor = StackSupervisor(layout, options, tell)
     try:
         supervisor.run(lambda: _ready(context, supervisor.running_stack(), layout.root, pipe, as_json=as_json))
     except StackError as error:

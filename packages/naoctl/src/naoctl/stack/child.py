@@ -63,7 +63,7 @@ class Program:
 
 
 @dataclass
-class Child:
+class StackProcess:
     """Running process of a program, and the delay before its next restart."""
 
     program: Program

@@ -26,7 +26,7 @@ from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack import ports
 from naoctl.stack.broker import Broker
-from naoctl.stack.child import Child, Program
+from naoctl.stack.child import Program, StackProcess
 from naoctl.stack.environment import service_environment
 from naoctl.stack.layout import Layout
 from naoctl.stack.passwords import read_secrets
@@ -72,7 +72,7 @@ class RunningStack:
         return f"{self.url}/#/?token={self.token}"
 
 
-class Supervisor:
+class StackSupervisor:
     """Supervisor of the four processes of one data folder.
 
     Args:
@@ -86,7 +86,7 @@ class Supervisor:
         self.options = options
         self._say = say
         self.state = StackState()
-        self.children: dict[str, Child] = {}
+        self.children: dict[str, StackProcess] = {}
         self.admin_token = ""
         self._lock = FolderLock(layout.lock)
         self._stop_asked = 0
@@ -279,11 +279,11 @@ class Supervisor:
 
     def _launch(self, *programs: Program) -> None:
         for program in programs:
-            child = Child(program)
+            child = StackProcess(program)
             self.children[program.name] = child
             self._start_child(child)
 
-    def _start_child(self, child: Child) -> None:
+    def _start_child(self, child: StackProcess) -> None:
         child.start()
         if child.record is not None:  # else it has ended already
             self.state.processes[child.program.name] = child.record
@@ -425,7 +425,7 @@ class Supervisor:
         if running:
             self.say("Stopped", "nothing is left running")
 
-    def _await_end(self, child: Child) -> None:
+    def _await_end(self, child: StackProcess) -> None:
         deadline = time.monotonic() + child.program.stop_grace_s
         told = self._stop_asked
         while child.is_alive and time.monotonic() < deadline:

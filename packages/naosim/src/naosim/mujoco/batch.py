@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.mujoco.humanoid import SHARED, Parts, shared_numbers, topology_difference, varied_numbers
-from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, World, library
+from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, MujocoWorld, library
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class MujocoBatch:
 
     def __init__(
         self,
-        world: World,
+        world: MujocoWorld,
         n: int,
         *,
         delay: int,
@@ -149,7 +149,7 @@ class MujocoBatch:
         """Call ``mj_step`` four times a cycle and nothing else, in this thread."""
         self._worlds.step_bare(cycles)
 
-    def set_world(self, row: int, world: World) -> None:
+    def set_world(self, row: int, world: MujocoWorld) -> None:
         """Replace the model of one world by another with the same bodies and joints.
 
         Raises:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosim.mujoco.batch import MujocoBatch
-from naosim.mujoco.kinds import EmbeddedParameters
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
-from naosim.mujoco.world import BALL_JOINT, World, library, torque_shares, world_of
+from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, torque_shares, world_of
 from naosim.simulator import CONTACT_N, PLAIN, STEP_S, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts
 
-_MUJOCO = EmbeddedParameters(engine="mujoco")
+_MUJOCO = BoosterEmbeddedParameters(engine="mujoco")
 
 _SETTLED_TOGETHER = 64
 _LOWEST_STANDING = 0.8
@@ -51,14 +51,14 @@ class MujocoSimulator(Simulator):
         self,
         robot: Robot,
         n: int,
-        parameters: EmbeddedParameters = _MUJOCO,
+        parameters: BoosterEmbeddedParameters = _MUJOCO,
         *,
         threads: int = 1,
         scene: Scene = PLAIN,
     ) -> None:
         super().__init__(robot, n, scene)
         self.parameters = parameters
-        self.world: World = world_of(robot, engine=parameters.engine, scene=scene)
+        self.world: MujocoWorld = world_of(robot, engine=parameters.engine, scene=scene)
         self._threads = threads
         self.batch = self._new_batch(n)
         self.perceptors = self.batch.perceptors

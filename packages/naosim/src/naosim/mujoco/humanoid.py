@@ -17,7 +17,7 @@ from naosim.mujoco.world import FEET, FOREARMS, PREFIX, SHANKS, library
 from naosim.simulator import TOUCHING
 
 if TYPE_CHECKING:
-    from naosim.mujoco.world import World
+    from naosim.mujoco.world import MujocoWorld
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ _CONTACT_COUNT, _CONTACTS = 161576, 162432
 class Parts:
     """Where a robot is among the bodies, geoms and speeds of its model."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: MujocoWorld) -> None:
         model = world.model
         names = [model.body(body).name for body in range(model.nbody)]
         first = next(body for body, name in enumerate(names) if name.startswith(PREFIX))
@@ -49,7 +49,7 @@ class Parts:
         self.still = [geom for geom in range(1, self.geoms.start) if geom != self.ball]
 
 
-def topology_difference(world: World) -> str:
+def topology_difference(world: MujocoWorld) -> str:
     """Return in what a world differs from what the robot's kernel is compiled for; empty if it can step it."""
     from naosim.mujoco._mujoco import topology
 
@@ -76,7 +76,7 @@ def topology_difference(world: World) -> str:
     return ""
 
 
-def shared_numbers(world: World) -> Floats:
+def shared_numbers(world: MujocoWorld) -> Floats:
     """Return what all robots of a batch have in common: ``Shared`` of ``cpp/humanoid_model.hpp``."""
     model, at = world.model, Parts(world)
     step = float(model.opt.timestep)
@@ -118,7 +118,7 @@ def shared_numbers(world: World) -> Floats:
     return np.concatenate([np.ravel(np.asarray(part, dtype=np.float64)) for part in parts])
 
 
-def varied_numbers(world: World) -> Floats:
+def varied_numbers(world: MujocoWorld) -> Floats:
     """Return what randomisation can give each robot: ``Varied`` of ``cpp/humanoid_model.hpp``."""
     model, at = world.model, Parts(world)
     axes = _rotations(model.body_iquat[at.bodies]).reshape(-1, 3, 3)
@@ -145,7 +145,7 @@ def contact_rule(model: Any, a: int, b: int, step: float) -> list[float]:
     return _impedance(mixed[0], mixed[1], step)
 
 
-def _ball_numbers(world: World, at: Parts, step: float) -> Floats:
+def _ball_numbers(world: MujocoWorld, at: Parts, step: float) -> Floats:
     model, parts = world.model, np.zeros(at.bodies.stop - at.bodies.start)
     head: list[float] = [0.0] * 5
     rule, friction, place, turn = [0.0] * 5, np.zeros(5), np.zeros(3), np.zeros(9)
@@ -171,7 +171,7 @@ def _ball_numbers(world: World, at: Parts, step: float) -> Floats:
     return np.concatenate([head, rule, friction, parts, [count, camera], place, np.ravel(turn)])
 
 
-def _goal_numbers(world: World, at: Parts) -> Floats:
+def _goal_numbers(world: MujocoWorld, at: Parts) -> Floats:
     """Return the number of goals and the corners of the boxes around them."""
     mujoco, model = library(), world.model
     data = mujoco.MjData(model)

@@ -37,7 +37,7 @@ Engine = Literal["fast", "mujoco"]
 """What steps the embedded worlds: the engine of trainings, or MuJoCo as the server does."""
 
 
-class EmbeddedParameters(SimulatorParameters):
+class BoosterEmbeddedParameters(SimulatorParameters):
     """Settings of Booster robots in MuJoCo worlds of this process."""
 
     engine: Engine = Field(
@@ -62,7 +62,7 @@ class EmbeddedParameters(SimulatorParameters):
     )
     settle_steps: int = _SETTLE_STEPS
 
-    def for_evaluation(self) -> EmbeddedParameters:
+    def for_evaluation(self) -> BoosterEmbeddedParameters:
         """Return the same settings with MuJoCo as the engine."""
         return self.model_copy(update={"engine": "mujoco"})
 
@@ -72,7 +72,7 @@ class EmbeddedParameters(SimulatorParameters):
         return f"engine: {'mujoco' if value in (True, 'true') else 'fast'}" if name == "exact" else ""
 
 
-class EmbeddedKind(SimulatorKind):
+class BoosterEmbeddedKind(SimulatorKind):
     """Booster robots in MuJoCo worlds of this process."""
 
     name: ClassVar[str] = "embedded"
@@ -95,7 +95,7 @@ class EmbeddedKind(SimulatorKind):
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
-        return EmbeddedParameters
+        return BoosterEmbeddedParameters
 
     def open(
         self,
@@ -113,7 +113,7 @@ class EmbeddedKind(SimulatorKind):
         from naosim.mujoco.embedded import MujocoSimulator
 
         self.require_scene(robot, scene)
-        assert isinstance(parameters, EmbeddedParameters)
+        assert isinstance(parameters, BoosterEmbeddedParameters)
         return MujocoSimulator(robot, n, parameters, threads=options.threads, scene=scene)
 
     def unavailable(self, robot: Robot, environment: Mapping[str, str]) -> str:
@@ -124,13 +124,13 @@ class EmbeddedKind(SimulatorKind):
         return missing_packages()
 
 
-class ServerParameters(SimulatorParameters):
+class BoosterServerParameters(SimulatorParameters):
     """Settings of Booster robots on servers."""
 
     settle_steps: int = _SETTLE_STEPS
 
 
-class ServerKind(SimulatorKind):
+class BoosterServerKind(SimulatorKind):
     """Booster robots on rcssservermj servers, which the environment variable ``NAOSPRINT_RCSSSERVERMJ`` can name."""
 
     name: ClassVar[str] = "server"
@@ -157,7 +157,7 @@ class ServerKind(SimulatorKind):
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
-        return ServerParameters
+        return BoosterServerParameters
 
     def open(
         self,
@@ -179,7 +179,7 @@ class ServerKind(SimulatorKind):
         from naosim.mujoco.remote import RemoteMujocoSimulator
 
         self.require_scene(robot, scene)
-        assert isinstance(parameters, ServerParameters)
+        assert isinstance(parameters, BoosterServerParameters)
         require_servers(n)
         return RemoteMujocoSimulator(
             server_launcher(),
@@ -203,5 +203,5 @@ class ServerKind(SimulatorKind):
         return missing_server(environment)
 
 
-EMBEDDED = EmbeddedKind()
-SERVER = ServerKind()
+EMBEDDED = BoosterEmbeddedKind()
+SERVER = BoosterServerKind()

@@ -11,7 +11,7 @@ from naosim.robots.description import Shape, ShapeKind, Side
 from naosim.simulator import PLAIN
 
 if TYPE_CHECKING:
-    from naosim.mujoco.world import World
+    from naosim.mujoco.world import MujocoWorld
 
 
 def shapes_of(robot: str) -> tuple[Shape, ...]:
@@ -54,7 +54,7 @@ def _side(body: str) -> Side:
     return "right" if "right" in word or word.startswith("ar") else "centre"
 
 
-def body_poses(world: World, coordinates: Floats) -> Floats:
+def body_poses(world: MujocoWorld, coordinates: Floats) -> Floats:
     """Return (n, B, 7) poses of a robot's shapes, position and quaternion w, x, y, z.
 
     Args:
@@ -76,7 +76,7 @@ def body_poses(world: World, coordinates: Floats) -> Floats:
     return out
 
 
-def sole_heights(world: World, coordinates: Floats) -> Floats:
+def sole_heights(world: MujocoWorld, coordinates: Floats) -> Floats:
     """Return (n, 2) heights of the lowest point of left and right foot above the ground, metres.
 
     Args:

@@ -27,12 +27,12 @@ MAX_BYTES = 500_000_000
 """Most bytes of a recording's arrays."""
 
 
-class TraceError(ValueError):
+class MujocoTraceError(ValueError):
     """A recording that cannot be used; the message names the file and the field."""
 
 
 @dataclass(frozen=True)
-class Trace:
+class MujocoTrace:
     """One recording of T cycles of a robot with J joints.
 
     Attributes:
@@ -67,7 +67,7 @@ def is_recording(path: Path) -> bool:
         return False
 
 
-def load(path: Path) -> Trace:
+def load(path: Path) -> MujocoTrace:
     """Read a recording from an ``.npz`` file.
 
     Raises:
@@ -76,20 +76,20 @@ def load(path: Path) -> Trace:
     try:
         data = read_npz(Path(path), kinds="fiubU", max_bytes=MAX_BYTES, skip="message")
     except FileNotFoundError as error:
-        raise TraceError(f"{path}: no such file") from error
+        raise MujocoTraceError(f"{path}: no such file") from error
     except (OSError, ValueError) as error:
-        raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
+        raise MujocoTraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
     for key in ("meta", "command", "beam", "move", "time", *_STATE_KEYS, *_PERCEPTOR_KEYS.values()):
         if key not in data:
-            raise TraceError(f"{path}: field {key!r} is missing")
+            raise MujocoTraceError(f"{path}: field {key!r} is missing")
     try:
         meta: dict[str, Any] = json.loads(str(data["meta"]))
         robot = next(robot for robot in ROBOTS if robot.data["model"] == meta["robot"])
         effectors = list(meta["effectors"])
     except (ValueError, TypeError, KeyError, StopIteration, RecursionError) as error:
-        raise TraceError(f"{path}: field 'meta' is not usable ({error!r})") from error
+        raise MujocoTraceError(f"{path}: field 'meta' is not usable ({error!r})") from error
     if effectors != [joint.effector for joint in robot.joints]:
-        raise TraceError(f"{path}: field 'meta.effectors' is not in the order of {robot.name}")
+        raise MujocoTraceError(f"{path}: field 'meta.effectors' is not in the order of {robot.name}")
     joints, cycles = len(robot.joints), len(np.atleast_1d(data["command"]))
     data.setdefault("ball", np.full((cycles, 6), np.nan))
     perceived = _PERCEPTOR_KEYS | ({BALL: "p_ball"} if "p_ball" in data else {})
@@ -102,12 +102,12 @@ def load(path: Path) -> Trace:
     for key, shape in shapes.items():
         values = data[key]
         if values.shape != shape or values.dtype != np.float64:
-            raise TraceError(
+            raise MujocoTraceError(
                 f"{path}: field {key!r} must be float64 of shape {shape}, not {values.dtype} of {values.shape}"
             )
         if key not in ("beam", "move", "ball", "p_ball") and not np.isfinite(values).all():
-            raise TraceError(f"{path}: field {key!r} contains values that are not finite")
-    return Trace(
+            raise MujocoTraceError(f"{path}: field {key!r} contains values that are not finite")
+    return MujocoTrace(
         Path(path).stem,
         robot,
         data["command"],

@@ -97,7 +97,7 @@ def library() -> Any:
 
 
 @dataclass(frozen=True)
-class World:
+class MujocoWorld:
     """A compiled world with one robot.
 
     Attributes:
@@ -128,13 +128,13 @@ class World:
         """Where the joints' speeds begin in ``qvel``."""
         return int(self.model.nv) - self.joints
 
-    def with_gains(self, kp: Floats, kd: Floats) -> World:
+    def with_gains(self, kp: Floats, kd: Floats) -> MujocoWorld:
         """Return the world with (J,) motor gains in N m/rad and N m s/rad."""
         model = copy.copy(self.model)
         set_gains(model, kp, kd)
         return replace(self, model=model)
 
-    def varied(self, mass_variation: float, friction: float, gravity: float, rng: np.random.Generator) -> World:
+    def varied(self, mass_variation: float, friction: float, gravity: float, rng: np.random.Generator) -> MujocoWorld:
         """Return the world with other masses of the robot's bodies; friction and gravity are multiplied."""
         mujoco = library()
         model = copy.copy(self.model)
@@ -202,14 +202,14 @@ def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats)
     return shares
 
 
-def world_of(robot: Robot, *, engine: Engine = "mujoco", scene: Scene = PLAIN) -> World:
+def world_of(robot: Robot, *, engine: Engine = "mujoco", scene: Scene = PLAIN) -> MujocoWorld:
     """Return the world of a robot with its gains."""
     world = compiled(robot.data["model"], engine, scene)
     return world.with_gains(*gains(robot))
 
 
 @cache
-def compiled(robot: str, engine: Engine, scene: Scene = PLAIN) -> World:
+def compiled(robot: str, engine: Engine, scene: Scene = PLAIN) -> MujocoWorld:
     """Return the world of a robot, ``T1`` or ``K1``, with gains of 1; it is compiled once in a process.
 
     The fast world has a ball only in a scene with one, and the robot's kernel steps it.
@@ -259,7 +259,7 @@ def compiled(robot: str, engine: Engine, scene: Scene = PLAIN) -> World:
     if not exact:
         # one robot is one island: to look for islands costs time and changes nothing
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND.value
-    return World(model, model.nu // 3, 7 if exact or scene.ball else 0, scene, robot, kernel=not exact)
+    return MujocoWorld(model, model.nu // 3, 7 if exact or scene.ball else 0, scene, robot, kernel=not exact)
 
 
 def _add_ball_sensors(world: Any, robot: str, mujoco: Any) -> None:

@@ -29,7 +29,7 @@ CYCLE_S = 0.02
 
 
 @dataclass(frozen=True)
-class Shape:
+class BodyShape:
     """Geometry of a body; `collides` is whether it can touch the ground."""
 
     kind: Literal["box", "sphere", "capsule"]
@@ -65,7 +65,7 @@ class Body:
 
     name: str
     mass: float
-    shape: Shape
+    shape: BodyShape
     offset: Vector
     """Centre relative to the torso's centre at angles 0."""
     limb: str | None = None
@@ -176,12 +176,12 @@ ROBOT_TYPES = tuple(range(len(_VARIANTS)))
 """The known robot types."""
 
 
-def _box(x: float, y: float, z: float) -> Shape:
-    return Shape("box", (x, y, z))
+def _box(x: float, y: float, z: float) -> BodyShape:
+    return BodyShape("box", (x, y, z))
 
 
-def _bead(radius: float = 0.01) -> Shape:
-    return Shape("sphere", (radius, 0.0, 0.0), collides=False)
+def _bead(radius: float = 0.01) -> BodyShape:
+    return BodyShape("sphere", (radius, 0.0, 0.0), collides=False)
 
 
 def _plus(a: Vector, b: Vector) -> Vector:
@@ -199,7 +199,7 @@ def _build(robot_type: int) -> RobotModel:
     joints: dict[str, Joint] = {}
     offsets: dict[str, Vector] = {}
 
-    def body(name: str, mass: float, shape: Shape, offset: Vector, limb: str | None = None) -> None:
+    def body(name: str, mass: float, shape: BodyShape, offset: Vector, limb: str | None = None) -> None:
         bodies.append(Body(name, mass, shape, offset, limb))
         offsets[name] = offset
 
@@ -218,8 +218,8 @@ def _build(robot_type: int) -> RobotModel:
         joints[name] = Joint(name, effector, own, parent, anchor, unit, *limits, speed)
 
     body("torso", 1.2171, _box(0.1, 0.1, 0.18), (0.0, 0.0, 0.0))
-    body("neck", 0.05, Shape("capsule", (0.015, 0.08, 0.0)), (0.0, 0.0, 0.09))
-    body("head", 0.35, Shape("sphere", (0.065, 0.0, 0.0)), (0.0, 0.0, 0.155))
+    body("neck", 0.05, BodyShape("capsule", (0.015, 0.08, 0.0)), (0.0, 0.0, 0.09))
+    body("head", 0.35, BodyShape("sphere", (0.065, 0.0, 0.0)), (0.0, 0.0, 0.155))
     hinge("hj1", "he1", "neck", "torso", (0, 0, 0), (0, 0, 1), (-120, 120))
     hinge("hj2", "he2", "head", "neck", (0, 0, -0.005), (1, 0, 0), (-45, 45))
 

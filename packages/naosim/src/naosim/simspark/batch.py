@@ -55,7 +55,7 @@ class Perceptors:
     """(n,), s."""
 
 
-class Truth:
+class BatchTruth:
     """Present state, as a trainer sees it on the monitor port. Arrays are in world coordinates."""
 
     def __init__(self, core: _core.Batch, views: dict[str, Floats], n: int, bodies: int) -> None:
@@ -135,7 +135,7 @@ class BatchSimulator:
             kernel or "",
         )
         views: dict[str, Floats] = self._core.views()
-        self.truth = Truth(self._core, views, self.n, len(self.model.bodies))
+        self.truth = BatchTruth(self._core, views, self.n, len(self.model.bodies))
         self.perceptors = Perceptors(**{name: views[name] for name in Perceptors.__dataclass_fields__})
 
     @property

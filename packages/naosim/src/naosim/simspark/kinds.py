@@ -34,7 +34,7 @@ def _refusal(robot: Robot, scene: Scene) -> str:
     )
 
 
-class EmbeddedParameters(SimulatorParameters):
+class NaoEmbeddedParameters(SimulatorParameters):
     """Settings of NAOs in the embedded engine."""
 
     sensor_digits: Literal[2, 3] | None = Field(
@@ -44,7 +44,7 @@ class EmbeddedParameters(SimulatorParameters):
     )
 
 
-class ServerParameters(SimulatorParameters):
+class NaoServerParameters(SimulatorParameters):
     """Settings of NAOs on servers."""
 
     sensor_digits: Literal[2, 3] = Field(
@@ -54,7 +54,7 @@ class ServerParameters(SimulatorParameters):
     )
 
 
-class EmbeddedKind(SimulatorKind):
+class NaoEmbeddedKind(SimulatorKind):
     """NAOs in the embedded engine."""
 
     name: ClassVar[str] = "embedded"
@@ -71,7 +71,7 @@ class EmbeddedKind(SimulatorKind):
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
-        return EmbeddedParameters
+        return NaoEmbeddedParameters
 
     def open(
         self,
@@ -89,11 +89,11 @@ class EmbeddedKind(SimulatorKind):
         self.require_scene(robot, scene)
         from naosim.simspark.embedded import EmbeddedSimulator
 
-        assert isinstance(parameters, EmbeddedParameters)
+        assert isinstance(parameters, NaoEmbeddedParameters)
         return EmbeddedSimulator(robot, n, sensor_digits=parameters.sensor_digits, threads=options.threads)
 
 
-class ServerKind(SimulatorKind):
+class NaoServerKind(SimulatorKind):
     """NAOs on rcssserver3d servers, which the environment variable ``NAOSPRINT_SIMSERVER`` names."""
 
     name: ClassVar[str] = "server"
@@ -110,7 +110,7 @@ class ServerKind(SimulatorKind):
     def parameters(self, robot: Robot) -> type[SimulatorParameters]:
         """Return the settings."""
         del robot
-        return ServerParameters
+        return NaoServerParameters
 
     def open(
         self,
@@ -132,7 +132,7 @@ class ServerKind(SimulatorKind):
         from naosim.simspark.remote import RemoteSimulator
 
         self.require_scene(robot, scene)
-        assert isinstance(parameters, ServerParameters)
+        assert isinstance(parameters, NaoServerParameters)
         require_servers(n)
         return RemoteSimulator(
             server_launcher(parameters.sensor_digits),
@@ -154,5 +154,5 @@ class ServerKind(SimulatorKind):
         return missing_program(PROGRAM_VARIABLE, RCSSSERVER3D, environment, embedded=True)
 
 
-EMBEDDED = EmbeddedKind()
-SERVER = ServerKind()
+EMBEDDED = NaoEmbeddedKind()
+SERVER = NaoServerKind()

@@ -27,7 +27,7 @@ from naosim.robots import nao_model
 from naosim.simspark import _core, protocol
 from naosim.simspark.protocol import ProtocolError
 from naosim.simspark.server_game import Game
-from naosim.simspark.server_robot import EFFECTORS, Point, Robot
+from naosim.simspark.server_robot import EFFECTORS, Point, ServerRobot
 from naosim.simspark.server_scene import describe
 
 logger = logging.getLogger(__name__)
@@ -202,7 +202,7 @@ class Agent(Connection):
 
     def __init__(self, server: Server) -> None:
         super().__init__(server)
-        self.robot: Robot | None = None
+        self.robot: ServerRobot | None = None
         self._reader = _core.CommandReader([])
         self._nothing = np.zeros(0)
         self._warned: set[str] = set()
@@ -568,7 +568,7 @@ class Server:
                 other.robot.selected = other is agent
         self.scene_changed()
 
-    def build(self, robot_type: int) -> Robot:
+    def build(self, robot_type: int) -> ServerRobot:
         """Build a robot.
 
         Raises:
@@ -577,11 +577,11 @@ class Server:
         if len(self.agents()) >= self.settings.max_agents:
             raise ProtocolError(f"scene: {self.settings.max_agents} robots exist already")
         seed = self.random.getrandbits(63)
-        robot = Robot(robot_type, digits=self.settings.digits, seed=seed, noise=self.settings.noise)
+        robot = ServerRobot(robot_type, digits=self.settings.digits, seed=seed, noise=self.settings.noise)
         robot.game_time = self._game_time()
         return robot
 
-    def broadcast(self, speaker: Robot, text: str) -> None:
+    def broadcast(self, speaker: ServerRobot, text: str) -> None:
         """Deliver a message to all robots."""
         for agent in self.agents():
             robot = agent.robot

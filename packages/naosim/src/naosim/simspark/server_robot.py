@@ -23,7 +23,7 @@ _HEARING = 2
 """Hearing capacity: a message uses all of it, a cycle restores 1, so one message in two cycles is heard."""
 
 
-class Robot:
+class ServerRobot:
     """One robot, alone on its field, and the writer of its agent messages."""
 
     def __init__(self, robot_type: int, *, digits: int, seed: int, noise: bool) -> None:

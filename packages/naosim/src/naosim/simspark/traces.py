@@ -24,12 +24,12 @@ OFF_M = 1e-3
 """Distance of the torso from the recorded one from which a free run counts as off, m."""
 
 
-class TraceError(ValueError):
+class NaoTraceError(ValueError):
     """Unusable trace file; the message names the file and the field."""
 
 
 @dataclass(frozen=True)
-class Trace:
+class NaoTrace:
     """One recording; see `load`."""
 
     name: str
@@ -55,7 +55,7 @@ _PERCEPTORS = {"joint_angles": "angle", "gyro": "gyro", "accel": "accel", "foot_
 _TOE_PERCEPTORS = {"toe_left": "toe_l", "toe_right": "toe_r"}
 
 
-def load(path: Path) -> Trace:
+def load(path: Path) -> NaoTrace:
     """Read a recording from an `.npz` file.
 
     Raises:
@@ -64,27 +64,27 @@ def load(path: Path) -> Trace:
     try:
         data = read_npz(Path(path), kinds="fiubU", max_bytes=MAX_BYTES)
     except FileNotFoundError as error:
-        raise TraceError(f"{path}: no such file") from error
+        raise NaoTraceError(f"{path}: no such file") from error
     except (OSError, ValueError) as error:
-        raise TraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
+        raise NaoTraceError(f"{path}: not a readable .npz file of plain arrays ({error})") from error
     perceptors = _PERCEPTORS | {name: key for name, key in _TOE_PERCEPTORS.items() if key in data}
     needed = ["command", "state", "enabled", "meta", *_PERCEPTORS.values()]
     for key in needed:
         if key not in data:
-            raise TraceError(f"{path}: field {key!r} is missing")
+            raise NaoTraceError(f"{path}: field {key!r} is missing")
     try:
         meta: dict[str, Any] = json.loads(str(data["meta"]))
         robot_type = int(meta.get("robot_type", 0))
         beam = tuple(float(x) for x in meta.get("beam", (0, 0, 0.4, 0)))
         model = nao_model.model(robot_type)
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise TraceError(f"{path}: field 'meta' is not usable ({error})") from error
+        raise NaoTraceError(f"{path}: field 'meta' is not usable ({error})") from error
     if len(beam) != 4 or not np.isfinite(beam).all():
-        raise TraceError(f"{path}: field 'meta.beam' must be four finite numbers")
+        raise NaoTraceError(f"{path}: field 'meta.beam' must be four finite numbers")
     joints, bodies = list(model.joint_names), list(model.body_names)
     for key, expected in (("joints", joints), ("bodies", bodies)):
         if list(meta.get(key, expected)) != expected:
-            raise TraceError(f"{path}: field 'meta.{key}' is not in the order of robot type {robot_type}")
+            raise NaoTraceError(f"{path}: field 'meta.{key}' is not in the order of robot type {robot_type}")
     cycles = len(data["command"]) if data["command"].ndim else 0
     shapes = {
         "command": (cycles, len(joints)),
@@ -98,12 +98,12 @@ def load(path: Path) -> Trace:
     } | {key: (cycles, 6) for key in _TOE_PERCEPTORS.values() if key in data}
     for key, shape in shapes.items():
         if data[key].shape != shape or data[key].dtype.kind not in "fbiu" or cycles == 0:
-            raise TraceError(
+            raise NaoTraceError(
                 f"{path}: field {key!r} must be numbers of shape {shape}, not {data[key].dtype} of {data[key].shape}"
             )
         if key not in ("foot_l", "foot_r", "toe_l", "toe_r", "enabled") and not np.isfinite(data[key]).all():
-            raise TraceError(f"{path}: field {key!r} contains values that are not finite")
-    return Trace(
+            raise NaoTraceError(f"{path}: field {key!r} contains values that are not finite")
+    return NaoTrace(
         Path(path).stem,
         robot_type,
         np.asarray(data["command"], np.float64),
@@ -114,7 +114,7 @@ def load(path: Path) -> Trace:
     )
 
 
-def _start(trace: Trace) -> BatchSimulator:
+def _start(trace: NaoTrace) -> BatchSimulator:
     """Return one robot at cycle 0 of the trace: one cycle after its beam, in the exact recorded state."""
     sim = BatchSimulator(1, trace.robot_type, digits=3)
     x, y, z, yaw = trace.beam
@@ -126,7 +126,7 @@ def _start(trace: Trace) -> BatchSimulator:
     return sim
 
 
-def one_step(trace: Trace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]]:
+def one_step(trace: NaoTrace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]]:
     """Step from every recorded state to the next.
 
     Returns:
@@ -154,7 +154,7 @@ def one_step(trace: Trace) -> tuple[Floats, dict[str, Floats], NDArray[np.bool_]
     return position, errors, awake
 
 
-def free_run(trace: Trace) -> Floats:
+def free_run(trace: NaoTrace) -> Floats:
     """Run freely from cycle 0; return the torso's distance to the recorded one after each cycle, shape (T,), m."""
     sim = _start(trace)
     off = np.empty(trace.cycles)

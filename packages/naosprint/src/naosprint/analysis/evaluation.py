@@ -79,7 +79,7 @@ class Trajectories:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EvaluationRun:
     """Results of an evaluation and some of its trajectories.
 
     Attributes:
@@ -123,7 +123,7 @@ def evaluate(
     threads: int = 1,
     progress: Callable[[int, int], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
-) -> Evaluation:
+) -> EvaluationRun:
     """Run the policy of a checkpoint and return the results.
 
     The same checkpoint and specification give the same results with an embedded simulator, whatever the number of
@@ -187,7 +187,7 @@ def evaluate(
         for result in named
         if result.value is not None and not isfinite(result.value)
     }
-    return Evaluation(
+    return EvaluationRun(
         summary,
         _trajectories(recorder, episodes, spec.trajectories),
         _replay(recorder, episodes, setting),

@@ -99,7 +99,7 @@ def write_report(
 
     Args:
         directory: made if it is missing; files of the same names are replaced.
-        evaluation: directory that :meth:`naosprint.analysis.evaluation.Evaluation.save` wrote.
+        evaluation: directory that :meth:`naosprint.analysis.evaluation.EvaluationRun.save` wrote.
         metrics: the training's ``metrics.jsonl``; without it there are no learning curves.
         title: headline of the page; the task's name if None.
         film: whether to film the replay, which takes most of the time.

@@ -38,7 +38,7 @@ Check = Callable[[TrainingSpec], None]
 
 
 @dataclass(frozen=True)
-class Result:
+class LearnerCheck:
     """Outcome of one check; the message is empty if it passed."""
 
     name: str
@@ -46,7 +46,7 @@ class Result:
     message: str = ""
 
 
-def check(spec: TrainingSpec) -> list[Result]:
+def check(spec: TrainingSpec) -> list[LearnerCheck]:
     """Run all checks on trainings of this specification and return their results."""
     results = []
     for one in CHECKS:
@@ -54,9 +54,9 @@ def check(spec: TrainingSpec) -> list[Result]:
         try:
             one(spec)
         except Exception as error:  # an algorithm that raises does not conform either
-            results.append(Result(name, False, f"{type(error).__name__}: {error}"))
+            results.append(LearnerCheck(name, False, f"{type(error).__name__}: {error}"))
         else:
-            results.append(Result(name, True))
+            results.append(LearnerCheck(name, True))
     return results
 
 

@@ -9,7 +9,7 @@ from naojobs import lifecycle, submission
 from naojobs.errors import NotFoundError
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
-from naojobs.store import Manifest
+from naojobs.store import StoreManifest
 
 from naosprint_api import queries
 from naosprint_api.dependencies import (
@@ -90,7 +90,7 @@ def get_checkpoint_file(
 ) -> Response:
     """Download a file of a checkpoint; a Range header selects a part of it."""
     row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
-    manifest = Manifest.model_validate(row.manifest)
+    manifest = StoreManifest.model_validate(row.manifest)
     return send_file(request, service.store, service.store_threads, row.key, manifest, name, presigned=presigned)
 
 
@@ -98,7 +98,7 @@ def get_checkpoint_file(
 def get_checkpoint_archive(checkpoint_id: CheckpointId, principal: Reader, service: ServiceDep) -> Response:
     """Download all files of a checkpoint as a tar archive."""
     row = queries.visible_checkpoint(service.reads, principal, checkpoint_id)
-    manifest = Manifest.model_validate(row.manifest)
+    manifest = StoreManifest.model_validate(row.manifest)
     return send_archive(
         service.store, service.store_threads, row.key, manifest, f"{row.job_id}-{row.step}", row.created_at
     )
@@ -150,11 +150,11 @@ def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service
     return service.show_evaluation(lifecycle.request_cancel(service.sessions, Evaluation, evaluation_id))
 
 
-def finished(row: Evaluation) -> tuple[str, Manifest]:
+def finished(row: Evaluation) -> tuple[str, StoreManifest]:
     """Return the key and the manifest of an evaluation that has succeeded. Raises NotFoundError."""
     if row.state is not WorkState.SUCCEEDED or row.key is None:
         raise NotFoundError(f"evaluation {row.id} is {row.state}; it has no files")
-    return row.key, Manifest.model_validate(row.manifest)
+    return row.key, StoreManifest.model_validate(row.manifest)
 
 
 @router.get("/evaluations/{evaluation_id}/files/{name:path}", response_class=Response, responses=_FILE)

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import FileResponse
 from naojobs import policies
 from naojobs.errors import ConflictError, NotFoundError
-from naojobs.models import Policy, PolicyVersion
+from naojobs.models import PolicyRecord, PolicyVersion
 from naojobs.tokens import Principal
 from pydantic import AfterValidator
 
@@ -40,7 +40,7 @@ Owner = Annotated[
 
 def _registered(
     service: Service, principal: Principal, reference: str, owner: str | None
-) -> tuple[Policy, PolicyVersion] | None:
+) -> tuple[PolicyRecord, PolicyVersion] | None:
     """Return a registered policy that the caller may see; none if it is a bundled one. Raises NotFoundError."""
     with service.reads.begin() as session:
         try:
@@ -52,7 +52,7 @@ def _registered(
             raise NotFoundError(f"{error}; bundled policies are {known}") from None
 
 
-def _own(service: Service, principal: Principal, name: str, owner: str | None) -> Policy:
+def _own(service: Service, principal: Principal, name: str, owner: str | None) -> PolicyRecord:
     """Return a registered policy that the caller may change. Raises NotFoundError, ConflictError if it is bundled."""
     found = _registered(service, principal, name, owner)
     if found is None:
