@@ -22,7 +22,7 @@ from naojobs.events import EVENT_KINDS
 from naojobs.settings import ServiceSettings
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
 from naospec import EvaluationSpec, RuntimeSettings, Stage, TrainingSpec, flat, plugins, presets, recipes
-from naosprint.rl.columns import PACE, PROGRESS
+from naosprint.rl.columns import ENGINES, PACE, PROGRESS
 from naosprint.tasks.base import EPISODE_METRICS
 from naosprint_api.app import openapi_document
 from naosprint_api.settings import ApiSettings
@@ -359,7 +359,7 @@ def _metrics() -> Iterator[str]:
     tasks = [plugins.load(plugins.TASKS, name) for name in plugins.names(plugins.TASKS)]
     kinds = [plugins.load(plugins.LEARNERS, name) for name in plugins.names(plugins.LEARNERS)]
     groups = [
-        ("Every training", (*PROGRESS, *EPISODE_METRICS, *PACE)),
+        ("Every training", (*PROGRESS, *EPISODE_METRICS, *ENGINES, *PACE)),
         *((f"Task {_code(task.name)}", [metric for metric in task.metrics if metric.live]) for task in tasks),
         *((f"Algorithm {_code(kind.name)}", kind.metrics) for kind in kinds),
     ]

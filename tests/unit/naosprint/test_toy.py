@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from naosim.robots import Robot
 from naospec import EvaluationSpec, TaskSettings, TrainingSpec, plugins
 from naosprint import evaluate, train
 from naosprint.__main__ import main
@@ -21,6 +22,7 @@ from naosprint.rl.candidates import Candidates
 from naosprint.rl.ppo import PPO
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
 from naosprint.tasks.metrics import Result
+from naosprint.tasks.robot_defaults import RobotDefaults
 from pydantic import Field
 
 from ..naosim import toy_simulator  # noqa: TID252 - a module of the tests
@@ -75,6 +77,12 @@ class Crawl(Task):
         return (statistics.mean(PROGRESS, [x[-1] - x[0] for x in episodes.x]),), ()
 
 
+def crawler_defaults(robot: Robot) -> RobotDefaults:
+    """Return what tasks use of the crawler."""
+    del robot
+    return RobotDefaults(("joint_angles", "height"), 0.1, 0.2)
+
+
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Offer robot, simulator and task as an installed package would."""
@@ -82,6 +90,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         EntryPoint("crawler", f"{toy_simulator.__name__}:CRAWLER", plugins.ROBOTS),
         EntryPoint("crawling", f"{toy_simulator.__name__}:CRAWLING", plugins.SIMULATORS),
         EntryPoint("crawl", f"{__name__}:Crawl", plugins.TASKS),
+        EntryPoint("crawler", f"{__name__}:crawler_defaults", plugins.ROBOT_DEFAULTS),
     ]
     real = plugins.entry_points
     monkeypatch.setattr(

@@ -114,9 +114,9 @@ def test_stopping_a_child_that_is_gone_is_harmless(tmp_path: Path) -> None:
 
 PARENT = """
     import os, pathlib, sys
-    from naosprint_worker.child import Child
+    from naosprint_worker.child import TrainingProcess
     here = pathlib.Path(sys.argv[1])
-    child = Child([sys.executable, "-c", (here / "child.py").read_text()], env=dict(os.environ), cwd=here,
+    child = TrainingProcess([sys.executable, "-c", (here / "child.py").read_text()], env=dict(os.environ), cwd=here,
                   log_path=here / "child.log")
     child.wait()
 """

@@ -141,6 +141,7 @@ class Services:
             if on_retry is not None:
                 on_retry(error, pause_s)
 
+        unusable: BaseException | None = None
         try:
             retry(
                 lambda: self.store.get_directory(key, folder, manifest),
@@ -150,9 +151,11 @@ class Services:
                 on_retry=before_retry,
             )
         except PatienceExhaustedError as error:
-            if isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
-                raise error.__cause__ from error
-            raise
+            if not isinstance(error.__cause__, CorruptArtifactError | MissingArtifactError):
+                raise
+            unusable = error.__cause__
+        if unusable is not None:
+            raise unusable  # outside: an error that is the cause of its own cause has no end
 
     def requeue_if_orphaned(self, lease: Lease) -> None:
         """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""

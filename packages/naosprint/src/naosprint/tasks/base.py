@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from naospec import TaskSettings
 from naospec.plugins import TASKS, Plugin
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
-from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -72,7 +73,6 @@ class World:
     Attributes:
         n: number of robots.
         robot: their description.
-        defaults: its observations and fall heights unless the task differs.
         actuation: how actions become joint targets.
         steps: (n,) steps of each robot's episode so far.
         streams: (n,) whose random numbers each robot gets: its own in a training, those of its episode in an
@@ -85,12 +85,20 @@ class World:
         self.simulator = simulator
         self.n = simulator.n
         self.robot: Robot = simulator.robot
-        self.defaults = robot_defaults(simulator.robot)
         self.actuation = Actuation(simulator.robot)
         self.steps: IntArray = np.zeros(self.n, dtype=np.int64)
         self.streams: IntArray = np.arange(self.n)
         self.actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
         self.previous_actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
+
+    @cached_property
+    def defaults(self) -> RobotDefaults:
+        """The robot's observations and fall heights unless the task differs.
+
+        Raises:
+            ValueError: if no package states them.
+        """
+        return robot_defaults(self.robot)
 
     @property
     def perceptors(self) -> Mapping[str, FloatArray]:
