@@ -23,13 +23,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: Steps of the trainings that the documents wait for, instead of LONG.
 STEPS = 65_536
+"""Steps of the trainings that the documents wait for, instead of LONG."""
 LONG = re.compile(r"\b(?:3000000|3M)\b")
-#: The last checkpoint of such a training.
 LAST = re.compile(r"(checkpoint|export)-000003006464\b")
-#: Ids in the documents, and those that the commands print.
+"""The last checkpoint of such a training."""
 PLACEHOLDER = re.compile(r"\b(job|group|token|study)_…")
+"""Ids in the documents, and those that the commands print."""
 ID = re.compile(r"\b(job|group|token|study)_[0-9a-z]{26}\b")
 BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 UP_TIMEOUT_S = 180

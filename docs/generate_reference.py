@@ -11,6 +11,7 @@ import html
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -409,17 +410,17 @@ def _events() -> Iterator[str]:
 
 
 def _attribute_comments(owner: type) -> dict[str, str]:
-    """Return the texts of the `#:` comments before a class's members."""
+    """Return the texts of the docstrings below a class's members."""
+    import ast
     import inspect
+    import textwrap
 
-    found, words = {}, list[str]()
-    for line in inspect.getsource(owner).splitlines():
-        stripped = line.strip()
-        if stripped.startswith("#:"):
-            words.append(stripped.removeprefix("#:").strip())
-        elif words:
-            found[stripped.split(" ", 1)[0]] = " ".join(words)
-            words = []
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+    assert isinstance(tree, ast.ClassDef)
+    found = {}
+    for member, below in pairwise(tree.body):
+        if isinstance(member, ast.Assign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            found[ast.unparse(member.targets[0])] = " ".join(str(below.value.value).split())
     return found
 
 

@@ -33,8 +33,8 @@ SPACE: dict[str, dict[str, Any]] = {
     "initial_log_std": {"type": "float", "low": -2.2, "high": -1.0},
     "n_epochs": {"type": "int", "low": 3, "high": 10},
 }
-#: Values of the grid by setting: the middles of equal parts of its range.
 PARTS = {"target_kl": 3, "initial_log_std": 3, "n_epochs": 2}
+"""Values of the grid by setting: the middles of equal parts of its range."""
 
 
 def grid() -> dict[str, list[float]]:

@@ -51,12 +51,14 @@ from stack import SPOILED, Stack, wait_until_ready
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.integration.tiny import ROLLOUT, TINY
 
-#: Seeds of the trainings; the weights of each are known from an undisturbed run.
 SEEDS = (1, 2)
-#: Jobs that are open at a time, at most.
+"""Seeds of the trainings; the weights of each are known from an undisturbed run."""
 OPEN_JOBS = 4
-#: Time that the jobs have to end after the last fault, in multiples of that of two undisturbed ones, and its minimum.
+"""Jobs that are open at a time, at most."""
 PATIENCE, LEAST_PATIENCE_S = 12.0, 240.0
+"""Time that the jobs have to end after the last fault, in multiples of that of two undisturbed ones, and its
+minimum.
+"""
 
 
 @dataclass
@@ -259,10 +261,10 @@ class User:
 
     stack: Stack
     random: Random
-    #: Acknowledged submits: id of the job by idempotency key.
     submitted: dict[str, str] = field(default_factory=dict)
-    #: Requests that were acknowledged, and those whose answer was lost, in the order of sending.
+    """Acknowledged submits: id of the job by idempotency key."""
     acknowledged: list[tuple[str, str]] = field(default_factory=list)
+    """Requests that were acknowledged, and those whose answer was lost, in the order of sending."""
     unknown: list[tuple[str, str]] = field(default_factory=list)
     stop: threading.Event = field(default_factory=threading.Event)
 

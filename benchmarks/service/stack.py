@@ -33,7 +33,6 @@ with warnings.catch_warnings():
 
 ROOT = Path(__file__).parents[2]
 
-#: What takes half a minute in a deployment takes some seconds here.
 FAST = {
     "NAOSPRINT_MODE": "local",
     "NAOSPRINT_LEASE_S": "6",
@@ -49,11 +48,13 @@ FAST = {
     "NAOSPRINT_WORKER_STALL_WARN_S": "20",
     "NAOSPRINT_WORKER_NICE": "0",
 }
+"""What takes half a minute in a deployment takes some seconds here."""
 
 
-#: Size of a small disk for the working folders of two workers, and their settings: they may use a part of it, and wait
-#: for longer than a fault lasts.
 WORK_MB = 64
+"""Size of a small disk for the working folders of two workers, and their settings: they may use a part of it, and wait
+for longer than a fault lasts.
+"""
 WORLD = {
     "NAOSPRINT_WORKER_MIN_FREE_MB": "16",
     "NAOSPRINT_WORKER_SPOOL_MB": "16",
@@ -71,13 +72,13 @@ def _answer(status: str, kind: str, body: str) -> bytes:
     return f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n{body}".encode()
 
 
-#: Ways to spoil an answer: what is sent instead of each part of it, and whether the connection ends then.
 SPOILED: Mapping[str, Callable[[bytes], tuple[bytes, bool]]] = {
     "answers with a page": lambda _: (_answer("200 OK", "text/html", "<html>Please sign in</html>"), True),
     "answers 404": lambda _: (_answer("404 Not Found", "application/xml", "<Error><Code>None</Code></Error>"), True),
     "cuts its answers": lambda data: (data[: len(data) // 2], True),
     "changes a byte": lambda data: (data[:-1] + bytes([data[-1] ^ 1]) if len(data) > 1024 else data, False),
 }
+"""Ways to spoil an answer: what is sent instead of each part of it, and whether the connection ends then."""
 
 
 class Proxy:
@@ -383,8 +384,8 @@ class Service:
     """A service without workers, and a token of scope submit for it."""
 
     sessions: Sessions
-    #: Of the database, with SQLAlchemy's name of its driver.
     database_url: str
+    """Of the database, with SQLAlchemy's name of its driver."""
     url: str
     headers: Mapping[str, str]
     api: psutil.Process

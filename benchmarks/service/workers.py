@@ -50,12 +50,12 @@ from sqlalchemy import func, select, text
 from stack import Service, quantiles_ms, service_without_workers
 
 SUBMIT_LIMIT_S = 1.0
-#: What a training reports with each update, and how often at the full speed of two cores.
 METRICS = (
     *("time_s", "episodes", "reward", "episode_length", "distance_m", "fall_rate", "speed_mps", "policy_loss"),
     *("value_loss", "approx_kl", "clip_fraction", "explained_variance", "action_std", "entropy", "learning_rate"),
     *("steps_per_s", "collect_s", "simulator_s", "cpu_s", "memory_mb"),
 )
+"""What a training reports with each update, and how often at the full speed of two cores."""
 ROWS_PER_S = 3.7
 UPDATE_STEPS = 8_192
 
@@ -80,8 +80,8 @@ class Outcome:
     seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     events: Counter[str] = field(default_factory=Counter)
     rows: int = 0
-    #: Jobs that have ended, with the rows that were written for each.
     ended: dict[str, int] = field(default_factory=dict)
+    """Jobs that have ended, with the rows that were written for each."""
 
 
 class Stub:

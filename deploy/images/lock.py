@@ -25,12 +25,11 @@ TORCH_INDEX = "https://download.pytorch.org/whl/cpu/torch/"
 PYTHON = "3.11"
 MACHINES = ("x86_64", "aarch64")
 PACKAGES = ["packages/naospec", "packages/naopolicies", "packages/naojobs"]
-#: What redis needs before Python 3.11.3, as Debian 12 has it; pip evaluates such conditions for its own Python only.
 OLDER = ["async-timeout"]
+"""What redis needs before Python 3.11.3, as Debian 12 has it; pip evaluates such conditions for its own Python only."""
 API = [*OLDER, *PACKAGES, "packages/naosim", "packages/naosprint", "services/api"]
 WORKER = [*OLDER, *PACKAGES, "packages/naosim[mujoco,launcher]", "services/worker"]
 
-#: Folders with their extras, or names of packages, by lock.
 IMAGES = {
     "backend": ["pip", "setuptools", "scikit-build-core", "nanobind", "cmake", "ninja"],
     "api": API,
@@ -40,6 +39,7 @@ IMAGES = {
     "embedded": ["packages/naospec", "packages/naosim"],
     "rcssservermj": ["rcsssmj", "mujoco"],
 }
+"""Folders with their extras, or names of packages, by lock."""
 
 
 def name_of(requirement: str) -> str:

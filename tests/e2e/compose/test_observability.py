@@ -13,11 +13,11 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 
-#: Answers a question to Prometheus's HTTP interface from inside of its network.
 ASK = "wget -q -O - 'http://127.0.0.1:9090/api/v1/{}'"
+"""Answers a question to Prometheus's HTTP interface from inside of its network."""
 
-#: A metric's name in an expression, and what a histogram's series add to its name.
 METRIC = re.compile(r"\b(?:naosprint|process)_[a-z_]+\b")
+"""A metric's name in an expression, and what a histogram's series add to its name."""
 HISTOGRAM_PART = re.compile(r"_(?:bucket|count|sum)$")
 
 

@@ -35,7 +35,6 @@ EVAL = (
     "100",
 )
 
-#: Sends one request to the launcher and prints the status of the answer.
 ASK = """
 import sys, urllib.error, urllib.request
 method, path, body = sys.argv[1:]
@@ -45,6 +44,7 @@ try:
 except urllib.error.HTTPError as error:
     print(error.code, error.read().decode(errors="replace")[:200])
 """
+"""Sends one request to the launcher and prints the status of the answer."""
 
 
 def docker(*arguments: str) -> str:

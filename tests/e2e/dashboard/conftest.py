@@ -194,8 +194,8 @@ class Browser:
         self.driver = driver
         self.base = base
         self.downloads = downloads
-        #: Console messages that a test expects, by a part of their text.
         self.allowed: list[str] = []
+        """Console messages that a test expects, by a part of their text."""
 
     def open(self, place: str = "/") -> None:
         """Load the dashboard at an address."""

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import httpx
     from conftest import Browser, Stack
 
-#: A very short training: two robots, the smallest network.
 TINY: dict[str, Any] = {
     "task.name": "sprint2",
     "algorithm.n_envs": 2,
@@ -38,6 +37,7 @@ TINY: dict[str, Any] = {
     "runtime.simulator_threads": 1,
     "runtime.learner_threads": 1,
 }
+"""A very short training: two robots, the smallest network."""
 ENDLESS = 10_000_000
 
 

@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     import httpx
     from conftest import Browser
 
-#: A job that no worker of the tests takes: none runs servers.
 WAITING: dict[str, Any] = {"spec": {"simulator": "server", "total_steps": 10_000_000}, "evaluation": None}
+"""A job that no worker of the tests takes: none runs servers."""
 
 
 def park(client: httpx.Client, name: str, tags: tuple[str, ...] = ()) -> str:
@@ -85,7 +85,6 @@ def test_jobs_are_cancelled_and_deleted_together(browser: Browser, token: str, c
     assert [job["id"] for job in client.get("/jobs").json()["items"]] == [jobs[0]]
 
 
-#: Scroll through the list as a wheel does, and return the milliseconds of script, style and layout of each step.
 SCROLL = """
 const times = [];
 for (let step = 0; step < 120; step++) {
@@ -101,6 +100,7 @@ for (let step = 0; step < 120; step++) {
 }
 return times;
 """
+"""Scroll through the list as a wheel does, and return the milliseconds of script, style and layout of each step."""
 
 
 def test_a_thousand_jobs_stay_light(browser: Browser, token: str, client: httpx.Client) -> None:

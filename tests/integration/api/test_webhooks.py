@@ -38,10 +38,10 @@ class Receiver:
     def __init__(self) -> None:
         self.received: list[tuple[dict[str, str], str]] = []
         self.arrived = threading.Event()
-        #: Status of answers by path.
         self.status: dict[str, int] = {}
-        #: Paths of all requests, and those that are answered once `release` is set.
+        """Status of answers by path."""
         self.paths: list[str] = []
+        """Paths of all requests, and those that are answered once `release` is set."""
         self.held: set[str] = set()
         self.release = threading.Event()
         self._port = 0

@@ -36,7 +36,6 @@ from tests.integration.conftest import PG_PROGRAMS, as_role
 
 ROOT = Path(__file__).parents[3]
 
-#: Runs in this place what `docker compose` would run in a container; `break_at` kills the script at that command.
 DOCKER = """#!/bin/sh
 shift
 while [ "$1" = --profile ]; do shift 2; done
@@ -71,6 +70,7 @@ for argument; do
 done
 exec "$program" "$@"
 """
+"""Runs in this place what `docker compose` would run in a container; `break_at` kills the script at that command."""
 
 
 class Place:
@@ -229,7 +229,6 @@ def test_a_restore_that_is_killed_leaves_nothing_and_can_be_repeated(
     assert other.checkpoints() == before
 
 
-#: What a worker may define in its schema; each calls a function that writes a file as the user that runs it.
 PLANTED = {
     "check": "CREATE TABLE optuna.one (id integer CHECK (optuna.run('check'))); INSERT INTO optuna.one VALUES (1)",
     "domain": "CREATE DOMAIN optuna.kind AS integer CHECK (optuna.run('domain'));"
@@ -243,6 +242,7 @@ PLANTED = {
     "ALTER TABLE optuna.studies ENABLE ALWAYS TRIGGER planted",
     "name": 'CREATE TABLE optuna."jobs naosprint_owner\n\\! touch {marks}/name\n" ()',
 }
+"""What a worker may define in its schema; each calls a function that writes a file as the user that runs it."""
 
 
 def test_a_restore_runs_nothing_that_a_worker_has_defined(

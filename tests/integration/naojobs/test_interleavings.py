@@ -32,10 +32,10 @@ from naosprint_worker.supervisor import Ending, Intent
 from sqlalchemy import func, select, text, update
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
-#: How a child may end by itself, beside by a stop that it was asked for.
 ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
-#: What may happen next to a job; requests twice as often.
+"""How a child may end by itself, beside by a stop that it was asked for."""
 ACTIONS = ("request", "request", "run", "evaluate", "checkpoint", "look", "shut down", "end", "expire")
+"""What may happen next to a job; requests twice as often."""
 
 
 def ending(how: str, intent: Intent) -> Ending:

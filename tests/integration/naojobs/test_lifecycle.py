@@ -265,8 +265,8 @@ class Intruder:
         self._action = action
         self._pool = ThreadPoolExecutor(1)
         self.result: Future[object] | None = None
-        #: The same database, with the intrusion into the first flush.
         self.watched: Sessions = sessionmaker(sessions.kw["bind"], expire_on_commit=False)
+        """The same database, with the intrusion into the first flush."""
         event.listen(self.watched, "before_flush", self._intrude, once=True)
 
     def _intrude(self, *_: object) -> None:

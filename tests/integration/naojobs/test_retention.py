@@ -25,8 +25,8 @@ from sqlalchemy.orm import Session, sessionmaker
 
 Sessions = sessionmaker[Session]
 
-#: Steps between two updates, and planned between two checkpoints.
 ROLLOUT, INTERVAL = 100, 250
+"""Steps between two updates, and planned between two checkpoints."""
 
 
 @pytest.fixture

@@ -144,8 +144,8 @@ sys.stdin.read()
 """
 
 
-#: The real server's program: the one that the service would start, or the one in the search path.
 PROGRAM = shutil.which(os.environ.get(PROGRAM_VARIABLE, "rcssserver3d"))
+"""The real server's program: the one that the service would start, or the one in the search path."""
 REAL = pytest.param(
     PROGRAM,
     marks=(

@@ -109,8 +109,8 @@ def test_both_simulators_show_the_same_89_numbers() -> None:
         theirs.close()
 
 
-#: By part of an observation's name: twice the league's digit for what is read, four times for a difference of two.
 TOLERANCES = {"force": 0.1, "origin": 0.01, "accel": 0.05, "gyro": 2e-3, "com": 1e-4}
+"""By part of an observation's name: twice the league's digit for what is read, four times for a difference of two."""
 
 
 def tolerance_of(observation: str) -> float:

@@ -51,7 +51,6 @@ MIGRATIONS = Path(__file__).parents[3] / "migrations"
 
 T = TypeVar("T")
 
-#: Intervals of the tests' workers: intervals of half a minute are a few seconds here.
 FAST = {
     "NAOSPRINT_MODE": "local",
     "NAOSPRINT_LEASE_S": "4",
@@ -68,6 +67,7 @@ FAST = {
     "NAOSPRINT_WORKER_REPORT": "off",
     "NAOSPRINT_WORKER_NICE": "0",
 }
+"""Intervals of the tests' workers: intervals of half a minute are a few seconds here."""
 
 
 class Postgres:

@@ -239,7 +239,6 @@ def test_frozen_worker_whose_job_went_elsewhere_writes_nothing_more(service: Ser
     assert other.process.poll() is None
 
 
-#: A library that ends the process when it writes or reads a certain file, as anything in a process can.
 ENDS_THE_PROCESS = """
 import os, sys
 
@@ -249,6 +248,7 @@ def hook(event, arguments):
 
 sys.addaudithook(hook)
 """
+"""A library that ends the process when it writes or reads a certain file, as anything in a process can."""
 
 
 @pytest.mark.parametrize(

@@ -20,12 +20,12 @@ from .test_outages import lose_the_store
 
 pytestmark = [pytest.mark.e2e, pytest.mark.timeout(400)]
 
-#: The settings that the other tests shorten, as they are.
 DEFAULTS = {
     name: str(WorkerSettings.model_fields[name.removeprefix("NAOSPRINT_").lower()].default)
     for name in FAST
     if name != "NAOSPRINT_MODE"
 }
+"""The settings that the other tests shorten, as they are."""
 
 
 def database_time(service: Service) -> datetime:

@@ -29,8 +29,8 @@ from tests.integration.conftest import PG_PROGRAMS
 from .conftest import MIGRATIONS, Broker, Postgres, Service, opened
 
 RELEASE = Path(__file__).parent / "release"
-#: The migration that the release ended with.
 BEFORE = "0013"
+"""The migration that the release ended with."""
 
 
 @pytest.fixture

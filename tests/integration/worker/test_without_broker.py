@@ -20,8 +20,8 @@ from naosprint_worker.settings import WorkerSettings
 
 from .conftest import ROLLOUT, TINY, Postgres, Service, WorkerProcess
 
-#: How long a submitted job may take to start.
 START_S = 30.0
+"""How long a submitted job may take to start."""
 
 
 @pytest.fixture

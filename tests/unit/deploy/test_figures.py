@@ -16,10 +16,10 @@ from prometheus_client.process_collector import ProcessCollector
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
-#: A metric of the API or of the process in an expression, with its selector.
 ASKED = re.compile(r"\b((?:naosprint|process)_[a-z_]+)\b(?:\{([^}]*)\})?")
-#: What Prometheus itself and the exporters report.
+"""A metric of the API or of the process in an expression, with its selector."""
 EXPORTED = re.compile(r"\bup{|\b(?:pg|redis|SeaweedFS)_[a-z_]+")
+"""What Prometheus itself and the exporters report."""
 LABEL = re.compile(r"(\w+)\s*(?:=~|!~|!=|=)")
 GROUPED = re.compile(r"\bby\s*\(([^)]*)\)")
 

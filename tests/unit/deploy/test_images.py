@@ -20,8 +20,8 @@ import pytest
 ROOT = Path(__file__).parents[3]
 IMAGES = ROOT / "deploy" / "images"
 DOCKERFILES = sorted(ROOT.glob("services/*/Dockerfile*"))
-#: A version such as 3.11.16-slim-bookworm or v3.13.2; some publishers have two numbers only.
 EXACT = re.compile(r"^v?\d+\.\d+(\.\d+)?(-[a-z]+)*$")
+"""A version such as 3.11.16-slim-bookworm or v3.13.2; some publishers have two numbers only."""
 
 
 def load(name: str) -> ModuleType:

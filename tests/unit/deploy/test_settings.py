@@ -8,8 +8,8 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-#: A variable of a container that has its value, if any, from the settings.
 PASSED_ON = re.compile(r"^ +(NAOSPRINT_[A-Z_]+):$", re.MULTILINE)
+"""A variable of a container that has its value, if any, from the settings."""
 VARIABLE = re.compile(r"(?<!\$)\$\{([A-Z0-9_]+)(?::([?-])([^}]*))?\}")
 EXAMPLE = re.compile(r"^(# )?([A-Z0-9_]+)=(.*)$", re.MULTILINE)
 

@@ -22,7 +22,6 @@ from .documents import ROOT, Command
 
 COMMANDS = documents.commands()
 
-#: Programs of the system, whose arguments are not checked.
 SYSTEM = {
     "export",
     "restic",
@@ -44,9 +43,10 @@ SYSTEM = {
     "rcssservermj",
     "sbatch",
 }
+"""Programs of the system, whose arguments are not checked."""
 
-#: Commands of `docker compose` that the documents use.
 COMPOSE = {"up", "down", "exec", "ps", "build", "logs", "stop", "run", "pull"}
+"""Commands of `docker compose` that the documents use."""
 
 
 class ComposeLoader(yaml.SafeLoader):

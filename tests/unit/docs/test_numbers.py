@@ -23,8 +23,8 @@ from . import documents
 from .documents import ROOT, Command
 
 SUBMITS = [command for command in documents.commands() if command.words[:2] == ("naoctl", "submit")]
-#: Steps in the names of checkpoints and in progress lines.
 STEPS = re.compile(r"(?:checkpoint|export)-0*(\d+)|of ([\d,]+) steps")
+"""Steps in the names of checkpoints and in progress lines."""
 
 
 def dry_run(words: tuple[str, ...], folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:

@@ -106,3 +106,9 @@ def test_a_phrase_is_gone(text: str, phrase: str) -> None:
 def test_the_glossarys_words_are_gone(text: str) -> None:
     used = re.finditer(rf"(?<!there )\b({'|'.join(WORDS)})\b", text)
     assert [text[max(0, match.start() - 40) : match.end() + 40] for match in used] == []
+
+
+def test_attributes_are_described_below_them() -> None:
+    """Not by comments above, so that there is one dialect, which tools read."""
+    comment = re.compile(r"^\s*#: ", re.MULTILINE)
+    assert [str(path) for path in sources() if path.suffix == ".py" and comment.search(path.read_text("utf-8"))] == []

@@ -24,11 +24,10 @@ from rich.console import Console
 
 Jobs = Callable[..., dict[str, Any]]
 
-#: One result of an evaluation as it describes itself.
 RESULT = {"name": "height_m", "title": "Jump height", "unit": "m", "digits": 2, "value": 3.5, "interval": [3.0, 4.0]}
+"""One result of an evaluation as it describes itself."""
 
 
-#: A job's evaluation as the service shows it with the job; the live metric beside it includes exploration.
 EVALUATED = {
     "evaluation_id": "eval_01m7y0yae5d2d9p46g58mkcxxh",
     "checkpoint_id": "ckpt_1",
@@ -39,6 +38,7 @@ EVALUATED = {
         {"name": "distance_m", "title": "Distance", "unit": "m", "digits": 2, "value": 27.9, "interval": [27.8, 28.0]}
     ],
 }
+"""A job's evaluation as the service shows it with the job; the live metric beside it includes exploration."""
 
 
 class Ran:

@@ -20,12 +20,12 @@ from naoctl.errors import CliError, ExitCode, InvalidInput, Unreachable, plain
 
 Json = dict[str, Any]
 
-#: Timeouts of a request.
 TIMEOUT_S = httpx.Timeout(30.0, connect=5.0)
-#: Seconds without data after which a stream counts as lost; the service sends comments more often.
+"""Timeouts of a request."""
 STREAM_SILENCE_S = 60.0
-#: Seconds between attempts to reconnect: the first delay, doubled each time, and the longest.
+"""Seconds without data after which a stream counts as lost; the service sends comments more often."""
 RECONNECT_FIRST_S, RECONNECT_LAST_S = 0.5, 10.0
+"""Seconds between attempts to reconnect: the first delay, doubled each time, and the longest."""
 
 
 class ApiError(CliError):

@@ -19,8 +19,8 @@ from naospec.files import write_whole
 from naoctl.errors import InvalidInput
 
 DEFAULT_URL = "http://127.0.0.1:8000"
-#: Permissions of files with secrets: the owner only.
 PRIVATE = 0o600
+"""Permissions of files with secrets: the owner only."""
 
 
 def normal_url(url: str) -> str:

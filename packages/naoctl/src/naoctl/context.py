@@ -20,8 +20,8 @@ from naoctl.render import SHORT_ID, make_console, print_json
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 _INERT_WORD = re.compile(r"[A-Za-z0-9][A-Za-z0-9_./@+-]*")
-#: Reference to the newest job; no job can have this name.
 NEWEST = "last"
+"""Reference to the newest job; no job can have this name."""
 DataDir = Annotated[
     Path | None,
     typer.Option("--data-dir", metavar="FOLDER", help="Folder of the one-machine stack.", envvar="NAOCTL_DATA_DIR"),

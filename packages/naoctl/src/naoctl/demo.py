@@ -31,11 +31,11 @@ from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
 
-#: Episodes of the bundled policy that runs at the end, and the length of its film in seconds.
 BUNDLED_EPISODES, BUNDLED_FILM_S = 20, 5
+"""Episodes of the bundled policy that runs at the end, and the length of its film in seconds."""
 
-#: By robot: steps after which it runs, and episodes of its evaluation, so that the demo is short.
 ROBOTS = {"nao-0": (3_000_000, 1000), "t1": (2_500_000, 300), "k1": (2_500_000, 300)}
+"""By robot: steps after which it runs, and episodes of its evaluation, so that the demo is short."""
 
 
 def bundled_policy(robot: str) -> str | None:

@@ -15,11 +15,11 @@ from naosprint.tasks.metrics import Metric, format_value
 if TYPE_CHECKING:
     from naoctl.client import Client
 
-#: Metric of a training's speed, for any task and algorithm.
 PACE = Metric("steps_per_s", "Pace", "steps/s", "Environment steps a second in this update, learning included.", 0)
+"""Metric of a training's speed, for any task and algorithm."""
 
-#: Name of a section that a stored specification lacks.
 UNNAMED = "?"
+"""Name of a section that a stored specification lacks."""
 
 
 def metric_of(description: Mapping[str, Any]) -> Metric:

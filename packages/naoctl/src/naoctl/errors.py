@@ -8,32 +8,32 @@ from enum import IntEnum
 class ExitCode(IntEnum):
     """Exit code of ``naoctl``."""
 
-    #: Done; for ``watch``, ``logs --follow`` and ``submit --watch`` the job succeeded.
     OK = 0
-    #: Any error without a code of its own.
+    """Done; for ``watch``, ``logs --follow`` and ``submit --watch`` the job succeeded."""
     FAILURE = 1
-    #: A flag, a file or a value is wrong: nothing was sent, or the service refused it as invalid.
+    """Any error without a code of its own."""
     USAGE = 2
-    #: The service does not answer.
+    """A flag, a file or a value is wrong: nothing was sent, or the service refused it as invalid."""
     UNREACHABLE = 3
-    #: The token is missing, wrong, expired or lacks the scope.
+    """The service does not answer."""
     DENIED = 4
-    #: No such job, checkpoint, evaluation or group.
+    """The token is missing, wrong, expired or lacks the scope."""
     NOT_FOUND = 5
-    #: The job's state does not allow it, or the same key was used for another job.
+    """No such job, checkpoint, evaluation or group."""
     CONFLICT = 6
-    #: A downloaded file does not have the SHA-256 the service promised.
+    """The job's state does not allow it, or the same key was used for another job."""
     CORRUPT = 7
-    #: The service on this machine could not start or stop, or another one uses the data folder.
+    """A downloaded file does not have the SHA-256 the service promised."""
     STACK = 8
-    #: The followed job failed.
+    """The service on this machine could not start or stop, or another one uses the data folder."""
     JOB_FAILED = 10
-    #: The followed job was cancelled.
+    """The followed job failed."""
     JOB_CANCELLED = 11
-    #: The followed job was paused: it has no result yet.
+    """The followed job was cancelled."""
     JOB_PAUSED = 12
-    #: Interrupted with Ctrl-C.
+    """The followed job was paused: it has no result yet."""
     INTERRUPTED = 130
+    """Interrupted with Ctrl-C."""
 
 
 def plain(text: object, instead: str = "\N{REPLACEMENT CHARACTER}", *, keep: str = "\t") -> str:

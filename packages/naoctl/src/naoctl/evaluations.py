@@ -11,8 +11,8 @@ from naoctl.client import Client
 from naoctl.descriptions import metric_of, value_text
 from naoctl.follow import ENDED
 
-#: What marks values of training, which includes exploration, among those of evaluations, and its explanation.
 TRAINING_MARK = "*"
+"""What marks values of training, which includes exploration, among those of evaluations, and its explanation."""
 TRAINING_NOTE = "* during training, with exploration"
 
 

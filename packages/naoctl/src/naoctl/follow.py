@@ -11,15 +11,15 @@ import httpx
 from naoctl.client import Client
 from naoctl.errors import CliError, ExitCode
 
-#: States in which nothing more happens unless a user requests it.
 ENDED = frozenset({"succeeded", "failed", "cancelled"})
-#: Exit code by final state of a job.
+"""States in which nothing more happens unless a user requests it."""
 RESULT = {
     "succeeded": ExitCode.OK,
     "failed": ExitCode.JOB_FAILED,
     "cancelled": ExitCode.JOB_CANCELLED,
     "paused": ExitCode.JOB_PAUSED,
 }
+"""Exit code by final state of a job."""
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperOption
 
-#: Heading above the options that have none of their own.
 OPTIONS = "Options"
-#: Widest column of names; a longer name has a line of its own.
+"""Heading above the options that have none of their own."""
 NAMES_WIDTH = 30
+"""Widest column of names; a longer name has a line of its own."""
 
 
 class SettingsCommand(TyperCommand):

@@ -14,10 +14,10 @@ from naospec.files import open_regular
 
 from naoctl.errors import InvalidInput
 
-#: Maximum size of a job file in bytes.
 MAX_BYTES = 256 * 1024
-#: Maximum nesting of a job file.
+"""Maximum size of a job file in bytes."""
 MAX_DEPTH = 16
+"""Maximum nesting of a job file."""
 _MAX_DOTS = 64
 
 

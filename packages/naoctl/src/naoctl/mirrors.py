@@ -25,10 +25,10 @@ from naoctl.transfer import plain_name
 T = TypeVar("T")
 
 JOB_TAG = "naosprint.job"
-#: Seconds between two attempts to reach a tracking system.
 RETRY_S = 10.0
-#: MLflow's limits of one request.
+"""Seconds between two attempts to reach a tracking system."""
 _PARAMS_AT_ONCE, _METRICS_AT_ONCE = 100, 1000
+"""MLflow's limits of one request."""
 _PARAM_LENGTH = 6000
 _MLFLOW_STATES = {"succeeded": "FINISHED", "failed": "FAILED", "cancelled": "KILLED"}
 

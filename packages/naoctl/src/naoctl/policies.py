@@ -19,10 +19,10 @@ REFERENCE = re.compile(r"[a-z0-9-]{1,60}(@[a-z0-9-]{1,60})?")
 class Trained:
     """Job or policy that a command's argument names."""
 
-    #: None for a bundled policy.
     job: dict[str, Any] | None
-    #: None for a job.
+    """None for a bundled policy."""
     policy: dict[str, Any] | None = None
+    """None for a job."""
 
     @property
     def folder(self) -> str:

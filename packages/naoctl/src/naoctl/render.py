@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Json = Mapping[str, Any]
 
-#: Colour by state of a job, of an evaluation.
 STATE_STYLE = {
     "queued": "cyan",
     "starting": "cyan",
@@ -38,6 +37,7 @@ STATE_STYLE = {
     "failed": "red",
     "cancelled": "bright_black",
 }
+"""Colour by state of a job, of an evaluation."""
 BARS = "▁▂▃▄▅▆▇█"
 ASCII_BARS = "_.-=+*#%"
 MISSING = "-"
@@ -176,7 +176,6 @@ def percent(job: Json) -> float:
     return min(1.0, job.get("progress_step", 0) / total) if total else 0.0
 
 
-#: Columns of the list of jobs by the name that ``--columns`` takes, beside settings and metrics.
 COLUMNS: dict[str, tuple[str, Callable[[Json], RenderableType]]] = {
     "id": ("ID", lambda job: job["id"]),
     "name": ("Name", lambda job: cell(job["name"])),
@@ -193,10 +192,13 @@ COLUMNS: dict[str, tuple[str, Callable[[Json], RenderableType]]] = {
     "tags": ("Tags", lambda job: cell(" ".join(job["tags"]))),
     "worker": ("Worker", lambda job: cell(job.get("worker") or MISSING)),
 }
-#: Characters at the end of an id by which the list of jobs names it; its beginning is the time, which neighbours share.
+"""Columns of the list of jobs by the name that ``--columns`` takes, beside settings and metrics."""
 SHORT_ID = 6
-#: Least widths of a terminal from which the list of jobs shows whole ids, times of submission and numbers of steps.
+"""Characters at the end of an id by which the list of jobs names it; its beginning is the time, which neighbours
+share.
+"""
 WIDE, SUBMITTED_WIDTH, STEPS_WIDTH = 130, 95, 110
+"""Least widths of a terminal from which the list of jobs shows whole ids, times of submission and numbers of steps."""
 
 
 def stall_text(work: Json) -> str:
@@ -357,8 +359,8 @@ def usage_text(row: Mapping[str, Any]) -> str:
 class Curve:
     """Metrics of a job over time, limited in number."""
 
-    #: Maximum number of points per metric; beyond it every second one is dropped.
     LIMIT = 4096
+    """Maximum number of points per metric; beyond it every second one is dropped."""
 
     def __init__(self) -> None:
         self.series: dict[str, list[float]] = {}

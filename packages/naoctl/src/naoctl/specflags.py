@@ -21,12 +21,11 @@ from typer.models import OptionInfo
 from naoctl.context import completions
 from naoctl.errors import InvalidInput
 
-#: What a user writes to set a nullable field to null.
 NULL_WORDS = frozenset({"none", "null"})
-#: Letters after a number that stand for thousands, millions and billions: ``250k``, ``3M``.
+"""What a user writes to set a nullable field to null."""
 MAGNITUDES = {"k": 10**3, "m": 10**6, "g": 10**9}
+"""Letters after a number that stand for thousands, millions and billions: ``250k``, ``3M``."""
 _ABBREVIATED = re.compile(r"(\d{1,12}(?:\.\d{1,12})?) ?([kmg])", re.IGNORECASE)
-#: Headings above the flags of each section in ``--help``.
 PANELS = {
     "task": "Task",
     "robot": "Robot",
@@ -34,6 +33,7 @@ PANELS = {
     "algorithm": "Algorithm (left out: the preset's value)",
     "runtime": "Runtime",
 }
+"""Headings above the flags of each section in ``--help``."""
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 

@@ -16,8 +16,8 @@ from naospec.files import named_errors, sync
 from naoctl.client import ApiError, Client, raise_for_problem, unreachable
 from naoctl.errors import CliError, ExitCode
 
-#: Number of attempts to resume after a lost connection or a wrong answer: about 20 s.
 ATTEMPTS = 7
+"""Number of attempts to resume after a lost connection or a wrong answer: about 20 s."""
 
 
 class WrongAnswer(CliError):

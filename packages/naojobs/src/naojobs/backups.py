@@ -23,25 +23,25 @@ from naojobs.database import Sessions, downgrade, upgrade
 from naojobs.errors import InvalidError, NotFoundError
 from naojobs.models import Backup, Generation
 
-#: Age of an unfinished backup at which it counts as broken off.
 LONGEST = timedelta(days=1)
+"""Age of an unfinished backup at which it counts as broken off."""
 
-#: What `pg_restore --data-only` writes between the tables; each line is one of these.
 _COPY = re.compile(r'COPY (\w+)\."?(\w+)"? \((["\w, ]+)\) FROM stdin;')
+"""What `pg_restore --data-only` writes between the tables; each line is one of these."""
 _SETVAL = re.compile(r"SELECT pg_catalog\.setval\('(\w+)\.(\w+)', (\d+), (true|false)\);")
 _REST = re.compile(
     r"|--.*|SET \w+ = [^;]*;|SELECT pg_catalog\.set_config\('search_path', '', false\);|\\(un)?restrict \w+"
 )
 _END_OF_DATA, _COMPLETE = b"\\.\n", "-- PostgreSQL database dump complete"
 
-#: Tables whose rows a restored database has of its own.
 _OWN = frozenset({"alembic_version", "generations", "lease_clocks"})
+"""Tables whose rows a restored database has of its own."""
 
-#: Constraints between tables. Jobs and checkpoints refer to each other, so no order of the tables would do.
 _FOREIGN_KEYS = """
 SELECT conrelid::regclass::text, conname FROM pg_constraint
 WHERE contype = 'f' AND connamespace = 'public'::regnamespace AND NOT condeferrable
 """
+"""Constraints between tables. Jobs and checkpoints refer to each other, so no order of the tables would do."""
 
 
 def restore(url: str, migrations: Path, source: BinaryIO) -> dict[str, int]:

@@ -25,24 +25,25 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-#: The channel on which every committed change of a job is notified; the payload is the job's id
-#: (and behind a blank the owner, if the job was deleted).
 CHANNEL = "naosprint_jobs"
-#: Keys of a session's notes: the jobs that its transaction, and its committed one, has changed.
+"""The channel on which every committed change of a job is notified; the payload is the job's id
+(and behind a blank the owner, if the job was deleted).
+"""
 _CHANGED, _COMMITTED = "naojobs.changed", "naojobs.committed"
+"""Keys of a session's notes: the jobs that its transaction, and its committed one, has changed."""
 _NOTIFY = text(
     "SELECT set_config('synchronous_commit', 'off', true), pg_notify(:channel, job) "
     "FROM unnest(CAST(:changed AS text[])) AS job"
 )
 
-#: The revision of the schema that this code is written for.
 REVISION = "0021"
+"""The revision of the schema that this code is written for."""
 
-#: Key of the lock against two migrations at once.
 _MIGRATION_LOCK = 0x6E616F
+"""Key of the lock against two migrations at once."""
 
-#: The first version of Postgres that can limit a transaction as a whole.
 _TRANSACTION_TIMEOUT_SINCE = 170_000
+"""The first version of Postgres that can limit a transaction as a whole."""
 
 _UNSTORABLE = re.compile("[\x00\ud800-\udfff]")
 
@@ -102,7 +103,7 @@ def make_engine(url: str, *, pool_size: int = 5, application_name: str = "naospr
 
     @event.listens_for(engine, "checkin")
     def close_late(connection: psycopg.Connection[Any] | None, record: ConnectionPoolEntry) -> None:
-        # What a thread returns after the engine was closed goes to a pool that nobody closes any more.
+        # A connection that a thread returns after the engine was closed ends up in a pool that is not closed again.
         if connection is not None and record.info.get("pool") != pools[0]:
             connection.close()
 

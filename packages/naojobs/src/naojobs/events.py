@@ -11,13 +11,12 @@ from types import MappingProxyType
 class EventKind:
     """Kind of event."""
 
-    #: When it is recorded.
     meaning: str
-    #: Names in the event's `data`; some may be missing.
+    """When it is recorded."""
     data: tuple[str, ...] = ()
+    """Names in the event's `data`; some may be missing."""
 
 
-#: Every kind of event. A kind named like a state is recorded when the job enters it.
 EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
     {
         "queued": EventKind(
@@ -61,3 +60,4 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         ),
     }
 )
+"""Every kind of event. A kind named like a state is recorded when the job enters it."""

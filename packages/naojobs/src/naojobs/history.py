@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 
 from naojobs.states import LEASED, WorkState, can_become
 
-#: Kinds of events that are not named after the state that they enter.
 _ENTERS = {"claimed": WorkState.STARTING, "pause_requested": WorkState.PAUSING, **{str(s): s for s in WorkState}}
+"""Kinds of events that are not named after the state that they enter."""
 
 
 def states_of(kinds: Iterable[str]) -> Iterator[WorkState]:

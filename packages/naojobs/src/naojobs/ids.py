@@ -7,8 +7,8 @@ import time
 
 _ALPHABET = "0123456789abcdefghjkmnpqrstvwxyz"  # Crockford's base 32: no i, l, o, u
 
-#: Pattern of an identifier, for path parameters.
 PATTERN = r"^[a-z]{2,8}_[0-9a-hjkmnp-tv-z]{26}$"
+"""Pattern of an identifier, for path parameters."""
 
 
 def new_id(prefix: str) -> str:

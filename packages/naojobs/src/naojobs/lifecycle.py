@@ -42,12 +42,13 @@ from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, LEASED, OPEN, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
 
-#: Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
-#: to the longest.
 POSTPONE_S, LONGEST_POSTPONE_S = 5.0, 300.0
+"""Seconds until the next attempt after one that ended because a service was unavailable, doubled with each in a row up
+to the longest.
+"""
 
-#: Seconds after a heartbeat at which a lease expires.
 DEFAULT_LEASE_S = 30.0
+"""Seconds after a heartbeat at which a lease expires."""
 
 W = TypeVar("W", Job, Evaluation)
 
@@ -61,12 +62,12 @@ class Lease:
 
     kind: WorkKind
     id: str
-    #: The job that it belongs to; a job's own id.
     job_id: str
+    """The job that it belongs to; a job's own id."""
     owner: str
     attempt: int
-    #: Generation of the database that gave it, see `naojobs.models.generation`.
     generation: str
+    """Generation of the database that gave it, see `naojobs.models.generation`."""
 
     def __str__(self) -> str:
         """Return the work and its holder for messages."""
@@ -81,12 +82,12 @@ class JobClaim:
     name: str
     spec: TrainingSpec
     evaluation: EvaluationSpec | None
-    #: The job's own newest checkpoint, to continue from.
     resume_from: CheckpointRef | None
-    #: The checkpoint of another job to take the initial policy from; none when there is something to resume.
+    """The job's own newest checkpoint, to continue from."""
     initial_policy: CheckpointRef | None
-    #: The bundled policy to start from; none when there is something to resume.
+    """The checkpoint of another job to take the initial policy from; none when there is something to resume."""
     bundled_policy: str | None = None
+    """The bundled policy to start from; none when there is something to resume."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,10 @@ from sqlalchemy.orm import Session
 
 from naojobs.models import Checkpoint, Job, MetricsRecord, PolicyRecord, PolicyVersion
 
-#: Largest number of rows of a learning curve.
 CURVE_ROWS = 200
-#: Largest number of jobs of a lineage.
+"""Largest number of rows of a learning curve."""
 MAX_JOBS = 100
+"""Largest number of jobs of a lineage."""
 
 
 def trained_by(job: Job) -> TrainingSpec | None:

@@ -34,8 +34,8 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from naojobs.states import EVALUATION_STATES, LEASED, WorkState
 
-#: Seconds that an evaluation may take unless its request sets another limit.
 DEFAULT_TIME_LIMIT_S = 21_600.0
+"""Seconds that an evaluation may take unless its request sets another limit."""
 
 
 class Base(DeclarativeBase):
@@ -62,10 +62,10 @@ class Base(DeclarativeBase):
 class WorkKind(StrEnum):
     """Kind of work that workers do."""
 
-    #: A training with the evaluation at its end.
     JOB = "job"
-    #: An evaluation that a user requested.
+    """A training with the evaluation at its end."""
     EVALUATION = "evaluation"
+    """An evaluation that a user requested."""
 
 
 def _work_checks(states: Iterable[WorkState]) -> tuple[CheckConstraint, ...]:
@@ -94,14 +94,14 @@ class Work:
     kind: ClassVar[WorkKind]
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
-    #: A `naospec.TrainingSpec` or a `naospec.EvaluationSpec`.
     spec: Mapped[dict[str, Any]]
-    #: Queue of the broker that the wake-up message goes to; a worker serves some of them.
+    """A `naospec.TrainingSpec` or a `naospec.EvaluationSpec`."""
     queue: Mapped[str] = mapped_column(String(40))
-    #: 0 to 9; work with a higher priority is claimed first.
+    """Queue of the broker that the wake-up message goes to; a worker serves some of them."""
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
-    #: Name and version of the task, names of robot, simulator and algorithm that a worker must have.
+    """0 to 9; work with a higher priority is claimed first."""
     task: Mapped[str] = mapped_column(String(100))
+    """Name and version of the task, names of robot, simulator and algorithm that a worker must have."""
     task_version: Mapped[int] = mapped_column(Integer)
     robot: Mapped[str] = mapped_column(String(100))
     simulator: Mapped[str] = mapped_column(String(100))
@@ -109,26 +109,28 @@ class Work:
     state: Mapped[WorkState] = mapped_column(
         Enum(WorkState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
-    #: Number of claims. It never decreases: it fences off the writes of a worker that lost its lease.
     attempt: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Number of attempts that ended by a lost worker or child process since the last submit, retry or new checkpoint.
+    """Number of claims. It never decreases: it fences off the writes of a worker that lost its lease."""
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: Number of attempts in a row that ended because a service was unavailable, and when the next one may begin.
+    """Number of attempts that ended by a lost worker or child process since the last submit, retry or new
+    checkpoint.
+    """
     postponed: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    """Number of attempts in a row that ended because a service was unavailable, and when the next one may begin."""
     not_before: Mapped[datetime | None]
-    #: Number of failures at which the work fails for good.
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
+    """Number of failures at which the work fails for good."""
     lease_owner: Mapped[str | None] = mapped_column(String(200))
-    #: Generation of the database that gave the lease, see `generation`.
     lease_generation: Mapped[str | None] = mapped_column(String(80))
-    #: By the clock of leases, see `lease_time`.
+    """Generation of the database that gave the lease, see `generation`."""
     lease_expires_at: Mapped[datetime | None]
+    """By the clock of leases, see `lease_time`."""
     heartbeat_at: Mapped[datetime | None]
-    #: Since when leased work has made no step, once its worker has noticed; none while it makes steps.
     stalled_since: Mapped[datetime | None]
+    """Since when leased work has made no step, once its worker has noticed; none while it makes steps."""
     cancel_requested: Mapped[bool] = mapped_column(server_default=text("false"))
-    #: Why it failed, or why its last attempt was lost.
     error: Mapped[str | None]
+    """Why it failed, or why its last attempt was lost."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     queued_at: Mapped[datetime | None]
     started_at: Mapped[datetime | None]
@@ -145,36 +147,38 @@ class Job(Work, Base):
     name: Mapped[str] = mapped_column(String(200))
     owner: Mapped[str] = mapped_column(String(200))
     tags: Mapped[list[str]] = mapped_column(server_default=text("'{}'"))
-    #: Text of the user about the job.
     notes: Mapped[str] = mapped_column(server_default=text("''"))
-    #: A `naospec.EvaluationSpec` for the evaluation at the end; null for none.
+    """Text of the user about the job."""
     evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    """A `naospec.EvaluationSpec` for the evaluation at the end; null for none."""
     pause_requested: Mapped[bool] = mapped_column(server_default=text("false"))
     parent_job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), index=True)
     parent_checkpoint_id: Mapped[str | None] = mapped_column(
         ForeignKey("checkpoints.id", ondelete="SET NULL", use_alter=True),
         index=True,
     )
-    #: The policy by name that it was submitted to start from, with its version; null if it was none.
     parent_policy: Mapped[str | None] = mapped_column(String(130))
-    #: Whether it was submitted with a parent: it never starts without a policy, even when the parent has been deleted.
+    """The policy by name that it was submitted to start from, with its version; null if it was none."""
     needs_policy: Mapped[bool] = mapped_column(server_default=text("false"))
-    #: Why a study ended it early; null if none did.
+    """Whether it was submitted with a parent: it never starts without a policy, even when the parent has been
+    deleted.
+    """
     pruned: Mapped[str | None]
+    """Why a study ended it early; null if none did."""
     group_id: Mapped[str | None] = mapped_column(String(64), index=True)
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
-    #: SHA-256 of the request that had the key, to distinguish a repeated request from another one.
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
+    """SHA-256 of the request that had the key, to distinguish a repeated request from another one."""
     progress_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
     total_steps: Mapped[int] = mapped_column(BigInteger)
-    #: Step at which the last attempt began.
     began_step: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
-    #: Id of the last batch of records, so that a repeated write adds nothing twice.
+    """Step at which the last attempt began."""
     last_batch: Mapped[str | None] = mapped_column(String(64))
-    #: Number of rows of metrics, logs and events that workers have written.
+    """Id of the last batch of records, so that a repeated write adds nothing twice."""
     row_count: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
-    #: The newest metrics row, so that a list of jobs needs no join.
+    """Number of rows of metrics, logs and events that workers have written."""
     latest_metrics: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
+    """The newest metrics row, so that a list of jobs needs no join."""
 
     __table_args__ = (
         *_work_checks(WorkState),
@@ -201,13 +205,13 @@ class MetricsRecord(Base):
     __tablename__ = "metrics"
 
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
-    #: Environment steps since the start of the job.
     step: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    """Environment steps since the start of the job."""
     attempt: Mapped[int] = mapped_column(Integer)
-    #: Order of writing; a follower resumes after the last one it has read.
     seq: Mapped[int] = mapped_column(BigInteger, METRICS_SEQ, server_default=METRICS_SEQ.next_value())
-    #: Seconds of training.
+    """Order of writing; a follower resumes after the last one it has read."""
     time_s: Mapped[float | None]
+    """Seconds of training."""
     values: Mapped[dict[str, Any]]
 
     __table_args__ = (Index("ix_metrics_job_id_seq", "job_id", "seq"),)
@@ -253,12 +257,12 @@ class Checkpoint(Base):
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
     attempt: Mapped[int] = mapped_column(Integer)
     step: Mapped[int] = mapped_column(BigInteger)
-    #: Location of its files in the store: `key/name`.
     key: Mapped[str]
-    #: A `naojobs.store.StoreManifest`.
+    """Location of its files in the store: `key/name`."""
     manifest: Mapped[dict[str, Any]]
-    #: Bytes of its files.
+    """A `naojobs.store.StoreManifest`."""
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    """Bytes of its files."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (UniqueConstraint("job_id", "step", "attempt"), UniqueConstraint("key"))
@@ -272,15 +276,15 @@ class Evaluation(Work, Base):
 
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
     checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="CASCADE"), index=True)
-    #: Seconds that one attempt may take; the evaluation fails when they are over.
     time_limit_s: Mapped[float] = mapped_column(server_default=text(f"{DEFAULT_TIME_LIMIT_S:.0f}"))
-    #: Metrics over all episodes; they count once it has succeeded.
+    """Seconds that one attempt may take; the evaluation fails when they are over."""
     summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    """Metrics over all episodes; they count once it has succeeded."""
     key: Mapped[str | None]
-    #: A `naojobs.store.StoreManifest`.
     manifest: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
-    #: Bytes of its files.
+    """A `naojobs.store.StoreManifest`."""
     size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    """Bytes of its files."""
 
     __table_args__ = (
         *_work_checks(EVALUATION_STATES),
@@ -296,27 +300,27 @@ class Evaluation(Work, Base):
 class StudyState(StrEnum):
     """State of a study."""
 
-    #: Trials wait, run, or are to be started.
     RUNNING = "running"
-    #: All trials have ended.
+    """Trials wait, run, or are to be started."""
     FINISHED = "finished"
-    #: Too many trials failed in a row.
+    """All trials have ended."""
     FAILED = "failed"
-    #: Ended at a user's request.
+    """Too many trials failed in a row."""
     CANCELLED = "cancelled"
+    """Ended at a user's request."""
 
 
 class TrialState(StrEnum):
     """State of a trial, as the sampler sees it."""
 
-    #: Its job is open.
     RUNNING = "running"
-    #: Its job succeeded, with a value for each objective.
+    """Its job is open."""
     COMPLETE = "complete"
-    #: Its job was ended early because it fell behind.
+    """Its job succeeded, with a value for each objective."""
     PRUNED = "pruned"
-    #: It has no values: its job failed, or was cancelled or deleted by a user.
+    """Its job was ended early because it fell behind."""
     FAILED = "failed"
+    """It has no values: its job failed, or was cancelled or deleted by a user."""
 
 
 def _known(column: str, states: Iterable[StrEnum]) -> CheckConstraint:
@@ -331,17 +335,18 @@ class Study(Base):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     name: Mapped[str] = mapped_column(String(200))
     owner: Mapped[str] = mapped_column(String(200))
-    #: A `naospec.search.SearchSpec` whose objectives have directions.
     spec: Mapped[dict[str, Any]]
-    #: What all trials have in common: a `naospec.TrainingSpec`, a `naospec.EvaluationSpec` or null, tags, priority and
-    #: max_attempts.
+    """A `naospec.search.SearchSpec` whose objectives have directions."""
     job: Mapped[dict[str, Any]]
+    """What all trials have in common: a `naospec.TrainingSpec`, a `naospec.EvaluationSpec` or null, tags, priority and
+    max_attempts.
+    """
     state: Mapped[StudyState] = mapped_column(
         Enum(StudyState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
     error: Mapped[str | None]
-    #: Importance of each setting by objective; each objective's add up to 1.
     importance: Mapped[dict[str, Any]] = mapped_column(server_default=text("'{}'"))
+    """Importance of each setting by objective; each objective's add up to 1."""
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
@@ -360,18 +365,18 @@ class Trial(Base):
     __tablename__ = "trials"
 
     study_id: Mapped[str] = mapped_column(ForeignKey("studies.id", ondelete="CASCADE"), primary_key=True)
-    #: Number of the trial in the sampler's own tables, from 0.
     number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
-    #: Null if the choice could not be submitted, or if the job was deleted.
+    """Number of the trial in the sampler's own tables, from 0."""
     job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), unique=True)
+    """Null if the choice could not be submitted, or if the job was deleted."""
     state: Mapped[TrialState] = mapped_column(
         Enum(TrialState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
     params: Mapped[dict[str, Any]]
-    #: Values of the objectives, in their order; null until it is complete.
     values: Mapped[list[float] | None] = mapped_column(ARRAY(Double))
-    #: Why it was pruned or has failed.
+    """Values of the objectives, in their order; null until it is complete."""
     error: Mapped[str | None]
+    """Why it was pruned or has failed."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     finished_at: Mapped[datetime | None]
 
@@ -386,14 +391,14 @@ class Webhook(Base):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     owner: Mapped[str] = mapped_column(String(200), index=True)
     url: Mapped[str]
-    #: Types of messages that it receives.
     events: Mapped[list[str]]
-    #: Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once.
+    """Types of messages that it receives."""
     secret: Mapped[str]
-    #: When its receiver answered 410 Gone; nothing is sent to it any more.
+    """Key of the signatures. Signing needs the key itself, so it is stored; the API shows it once."""
     disabled_at: Mapped[datetime | None]
-    #: Number of times in a row that sending to it failed, and when the next attempt may begin.
+    """When its receiver answered 410 Gone; nothing is sent to it any more."""
     failures: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    """Number of times in a row that sending to it failed, and when the next attempt may begin."""
     not_before: Mapped[datetime | None]
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
@@ -403,17 +408,17 @@ class Delivery(Base):
 
     __tablename__ = "deliveries"
 
-    #: Id of the message, the same in every attempt.
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    """Id of the message, the same in every attempt."""
     webhook_id: Mapped[str] = mapped_column(ForeignKey("webhooks.id", ondelete="CASCADE"))
     type: Mapped[str] = mapped_column(String(40))
     data: Mapped[dict[str, Any]]
     attempts: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    #: When the next attempt is due; null once it is delivered or given up.
     next_at: Mapped[datetime | None] = mapped_column(server_default=func.now())
+    """When the next attempt is due; null once it is delivered or given up."""
     delivered_at: Mapped[datetime | None]
-    #: Why the last attempt failed; null if it did not.
     error: Mapped[str | None]
+    """Why the last attempt failed; null if it did not."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (
@@ -430,8 +435,8 @@ class PolicyRecord(Base):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     owner: Mapped[str] = mapped_column(String(200))
     name: Mapped[str] = mapped_column(String(60))
-    #: Number of the last version that was registered; numbers are not used again.
     last_number: Mapped[int] = mapped_column(Integer, server_default=text("0"))
+    """Number of the last version that was registered; numbers are not used again."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (UniqueConstraint("owner", "name"),)
@@ -443,16 +448,16 @@ class PolicyVersion(Base):
     __tablename__ = "policy_versions"
 
     policy_id: Mapped[str] = mapped_column(ForeignKey("policies.id", ondelete="CASCADE"), primary_key=True)
-    #: Number from 1.
     number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    """Number from 1."""
     checkpoint_id: Mapped[str] = mapped_column(ForeignKey("checkpoints.id", ondelete="RESTRICT"), index=True)
-    #: Text of the user about the version.
     notes: Mapped[str]
-    #: The `naospec.TrainingSpec` of its job, and its digest.
+    """Text of the user about the version."""
     spec: Mapped[dict[str, Any]]
+    """The `naospec.TrainingSpec` of its job, and its digest."""
     spec_sha256: Mapped[str] = mapped_column(String(64))
-    #: The jobs behind it, first to last (see `naojobs.lineage`); they may have been deleted since.
     lineage: Mapped[list[dict[str, Any]]] = mapped_column(JSONB)
+    """The jobs behind it, first to last (see `naojobs.lineage`); they may have been deleted since."""
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     idempotency_digest: Mapped[str | None] = mapped_column(String(64))
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
@@ -479,8 +484,8 @@ class PolicyAlias(Base):
     )
 
 
-#: Models by kind.
 WORK: dict[WorkKind, type[Job] | type[Evaluation]] = {WorkKind.JOB: Job, WorkKind.EVALUATION: Evaluation}
+"""Models by kind."""
 
 
 class Worker(Base):
@@ -492,14 +497,14 @@ class Worker(Base):
     host: Mapped[str] = mapped_column(String(200))
     pid: Mapped[int] = mapped_column(Integer)
     queues: Mapped[list[str]]
-    #: Tasks with their versions, robots, simulators and algorithms that it has.
     tasks: Mapped[dict[str, int]] = mapped_column(JSONB, server_default=text("'{}'"))
+    """Tasks with their versions, robots, simulators and algorithms that it has."""
     robots: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     simulators: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     algorithms: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
     version: Mapped[str] = mapped_column(String(40))
-    #: Free space on the disk of its working folders.
     disk_free_bytes: Mapped[int | None] = mapped_column(BigInteger)
+    """Free space on the disk of its working folders."""
     started_at: Mapped[datetime] = mapped_column(server_default=func.now())
     heartbeat_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
@@ -514,8 +519,8 @@ class Backup(Base):
     finished_at: Mapped[datetime | None]
 
 
-#: 244 random bits in hexadecimal digits, drawn by the database.
 RANDOM_KEY = text("replace(gen_random_uuid()::text || gen_random_uuid()::text, '-', '')")
+"""244 random bits in hexadecimal digits, drawn by the database."""
 
 
 class Generation(Base):
@@ -572,12 +577,12 @@ class Token(Base):
     owner: Mapped[str] = mapped_column(String(200))
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     scopes: Mapped[list[str]]
-    #: The only job that the token gives access to; null for all jobs of the owner.
     job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), index=True)
-    #: The token that it was made with, and is revoked with; null for one that an administrator made.
+    """The only job that the token gives access to; null for all jobs of the owner."""
     parent_id: Mapped[str | None] = mapped_column(ForeignKey("tokens.id", ondelete="CASCADE"), index=True)
+    """The token that it was made with, and is revoked with; null for one that an administrator made."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
-    #: Key that signs the addresses of reports opened with this token; no request or response contains it.
     ticket_key: Mapped[str] = mapped_column(String(64), server_default=RANDOM_KEY)
+    """Key that signs the addresses of reports opened with this token; no request or response contains it."""

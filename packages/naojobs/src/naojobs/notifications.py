@@ -15,11 +15,11 @@ from urllib.parse import parse_qs, urlsplit
 if TYPE_CHECKING:
     from celery import Celery
 
-#: Name of the Celery task behind a wake-up message; its argument is the id of the work.
 WAKE_UP = "naosprint_worker.wake_up"
+"""Name of the Celery task behind a wake-up message; its argument is the id of the work."""
 
-#: The queue of messages that name none; each simulator has a queue of its name.
 DEFAULT_QUEUE = "embedded"
+"""The queue of messages that name none; each simulator has a queue of its name."""
 
 _log = logging.getLogger(__name__)
 

@@ -26,8 +26,8 @@ from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
-#: Alias of the newest version, which no user sets.
 LATEST = "latest"
+"""Alias of the newest version, which no user sets."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class Registration:
     """Version to register."""
 
     job_id: str
-    #: None for the job's newest.
     checkpoint_id: str | None = None
+    """None for the job's newest."""
     aliases: Sequence[str] = ()
     notes: str = ""
 

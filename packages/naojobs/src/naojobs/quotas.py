@@ -19,10 +19,10 @@ from naojobs.states import OPEN
 @dataclass(frozen=True, slots=True)
 class _Kind:
     what: str
-    #: What gives the owner room again.
     remedy: str
-    #: Queries, by owner, of amounts that add up.
+    """What gives the owner room again."""
     amounts: Callable[[str], tuple[Any, ...]]
+    """Queries, by owner, of amounts that add up."""
 
 
 def _sum(column: Any) -> Any:
@@ -65,7 +65,6 @@ class Quota(Enum):
     STUDIES = _Kind(
         "studies", "delete ended ones", lambda owner: (select(func.count(Study.id)).where(Study.owner == owner),)
     )
-    #: Bytes of the notes of jobs and of versions of policies.
     NOTES = _Kind(
         "bytes of notes",
         "shorten some, or delete jobs or versions of policies",
@@ -74,7 +73,7 @@ class Quota(Enum):
             _versions(_sum(func.octet_length(PolicyVersion.notes)), owner),
         ),
     )
-    #: Revoked tokens stay in the table for a month, so those of the last day count, too: that bounds how fast it grows.
+    """Bytes of the notes of jobs and of versions of policies."""
     TOKENS = _Kind(
         "tokens that are valid or less than a day old",
         "revoke older ones, or try again tomorrow",
@@ -86,6 +85,9 @@ class Quota(Enum):
             ),
         ),
     )
+    """Revoked tokens stay in the table for a month, so those of the last day count, too: that bounds how fast it
+    grows.
+    """
     WEBHOOKS = _Kind(
         "webhooks", "delete some", lambda owner: (select(func.count(Webhook.id)).where(Webhook.owner == owner),)
     )
@@ -93,14 +95,14 @@ class Quota(Enum):
         "versions of policies", "delete some", lambda owner: (_versions(func.count(PolicyVersion.number), owner),)
     )
     BYTES = _Kind("bytes in the store", "delete jobs", _sizes)
-    #: Rows of metrics, logs and events of jobs.
     ROWS = _Kind(
         "rows in the database", "delete jobs", lambda owner: (select(_sum(Job.row_count)).where(Job.owner == owner),)
     )
+    """Rows of metrics, logs and events of jobs."""
 
 
-#: What each owner may have at most; a quota that is left out has no limit.
 Limits: TypeAlias = Mapping[Quota, int]
+"""What each owner may have at most; a quota that is left out has no limit."""
 NO_LIMITS: Limits = {}
 
 

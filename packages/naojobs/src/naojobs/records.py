@@ -27,8 +27,8 @@ from naojobs.lifecycle import Lease, add_event, hold_evaluation, hold_job
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
 
-#: Longer log messages are truncated.
 MAX_LOG_CHARS = 8_000
+"""Longer log messages are truncated."""
 
 _LOGGED_AT = bindparam("logged_at", type_=DateTime(timezone=True))
 _INSERT_LOG = insert(Log.__table__).values(at=func.coalesce(_LOGGED_AT, func.now()))  # type: ignore[arg-type]
@@ -101,8 +101,8 @@ class Batch:
     logs: list[LogLine] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
     checkpoints: list[StoredCheckpoint] = field(default_factory=list)
-    #: Distinguishes a repeated write, whose first commit may have succeeded unnoticed, from another batch.
     id: str = field(default_factory=lambda: secrets.token_hex(8))
+    """Distinguishes a repeated write, whose first commit may have succeeded unnoticed, from another batch."""
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -18,11 +18,11 @@ from naojobs.models import Checkpoint, Evaluation, Job, MetricsRecord, PolicyVer
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
-#: The column of metrics that decides which checkpoint is the best: the mean reward of the latest episodes.
 BEST_BY = "reward"
+"""The column of metrics that decides which checkpoint is the best: the mean reward of the latest episodes."""
 
-#: Seconds for which a file without a row is kept: its upload may not be complete yet.
 DEFAULT_AGE_S = 86_400.0
+"""Seconds for which a file without a row is kept: its upload may not be complete yet."""
 
 _log = logging.getLogger(__name__)
 
@@ -31,10 +31,10 @@ _log = logging.getLogger(__name__)
 class Retention:
     """Checkpoints of a job to keep, besides the best one and those in use."""
 
-    #: The newest.
     last: int
-    #: Every n-th of those that the training plans; none for no others.
+    """The newest."""
     every: int | None = None
+    """Every n-th of those that the training plans; none for no others."""
 
 
 def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> list[str]:

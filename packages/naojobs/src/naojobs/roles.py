@@ -19,20 +19,18 @@ from naojobs.settings import DatabaseSettings
 class Role(StrEnum):
     """Role of the database."""
 
-    #: Owns the tables and migrates them.
     OWNER = "naosprint_owner"
-    #: API and administration from a shell.
+    """Owns the tables and migrates them."""
     API = "naosprint_api"
-    #: Workers, their trainings and their health checks; owns the tables of the studies' sampler.
+    """API and administration from a shell."""
     WORKER = "naosprint_worker"
-    #: Reads the server's statistics, and no table.
+    """Workers, their trainings and their health checks; owns the tables of the studies' sampler."""
     METRICS = "naosprint_metrics"
-    #: Reads all tables but the sampler's. It has no password: it connects through the server's own socket only.
+    """Reads the server's statistics, and no table."""
     BACKUP = "naosprint_backup"
+    """Reads all tables but the sampler's. It has no password: it connects through the server's own socket only."""
 
 
-#: Rights on each table: S, I, U and D stand for SELECT, INSERT, UPDATE and DELETE; rights on columns are in full. Rows
-#: that a foreign key deletes with their job need none.
 RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "alembic_version": {Role.API: "S"},
     "backups": {Role.API: "SIUD", Role.WORKER: "S"},
@@ -55,14 +53,17 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "webhooks": {Role.API: "SIUD", Role.WORKER: ("SELECT (id, owner, events, disabled_at)", "UPDATE (created_at)")},
     "workers": {Role.API: "S", Role.WORKER: "SIUD"},
 }
+"""Rights on each table: S, I, U and D stand for SELECT, INSERT, UPDATE and DELETE; rights on columns are in full. Rows
+that a foreign key deletes with their job need none.
+"""
 
 _WORDS = {"S": "SELECT", "I": "INSERT", "U": "UPDATE", "D": "DELETE"}
 
-#: Schema of the sampler's tables, which workers make and own. No backup contains it, since workers can define functions
-#: in it; its tables are made again from `trials`.
 _SAMPLER = "optuna"
+"""Schema of the sampler's tables, which workers make and own. No backup contains it, since workers can define functions
+in it; its tables are made again from `trials`.
+"""
 
-#: Relations and types of a schema with another owner; a sequence of a column follows its table.
 _FOREIGN = """
 SELECT 'TABLE', c.relname FROM pg_class c
 WHERE c.relnamespace = %(schema)s::regnamespace AND c.relowner <> %(owner)s::regrole AND c.relkind IN ('r', 'S')
@@ -71,6 +72,7 @@ UNION ALL
 SELECT 'TYPE', t.typname FROM pg_type t
 WHERE t.typnamespace = %(schema)s::regnamespace AND t.typowner <> %(owner)s::regrole AND t.typtype = 'e'
 """
+"""Relations and types of a schema with another owner; a sequence of a column follows its table."""
 
 
 class RoleSettings(DatabaseSettings):

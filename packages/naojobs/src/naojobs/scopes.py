@@ -8,11 +8,11 @@ from enum import StrEnum
 class Scope(StrEnum):
     """Scope of a token; submit includes read, admin includes all others."""
 
-    #: See one's own jobs.
     READ = "read"
-    #: Submit and control one's own jobs.
+    """See one's own jobs."""
     SUBMIT = "submit"
-    #: Read the service's metrics, and nothing else.
+    """Submit and control one's own jobs."""
     METRICS = "metrics"
-    #: Access to all users' jobs, to tokens, and to the service's metrics.
+    """Read the service's metrics, and nothing else."""
     ADMIN = "admin"
+    """Access to all users' jobs, to tokens, and to the service's metrics."""

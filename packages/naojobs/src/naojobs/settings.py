@@ -11,14 +11,14 @@ from pydantic import Field, SecretStr, ValidationError, ValidationInfo, field_va
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, SettingsError
 
-#: Passwords from examples and images: allowed on one machine, refused in production.
 DEFAULT_SECRETS = frozenset(
     {"", "naosprint", "postgres", "password", "changeme", "changethis", "secret", "minio", "minioadmin", "admin"},
 )
+"""Passwords from examples and images: allowed on one machine, refused in production."""
 
 
-#: Errors of settings that are missing or wrong, for `settings_words`.
 SETTINGS_ERRORS = (ValidationError, SettingsError)
+"""Errors of settings that are missing or wrong, for `settings_words`."""
 
 
 def settings_words(error: ValidationError | SettingsError) -> str:

@@ -8,29 +8,28 @@ from enum import StrEnum
 class WorkState(StrEnum):
     """State of a job or of an evaluation; an evaluation cannot be paused and never is `evaluating`."""
 
-    #: Waiting for a worker.
     QUEUED = "queued"
-    #: Claimed by a worker, which fetches artifacts and starts the child process.
+    """Waiting for a worker."""
     STARTING = "starting"
-    #: The child process trains, or runs the episodes of an evaluation.
+    """Claimed by a worker, which fetches artifacts and starts the child process."""
     RUNNING = "running"
-    #: A pause was requested; the worker is asked to write a checkpoint and stop.
+    """The child process trains, or runs the episodes of an evaluation."""
     PAUSING = "pausing"
-    #: Stopped with all results kept; `resume` queues it again.
+    """A pause was requested; the worker is asked to write a checkpoint and stop."""
     PAUSED = "paused"
-    #: Training is over; the final policy is being evaluated.
+    """Stopped with all results kept; `resume` queues it again."""
     EVALUATING = "evaluating"
-    #: Finished, with all results recorded.
+    """Training is over; the final policy is being evaluated."""
     SUCCEEDED = "succeeded"
-    #: Ended by an error, by a time limit, or after too many lost attempts; `retry` queues a job again.
+    """Finished, with all results recorded."""
     FAILED = "failed"
-    #: Ended at a user's request; `retry` queues a job again.
+    """Ended by an error, by a time limit, or after too many lost attempts; `retry` queues a job again."""
     CANCELLED = "cancelled"
+    """Ended at a user's request; `retry` queues a job again."""
 
 
 _S = WorkState
 
-#: From each state, the states that may follow. Every change of a state is checked against this table.
 TRANSITIONS: dict[WorkState, frozenset[WorkState]] = {
     # Work whose stored specification cannot be read fails without a worker.
     _S.QUEUED: frozenset({_S.STARTING, _S.PAUSED, _S.FAILED, _S.CANCELLED}),
@@ -44,15 +43,16 @@ TRANSITIONS: dict[WorkState, frozenset[WorkState]] = {
     _S.FAILED: frozenset({_S.QUEUED}),
     _S.CANCELLED: frozenset({_S.QUEUED}),
 }
+"""From each state, the states that may follow. Every change of a state is checked against this table."""
 
-#: States in which a worker holds a lease.
 LEASED: frozenset[WorkState] = frozenset({_S.STARTING, _S.RUNNING, _S.PAUSING, _S.EVALUATING})
-#: States that only a user's request changes.
+"""States in which a worker holds a lease."""
 ENDED: frozenset[WorkState] = frozenset({_S.SUCCEEDED, _S.FAILED, _S.CANCELLED})
-#: States that count against an owner's quota.
+"""States that only a user's request changes."""
 OPEN: frozenset[WorkState] = frozenset(WorkState) - ENDED
-#: States that an evaluation can have.
+"""States that count against an owner's quota."""
 EVALUATION_STATES: frozenset[WorkState] = frozenset(WorkState) - {_S.PAUSING, _S.PAUSED, _S.EVALUATING}
+"""States that an evaluation can have."""
 
 
 def can_become(source: WorkState, target: WorkState) -> bool:

@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from naojobs.settings import ServiceSettings
 
 MANIFEST_NAME = "manifest.json"
-#: Prefix of all files that rows of the database refer to.
 ARTIFACTS = "jobs"
-#: Prefix of the files with which a store is tested.
+"""Prefix of all files that rows of the database refer to."""
 PROBES = "probes"
-#: Seconds for which a store may not answer, and for which a refused request is repeated.
+"""Prefix of the files with which a store is tested."""
 DEFAULT_DEADLINE_S = 60.0
+"""Seconds for which a store may not answer, and for which a refused request is repeated."""
 _CHUNK_BYTES = 1 << 20
-#: Names under which a local store writes files before they get their own.
 _UNFINISHED = re.compile(r".*#[0-9]+")
+"""Names under which a local store writes files before they get their own."""
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._+=@-]{0,199}")
 
 
@@ -84,8 +84,8 @@ class StoredFile:
     """File in a listing of the store."""
 
     key: str
-    #: Bytes.
     size: int
+    """Bytes."""
     modified: datetime
 
 

@@ -25,16 +25,16 @@ from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request
 from naojobs.webhooks import MessageType, publish
 
-#: Trials in a row that may fail before the study fails.
 MAX_FAILURES_IN_A_ROW = 5
+"""Trials in a row that may fail before the study fails."""
 
 
 @dataclass(frozen=True, slots=True)
 class StudyRequest:
     """Study to start."""
 
-    #: What all trials have in common; its parent fields are not used.
     job: JobRequest
+    """What all trials have in common; its parent fields are not used."""
     search: SearchSpec
     name: str | None = None
 

@@ -33,12 +33,12 @@ from naojobs.states import OPEN, WorkState
 
 J = TypeVar("J", Job, Study)
 
-#: Categories of characters that no name has: controls, formats, separators of lines and paragraphs.
 INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
-#: The most jobs of one group.
+"""Categories of characters that no name has: controls, formats, separators of lines and paragraphs."""
 MAX_GROUP_SIZE = 256
-#: The most evaluations of one job that may wait or run.
+"""The most jobs of one group."""
 MAX_OPEN_EVALUATIONS = 100
+"""The most evaluations of one job that may wait or run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +46,16 @@ class JobRequest:
     """Training to submit."""
 
     spec: TrainingSpec = field(default_factory=TrainingSpec)
-    #: Evaluation of the final policy; none for no evaluation.
     evaluation: EvaluationSpec | None = None
+    """Evaluation of the final policy; none for no evaluation."""
     name: str | None = None
     tags: Sequence[str] = ()
     priority: int = 5
     max_attempts: int = 3
     parent_job_id: str | None = None
     parent_checkpoint_id: str | None = None
-    #: A bundled or registered policy to start from: NAME, NAME@VERSION or NAME@ALIAS; excludes the other two.
     parent_policy: str | None = None
+    """A bundled or registered policy to start from: NAME, NAME@VERSION or NAME@ALIAS; excludes the other two."""
 
     @property
     def display_name(self) -> str:
@@ -77,8 +77,8 @@ class GroupRequest:
 
     job: JobRequest
     seeds: Sequence[int] = ()
-    #: Values by field; one job for each combination.
     grid: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    """Values by field; one job for each combination."""
 
 
 def submit(

@@ -35,8 +35,8 @@ __all__ = [
 ]
 
 _PREFIX = "nao_"
-#: Time for which tokens are listed that have been revoked or have expired.
 KEEP = timedelta(days=30)
+"""Time for which tokens are listed that have been revoked or have expired."""
 
 _INCLUDES = {
     Scope.READ: frozenset({Scope.READ}),
@@ -56,8 +56,8 @@ class Principal:
     token_id: str
     owner: str
     scopes: frozenset[Scope]
-    #: The only job that it may access; none for all jobs of the owner.
     job_id: str | None = None
+    """The only job that it may access; none for all jobs of the owner."""
 
     @property
     def is_admin(self) -> bool:

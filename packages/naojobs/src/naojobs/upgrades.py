@@ -13,8 +13,8 @@ from naojobs.database import alembic_config
 from naojobs.errors import ConflictError
 from naojobs.states import ENDED
 
-#: Pieces of work that an error names.
 _NAMED = 5
+"""Pieces of work that an error names."""
 
 _SPECS: dict[str, type[TrainingSpec] | type[EvaluationSpec]] = {"jobs": TrainingSpec, "evaluations": EvaluationSpec}
 

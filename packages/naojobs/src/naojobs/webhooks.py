@@ -28,32 +28,33 @@ from naojobs.ids import new_id
 from naojobs.models import Delivery, Webhook
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
-#: Seconds until the second attempt, doubled with each further one up to the longest.
 FIRST_DELAY_S, LONGEST_DELAY_S = 5.0, 3600.0
-#: Age and number of attempts at which a message that could not be delivered is given up: the service may have been off
-#: for some of the time.
+"""Seconds until the second attempt, doubled with each further one up to the longest."""
 GIVE_UP_AFTER, LEAST_ATTEMPTS = timedelta(days=3), 5
-#: Age at which messages are deleted that are delivered or given up.
+"""Age and number of attempts at which a message that could not be delivered is given up: the service may have been off
+for some of the time.
+"""
 KEEP = timedelta(days=14)
-#: Seconds for which a sender has a message to itself; an attempt has to take less.
+"""Age at which messages are deleted that are delivered or given up."""
 TAKEN_S = 60.0
-#: Messages that one process sends at a time: in all, of one owner and to one webhook.
+"""Seconds for which a sender has a message to itself; an attempt has to take less."""
 MOST_SENDING, MOST_OF_OWNER, MOST_TO_WEBHOOK = 64, 16, 8
-#: Messages that `forget` keeps for one webhook; older ones are deleted, delivered or not.
+"""Messages that one process sends at a time: in all, of one owner and to one webhook."""
 MOST_KEPT = 10_000
+"""Messages that `forget` keeps for one webhook; older ones are deleted, delivered or not."""
 
 
 class MessageType(StrEnum):
     """Type of a message."""
 
-    #: A job has succeeded, failed or been cancelled.
     JOB_ENDED = "job.ended"
-    #: A running job has made no step for a while.
+    """A job has succeeded, failed or been cancelled."""
     JOB_STALLED = "job.stalled"
-    #: An evaluation has succeeded, failed or been cancelled.
+    """A running job has made no step for a while."""
     EVALUATION_FINISHED = "evaluation.finished"
-    #: A study has finished, failed or been cancelled.
+    """An evaluation has succeeded, failed or been cancelled."""
     STUDY_FINISHED = "study.finished"
+    """A study has finished, failed or been cancelled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +62,14 @@ class Message:
     """Attempt to deliver a message."""
 
     id: str
-    #: Number of this attempt, from 1.
     attempt: int
+    """Number of this attempt, from 1."""
     owner: str
     webhook_id: str
     url: str
     secret: str
-    #: JSON, the same in every attempt.
     body: str
+    """JSON, the same in every attempt."""
 
 
 def create_webhook(

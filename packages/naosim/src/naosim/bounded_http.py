@@ -63,10 +63,10 @@ class BoundedProtocol(HttpToolsProtocol):
 
     _address = ""
     _refused = False
-    #: Whether no request is being read: before the end of the next head.
     _idle = True
-    #: Bytes of names and values of the head, and bytes that have not become part of anything yet.
+    """Whether no request is being read: before the end of the next head."""
     _head_bytes = _pending_bytes = 0
+    """Bytes of names and values of the head, and bytes that have not become part of anything yet."""
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

@@ -122,8 +122,8 @@ class Fleet(ABC):
         self._timeout_s, self._start_timeout_s, self._max_failures = timeout_s, start_timeout_s, max_failures
         self._entering: Flags = np.zeros(n, dtype=np.bool_)  # environments whose server is being started
         self._handles: list[ServerHandle | None] = [None] * n
-        #: Environments whose server could not be started because the engine that starts servers did not answer.
         self._unavailable: set[int] = set()
+        """Environments whose server could not be started because the engine that starts servers did not answer."""
         self._lock = threading.RLock()
         self._closing = threading.Event()
         self._idle = np.zeros((n, joints))

@@ -130,8 +130,8 @@ class Sidecars:
         self._networks: Sequence[str] = list(own["NetworkSettings"]["Networks"])
         self._deployment = own["Config"]["Labels"].get("com.docker.compose.project", own["Id"])
         self._lock = threading.Lock()
-        #: Network of each attempt, and of each server.
         self._attempts: dict[tuple[str, str, int], _Network] = {}
+        """Network of each attempt, and of each server."""
         self._servers: dict[str, _Network] = {}
 
     def caller(self, address: str) -> str:

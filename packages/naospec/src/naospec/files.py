@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from io import BufferedReader, BufferedWriter
 
 _OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-#: Names of unfinished files and folders: what they become, the process that writes them, its host, and random digits.
 _PARTIAL = re.compile(r"\..+\.(\d+)-(\d+)-([0-9a-f]{8})-[0-9a-f]{8}\.partial")
+"""Names of unfinished files and folders: what they become, the process that writes them, its host, and random
+digits.
+"""
 
 
 def open_regular(path: Path) -> BufferedReader:

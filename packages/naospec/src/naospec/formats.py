@@ -18,10 +18,10 @@ class Kind(StrEnum):
 
     TRAINING = "training specification"
     EVALUATION = "evaluation specification"
-    #: `checkpoint.json` with the specification in it.
     CHECKPOINT = "checkpoint"
-    #: `evaluation.json` with the specifications in it.
+    """`checkpoint.json` with the specification in it."""
     RESULT = "evaluation"
+    """`evaluation.json` with the specifications in it."""
 
 
 class FormatError(ValueError):

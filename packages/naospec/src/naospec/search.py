@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-#: Value of a setting that a search can choose.
 Scalar = bool | int | float | str | None
+"""Value of a setting that a search can choose."""
 
 
 class _Model(BaseModel):

@@ -19,10 +19,10 @@ from naosprint_api.app import create_asgi
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
-#: Seconds that running requests may take when the service stops.
 _GRACE_S = 10
-#: Allocations between two collections of garbage. Python's own 700 make a page of jobs cost a third more.
+"""Seconds that running requests may take when the service stops."""
 _GARBAGE = 20_000
+"""Allocations between two collections of garbage. Python's own 700 make a page of jobs cost a third more."""
 
 
 class ApiServer(uvicorn.Server):

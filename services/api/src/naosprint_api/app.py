@@ -25,8 +25,8 @@ from naosprint_api.settings import ApiSettings
 
 STATIC = Path(__file__).parent / "static"
 
-#: Artifacts are compressed already, and clients ask for ranges of them.
 _NOT_COMPRESSED = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/octet-stream", "application/x-tar")
+"""Artifacts are compressed already, and clients ask for ranges of them."""
 
 _DESCRIPTION = """\
 Submit trainings of simulated humanoid robots, follow them live and download the trained policies.

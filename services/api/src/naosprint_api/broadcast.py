@@ -13,16 +13,16 @@ from naojobs.database import CHANNEL
 
 _log = logging.getLogger(__name__)
 
-#: How often a follower polls: rarely while notifications arrive, often while they cannot.
 _IDLE_S, _BLIND_S = 10.0, 1.0
+"""How often a follower polls: rarely while notifications arrive, often while they cannot."""
 
 
 class Subscription:
     """Wake-up event of one follower, with the jobs that were deleted while it was busy."""
 
     def __init__(self) -> None:
-        #: Owner by id.
         self.deleted: dict[str, str] = {}
+        """Owner by id."""
         self.wake = asyncio.Event()
 
 
@@ -32,8 +32,8 @@ class Broadcaster:
     def __init__(self, url: str) -> None:
         self._url = url
         self._subscriptions: dict[Subscription, str | None] = {}
-        #: Places taken by each owner, whose tokens may be many.
         self._places: Counter[str] = Counter()
+        """Places taken by each owner, whose tokens may be many."""
         self._task: asyncio.Task[None] | None = None
         self._listening = False
         self.closing = False

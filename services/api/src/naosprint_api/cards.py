@@ -19,8 +19,8 @@ from naosprint_api.results import summaries_of
 from naosprint_api.schemas import FilePublic, PolicyCard, PolicyDetails, PolicyPage
 from naosprint_api.views import files_view
 
-#: Files of a bundled policy that make it a checkpoint.
 BUNDLED_FILES = (naopolicies.CHECKPOINT, naopolicies.WEIGHTS)
+"""Files of a bundled policy that make it a checkpoint."""
 
 _SUMMARY = ("episodes", "results", "headline", "tables", "evaluation")
 

@@ -22,12 +22,12 @@ from standardwebhooks import Webhook as Signer
 from naosprint_api import __version__
 from naosprint_api.outbound import Network, RefusedAddressError, Sender
 
-#: Seconds that one attempt may take.
 DEADLINE_S = 10.0
-#: Seconds between two deletions of old messages.
+"""Seconds that one attempt may take."""
 FORGET_S = 300.0
-#: Threads for the database, so that deliveries do not delay requests.
+"""Seconds between two deletions of old messages."""
 THREADS = 2
+"""Threads for the database, so that deliveries do not delay requests."""
 
 Result = TypeVar("Result")
 

@@ -27,14 +27,14 @@ _bearer = HTTPBearer(
     description="A token made by `POST /tokens`, or the first one by `python -m naojobs token create`.",
 )
 
-#: Largest value of the database's integer columns.
 MAX_BIGINT = 2**63 - 1
-#: Most values and deepest nesting of a JSON body.
+"""Largest value of the database's integer columns."""
 MAX_VALUES, MAX_DEPTH = 100_000, 64
-#: Seconds in which the body of a refused request is read and discarded.
+"""Most values and deepest nesting of a JSON body."""
 DRAIN_S = 1.0
-#: Methods of requests that may have a body.
+"""Seconds in which the body of a refused request is read and discarded."""
 BODY_METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+"""Methods of requests that may have a body."""
 
 
 def service_of(request: Request) -> Service:

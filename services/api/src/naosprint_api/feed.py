@@ -21,34 +21,34 @@ from naosprint_api.queries import Position, news_of
 from naosprint_api.views import event_view, job_view, log_view
 
 Result = TypeVar("Result")
-#: A job, a follower's position, the kinds of records it follows, and whether it is behind.
 _Wanted: TypeAlias = tuple[str, Position, frozenset[str], bool]
+"""A job, a follower's position, the kinds of records it follows, and whether it is behind."""
 
-#: How long a read waits for more followers, and so the shortest time between two updates of each.
 GATHER_S = 0.25
-#: The same for followers that are known to be behind: just long enough for those that connect at once.
+"""How long a read waits for more followers, and so the shortest time between two updates of each."""
 HURRIED_GATHER_S = 0.02
-#: Time between the followers that share a read: to wake them up all at once would delay other requests.
+"""The same for followers that are known to be behind: just long enough for those that connect at once."""
 APART_S, LONGEST_S = 0.002, 0.25
-#: Threads that followers may use at a time, so that many followers do not block requests.
+"""Time between the followers that share a read: to wake them up all at once would delay other requests."""
 THREADS = 2
+"""Threads that followers may use at a time, so that many followers do not block requests."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeedBatch:
     """News of a job since a position; `state` is None if the job was deleted."""
 
-    #: The changes as server-sent events, encoded once for all followers.
     news: bytes
-    #: What has been seen behind them.
+    """The changes as server-sent events, encoded once for all followers."""
     position: Position
-    #: Whether there is more than fits into one batch.
+    """What has been seen behind them."""
     more: bool = False
+    """Whether there is more than fits into one batch."""
     state: WorkState | None = None
     error: str | None = None
     updated_at: datetime | None = None
-    #: The job itself, as an event.
     job: bytes = b""
+    """The job itself, as an event."""
 
 
 class Feed:
@@ -58,9 +58,10 @@ class Feed:
         self._sessions = sessions
         self._workers = workers
         self._limiter = anyio.CapacityLimiter(THREADS)
-        #: Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
-        #: include everything committed until now.
         self._gathering: dict[_Wanted, tuple[asyncio.Task[FeedBatch], Iterator[int]]] = {}
+        """Reads that have not begun yet, and the followers waiting for them. Only these may be joined, since they
+        include everything committed until now.
+        """
 
     async def in_thread(self, function: Callable[[], Result]) -> Result:
         """Run a read in one of the threads for followers."""

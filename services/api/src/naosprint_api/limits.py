@@ -18,8 +18,8 @@ class RateLimiter:
         self._burst = burst
         self._clock = clock
         self._lock = threading.Lock()
-        #: caller -> (tokens left, at this time); the longest unseen first.
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        """caller -> (tokens left, at this time); the longest unseen first."""
 
     def take(self, caller: str) -> float:
         """Take one token of `caller`; return 0, or the seconds to wait when there is none."""

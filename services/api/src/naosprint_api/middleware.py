@@ -13,10 +13,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from naosprint_api.problems import FieldError, ProblemError, problem_response
 from naosprint_api.telemetry import Telemetry
 
-#: Pages load resources only from this service, and cannot be framed.
 CONTENT_SECURITY_POLICY = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'"
 )
+"""Pages load resources only from this service, and cannot be framed."""
 
 _SECURITY_HEADERS = {
     "Content-Security-Policy": CONTENT_SECURITY_POLICY,

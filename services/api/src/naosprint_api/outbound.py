@@ -13,10 +13,8 @@ import httpcore
 
 Network: TypeAlias = IPv4Network | IPv6Network
 
-#: Addresses of hosts on the Internet; every other IPv6 address may stand for another one, such as a private one.
 _INTERNET_6 = IPv6Network("2000::/3")
-#: Networks with another purpose, by IANA's registries of special-purpose addresses: Python's own list differs between
-#: its patch releases.
+"""Addresses of hosts on the Internet; every other IPv6 address may stand for another one, such as a private one."""
 _SPECIAL: tuple[Network, ...] = tuple(
     ip_network(text)
     for text in (
@@ -44,6 +42,9 @@ _SPECIAL: tuple[Network, ...] = tuple(
         "3fff::/20",
     )
 )
+"""Networks with another purpose, by IANA's registries of special-purpose addresses: Python's own list differs between
+its patch releases.
+"""
 
 
 class RefusedAddressError(Exception):

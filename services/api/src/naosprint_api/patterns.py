@@ -4,34 +4,35 @@ from __future__ import annotations
 
 from naojobs.ids import PATTERN
 
-#: The identifier of anything.
 ID = PATTERN
-#: A tag of a job.
+"""The identifier of anything."""
 TAG = r"^[A-Za-z0-9][A-Za-z0-9._:/=-]{0,49}$"
-#: Characters that no terminal and no list should get raw: controls, formats such as directions of text, line separators
-#: (categories Cc, Cf, Zl and Zp of Unicode's basic plane). `naojobs.submission.free_name` checks names of all planes.
+"""A tag of a job."""
 _INVISIBLE = (
     r"\x00-\x1f\x7f-\x9f\xad\u0600-\u0605\u061c\u06dd\u070f\u0890-\u0891\u08e2\u180e\u200b-\u200f\u2028-\u202e"
     r"\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb"
 )
-#: The name of a job, and other text of one line.
+"""Characters that no terminal and no list should get raw: controls, formats such as directions of text, line separators
+(categories Cc, Cf, Zl and Zp of Unicode's basic plane). `naojobs.submission.free_name` checks names of all planes.
+"""
 NAME = PLAIN = rf"^[^{_INVISIBLE}]*$"
-#: Text of several lines.
+"""The name of a job, and other text of one line."""
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$"
-#: An idempotency key.
+"""Text of several lines."""
 KEY = r"^[\x21-\x7e]{1,150}$"
-#: The name of a policy.
+"""An idempotency key."""
 POLICY = r"^[a-z0-9-]{1,60}$"
-#: A policy by name, or one of its versions by number or alias.
+"""The name of a policy."""
 REFERENCE = r"^[a-z0-9-]{1,60}(@[a-z0-9-]{1,60})?$"
-#: The alias of a version.
+"""A policy by name, or one of its versions by number or alias."""
 ALIAS = r"^[a-z][a-z0-9-]{0,59}$"
-#: The place of a checkpoint among those of its job: step and attempt.
+"""The alias of a version."""
 STEP = r"^[0-9]{1,18}-[0-9]{1,9}$"
-#: The place of a policy in the list of policies: the name of a bundled one, the id of a registered one.
+"""The place of a checkpoint among those of its job: step and attempt."""
 PLACE = rf"{POLICY}|{PATTERN}"
-#: What lets a browser open a report: token, time of expiry, signature.
+"""The place of a policy in the list of policies: the name of a bundled one, the id of a registered one."""
 TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
+"""What lets a browser open a report: token, time of expiry, signature."""
 
 WORDS = {
     ID: "expected a full id, such as job_01jd8z6vq9k3m5t7x2c4b6n8pr",

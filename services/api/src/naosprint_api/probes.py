@@ -12,20 +12,20 @@ import anyio
 
 _log = logging.getLogger(__name__)
 
-#: Seconds within which a service has to answer.
 DEADLINE_S = 3.0
-#: Seconds for which a result is reused.
+"""Seconds within which a service has to answer."""
 KEEP_S = 1.0
+"""Seconds for which a result is reused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
     """Check of one service."""
 
-    #: What the check reports on.
     names: Sequence[str]
-    #: Returns which of the names work; an error counts as none.
+    """What the check reports on."""
     check: Callable[[], set[str]]
+    """Returns which of the names work; an error counts as none."""
 
 
 class Probes:

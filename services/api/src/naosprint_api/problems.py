@@ -22,8 +22,8 @@ from naosprint_api import patterns
 
 MEDIA_TYPE = "application/problem+json"
 
-#: Most errors that a response names, and the longest part of a field's path and message in it, characters.
 MAX_ERRORS, MAX_NAME, MAX_MESSAGE = 20, 100, 1000
+"""Most errors that a response names, and the longest part of a field's path and message in it, characters."""
 
 _log = logging.getLogger(__name__)
 

@@ -20,8 +20,8 @@ from naosprint_api.schemas import JobResult, MetricsPublic
 
 _log = logging.getLogger(__name__)
 
-#: Maximum number of rows of metrics in one response.
 MAX_POINTS = 5_000
+"""Maximum number of rows of metrics in one response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +71,13 @@ def list_jobs(sessions: Sessions, wanted: JobFilter, *, limit: int, before: str 
         return list(session.scalars(statement))
 
 
-#: Seconds before the newest change seen from which a follower reads again: `updated_at` is when a transaction began, so
-#: an earlier one may be committed later.
 OVERLAP = timedelta(seconds=10)
+"""Seconds before the newest change seen from which a follower reads again: `updated_at` is when a transaction began, so
+an earlier one may be committed later.
+"""
 
-#: Changes that are read at a time.
 PAGE = 500
+"""Changes that are read at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,15 +306,15 @@ class News:
     """Changes of a job since a position."""
 
     job: Job | None
-    #: Why no worker can take the job, if it is queued.
     waiting_reason: str | None = None
-    #: Its evaluation, if one has finished.
+    """Why no worker can take the job, if it is queued."""
     result: JobResult | None = None
+    """Its evaluation, if one has finished."""
     metrics: list[MetricsRecord] = field(default_factory=list)
     logs: list[Log] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    #: Whether there is more of some kind than the limit.
     more: bool = False
+    """Whether there is more of some kind than the limit."""
 
 
 def news_of(

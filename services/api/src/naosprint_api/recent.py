@@ -12,8 +12,8 @@ from cachetools import TTLCache
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 
-#: How long a value is kept, in seconds.
 KEEP_S = 1.0
+"""How long a value is kept, in seconds."""
 
 
 class Recent(Generic[Key, Value]):

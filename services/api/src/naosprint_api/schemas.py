@@ -27,8 +27,8 @@ from pydantic import (
 from naosprint_api.patterns import ALIAS, ID, NAME, PLAIN, REFERENCE, TAG, TEXT
 
 Tag = Annotated[str, StringConstraints(pattern=TAG)]
-#: Words that refer to a job in commands, and so are not allowed as names.
 RESERVED_NAMES = frozenset({"last"})
+"""Words that refer to a job in commands, and so are not allowed as names."""
 
 
 def _current(spec: dict[str, Any]) -> dict[str, Any]:

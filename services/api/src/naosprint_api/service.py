@@ -33,10 +33,10 @@ from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
 from naosprint_api.views import evaluation_view, job_view
 
-#: Seconds for which the store may be silent.
 STORE_DEADLINE_S = 5.0
-#: Number of threads for the store, and for the broker.
+"""Seconds for which the store may be silent."""
 STORE_THREADS, BROKER_THREADS = 16, 4
+"""Number of threads for the store, and for the broker."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,22 +48,22 @@ class Service:
     settings: ApiSettings
     engine: Engine
     sessions: Sessions
-    #: For requests that only read.
     reads: Sessions
+    """For requests that only read."""
     store: ArtifactStore
     notifier: Notifier
     broadcaster: Broadcaster
     limiter: RateLimiter
     telemetry: Telemetry
-    #: Principals by the secret of their token: other processes revoke a token within a second.
     principals: Recent[str, Principal]
-    #: The workers that are alive, for the reasons why a job waits.
+    """Principals by the secret of their token: other processes revoke a token within a second."""
     workers: Callable[[], Sequence[Worker]]
+    """The workers that are alive, for the reasons why a job waits."""
     feed: Feed
     probes: Probes
     deliverer: Deliverer
-    #: Threads for the store and for the broker: one that does not answer blocks these, but not those of requests.
     store_threads: CapacityLimiter
+    """Threads for the store and for the broker: one that does not answer blocks these, but not those of requests."""
     broker_threads: CapacityLimiter
 
     @classmethod

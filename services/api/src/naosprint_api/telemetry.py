@@ -19,7 +19,6 @@ from sqlalchemy import func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
-#: Name, help and labels of the metrics from the database.
 _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
     ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
@@ -32,6 +31,7 @@ _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_backup_age_seconds", "Time since the last backup; missing if there has been none.", ()),
     ("naosprint_service_up", "Whether database, schema_revision, store and broker answer the API.", ("service",)),
 )
+"""Name, help and labels of the metrics from the database."""
 
 _BUCKETS = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0)
 
@@ -41,8 +41,8 @@ class _Rows(Collector):
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
-        #: Whether each service that the API needs answers, by name.
         self.services: Mapping[str, bool] = {}
+        """Whether each service that the API needs answers, by name."""
 
     def describe(self) -> list[GaugeMetricFamily]:
         """Return the metrics' names without a database query."""
@@ -68,8 +68,8 @@ class _Rows(Collector):
             yield from (family for family in families.values() if family is not up)
 
 
-#: Condition of workers with a heartbeat in the last 30 s.
 _ALIVE = Worker.heartbeat_at > func.now() - timedelta(seconds=30)
+"""Condition of workers with a heartbeat in the last 30 s."""
 
 
 def _counts(session: Session) -> Iterator[tuple[str, float]]:

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import psutil
 
-#: Signal on which a child prints the stacks of all its threads.
 TRACEBACK_SIGNAL = signal.SIGUSR2
+"""Signal on which a child prints the stacks of all its threads."""
 
 
 class TrainingProcess:

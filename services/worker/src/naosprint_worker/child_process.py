@@ -36,11 +36,11 @@ from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
-#: What the kernel adds to a process's thousandths of memory: it ends evaluations before trainings before the worker.
 TRAINER_OOM_SCORE, EVALUATOR_OOM_SCORE = 200, 1000
+"""What the kernel adds to a process's thousandths of memory: it ends evaluations before trainings before the worker."""
 
-#: Bytes below which a disk has no room for any file.
 _SMALLEST_BLOCK = 4096
+"""Bytes below which a disk has no room for any file."""
 
 
 class StopRequestedError(Exception):
@@ -58,8 +58,8 @@ class StopRequest:
         """No request yet."""
         self._event = threading.Event()
         self._interruptible = False
-        #: Whether the reason was the worker's death.
         self.orphaned = False
+        """Whether the reason was the worker's death."""
 
     def install(self) -> None:
         """Listen to SIGTERM; SIGINT is ignored, since the worker handles a terminal's Ctrl-C."""

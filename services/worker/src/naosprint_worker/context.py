@@ -20,6 +20,6 @@ class WorkerContext:
     sessions: Sessions
     worker_id: str
     capabilities: Capabilities
-    #: Folder of the working folders of this worker's attempts.
     folder: Path
+    """Folder of the working folders of this worker's attempts."""
     memory: MemoryBudget = field(default_factory=MemoryBudget)

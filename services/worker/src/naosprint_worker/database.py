@@ -9,8 +9,8 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 
 from naosprint_worker.settings import WorkerSettings
 
-#: Errors of a database that is restarting, overloaded or unreachable.
 DATABASE_ERRORS: tuple[type[Exception], ...] = (OperationalError, InterfaceError, PoolTimeoutError)
+"""Errors of a database that is restarting, overloaded or unreachable."""
 
 
 def open_engine(settings: WorkerSettings, *, pool_size: int, application_name: str) -> Engine:

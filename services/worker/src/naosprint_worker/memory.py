@@ -17,10 +17,10 @@ from naosprint_worker.settings import WorkerSettings
 
 MIB = 1 << 20
 
-#: Share of a container's limit that is used; the rest is for the kernel and for what grows between two checks.
 _USED_SHARE = 0.9
-#: What must be free to start an evaluation beside a training.
+"""Share of a container's limit that is used; the rest is for the kernel and for what grows between two checks."""
 _EVALUATION_BYTES = 512 * MIB
+"""What must be free to start an evaluation beside a training."""
 
 
 @dataclass(eq=False)
@@ -30,8 +30,8 @@ class Share:
     kind: WorkKind
     _budget: MemoryBudget = field(repr=False)
     held_bytes: int = 0
-    #: Whether there were other children when it had to end.
     crowded: bool = False
+    """Whether there were other children when it had to end."""
 
     def must_end(self, held_bytes: int) -> bool:
         """Record what the child holds; return whether it has to end because all together exceed the budget."""

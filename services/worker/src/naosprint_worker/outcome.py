@@ -16,8 +16,8 @@ from naospec.files import write_whole
 
 OUTCOME_FILE = "outcome.json"
 
-#: Kind of an outcome that the work did not cause: store, database or Docker engine did not answer.
 SERVICE_UNAVAILABLE = "service_unavailable"
+"""Kind of an outcome that the work did not cause: store, database or Docker engine did not answer."""
 
 
 class TrainerExitCode(enum.IntEnum):
@@ -27,23 +27,23 @@ class TrainerExitCode(enum.IntEnum):
     """
 
     FINISHED = 0
-    #: It cannot succeed by being tried again: bad input, diverged training, a defect.
     PERMANENT = 65
-    #: Something outside failed (store, database, disk, simulator); another attempt may succeed.
+    """It cannot succeed by being tried again: bad input, diverged training, a defect."""
     TRANSIENT = 69
-    #: Its working folder's disk is full; there may be no space for a report.
+    """Something outside failed (store, database, disk, simulator); another attempt may succeed."""
     DISK_FULL = 74
-    #: It stopped on request and left a checkpoint.
+    """Its working folder's disk is full; there may be no space for a report."""
     STOPPED = 75
-    #: The row no longer belongs to this attempt; nothing may be written any more.
+    """It stopped on request and left a checkpoint."""
     FENCED = 76
+    """The row no longer belongs to this attempt; nothing may be written any more."""
 
 
-#: What the database's driver and SQLAlchemy append to their messages.
 _STATEMENT = re.compile(r"\s*(\[SQL: |\bDETAIL: ).*", re.DOTALL)
+"""What the database's driver and SQLAlchemy append to their messages."""
 _ADDRESS = re.compile(r"\b[A-Za-z][A-Za-z0-9+.-]*://[^\s'\"<>)\]]+")
-#: Absolute path of at least two names, quoted or not; the last name is the second group.
 _PATH = re.compile(r"(?<![\w./…-])(['\"]?)/(?:(?:(?<=['\"]/)[^'\"\n]*|[^\s'\":;,()]*))/([^\s'\":;,()/]*)")
+"""Absolute path of at least two names, quoted or not; the last name is the second group."""
 
 
 @dataclass(frozen=True)

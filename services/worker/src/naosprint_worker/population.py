@@ -17,10 +17,10 @@ from typing import Any
 from naojobs.models import Trial, TrialState
 from naospec.search import Choices, IntRange, Parameter, SearchSpec
 
-#: Part of a generation that continues from as many of the best.
 REPLACED = 0.25
-#: Probability that a setting with named values gets another one, as each other setting does.
+"""Part of a generation that continues from as many of the best."""
 RESAMPLED = 0.25
+"""Probability that a setting with named values gets another one, as each other setting does."""
 
 
 @dataclass(frozen=True, slots=True)

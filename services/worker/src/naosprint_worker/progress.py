@@ -9,8 +9,8 @@ from pathlib import Path
 
 PROGRESS_FILE = "progress"
 
-#: Seconds between two touches, and the longest time that one check of the file counts for.
 _PERIOD_S, _LONGEST_LOOK_S = 1.0, 5.0
+"""Seconds between two touches, and the longest time that one check of the file counts for."""
 
 
 class Progress:

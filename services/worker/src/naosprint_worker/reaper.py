@@ -14,8 +14,8 @@ from naosprint_worker.orphans import OrphanSweeper
 
 logger = logging.getLogger(__name__)
 
-#: Workers that look for lost work in one interval, on average. All of a thousand would be a load by themselves.
 _TURNS = 10
+"""Workers that look for lost work in one interval, on average. All of a thousand would be a load by themselves."""
 
 
 class LostWork:
@@ -24,8 +24,8 @@ class LostWork:
     def __init__(self, sessions: Sessions, lease_s: float) -> None:
         self._sessions = sessions
         self._lease_s = lease_s
-        #: Workers of the service that are alive, this one included.
         self.workers = 1
+        """Workers of the service that are alive, this one included."""
 
     def sweep(self) -> list[lifecycle.Requeued]:
         """Requeue what is lost, unless others of many workers look for it now; return it."""

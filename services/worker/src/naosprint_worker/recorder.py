@@ -24,12 +24,12 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Log lines kept while the database does not answer; beyond them the oldest are dropped and counted.
 MAX_PENDING_LOGS = 5_000
-#: Rows of one transaction.
+"""Log lines kept while the database does not answer; beyond them the oldest are dropped and counted."""
 MAX_BATCH = 500
-#: Seconds between two calls of `stop` while a training waits.
+"""Rows of one transaction."""
 _LOOK_S = 0.5
+"""Seconds between two calls of `stop` while a training waits."""
 
 
 Item = MetricsRow | LogLine | EventRecord | StoredCheckpoint
@@ -38,8 +38,8 @@ Item = MetricsRow | LogLine | EventRecord | StoredCheckpoint
 class Sink(Protocol):
     """Destination of records. Both calls may be repeated with the same arguments after an error."""
 
-    #: Errors after which a call is tried again.
     transient: tuple[type[Exception], ...]
+    """Errors after which a call is tried again."""
 
     def write(self, batch: Batch) -> None:
         """Store ``batch`` in one transaction."""
@@ -85,13 +85,13 @@ class Recorder:
         self._usage = Usage()
         self._changed = threading.Condition()
         self._rows: deque[Item] = deque()
-        #: Rows that are being written.
         self._batch = Batch()
+        """Rows that are being written."""
         self._uploads: deque[Entry] = deque()
         self._taken: set[int] = set()
         self._previous: Path | None = None
-        #: Step of the last checkpoint in the spool: its metrics are there, too.
         self._spooled_step = -1
+        """Step of the last checkpoint in the spool: its metrics are there, too."""
         self._writing = False
         self._uploading = False
         self._reported = False

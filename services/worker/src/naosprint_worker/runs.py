@@ -35,17 +35,17 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-#: Seconds that an evaluator has to stop: it has nothing to save.
 EVALUATOR_GRACE_S = 5.0
+"""Seconds that an evaluator has to stop: it has nothing to save."""
 
-#: Seconds for which a worker that shuts down waits for the database.
 _LAST_PATIENCE_S = 10.0
+"""Seconds for which a worker that shuts down waits for the database."""
 
-#: Children send no messages and receive none; the settings need an address.
 _BROKER_VARIABLE, _NO_BROKER = "NAOSPRINT_BROKER_URL", "redis://none:none@none.invalid"
+"""Children send no messages and receive none; the settings need an address."""
 
-#: Module of the child process by kind of work.
 _PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
+"""Module of the child process by kind of work."""
 
 
 def child_environment(settings: WorkerSettings) -> dict[str, str]:

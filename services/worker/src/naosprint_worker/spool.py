@@ -19,8 +19,8 @@ from naojobs.records import MetricsRow
 from naojobs.states import WorkState
 from sqlalchemy import func, select
 
-#: Folder below the workers' folder: spools persist beyond attempts and workers.
 SPOOL = "spool"
+"""Folder below the workers' folder: spools persist beyond attempts and workers."""
 
 _FILES, _METRICS = "checkpoint", "metrics.json"
 
@@ -30,8 +30,8 @@ class Entry:
     """Checkpoint in a spool, with the metrics before it that were not recorded either."""
 
     step: int
-    #: The attempt that saved it.
     attempt: int
+    """The attempt that saved it."""
     folder: Path
 
     @property

@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-#: Schema of Optuna's tables, apart from ours.
 SCHEMA = "optuna"
-#: Trials that one pass starts, so that its transaction stays short.
+"""Schema of Optuna's tables, apart from ours."""
 STARTS_PER_PASS = 4
-#: Complete trials from which importances are computed.
+"""Trials that one pass starts, so that its transaction stays short."""
 IMPORTANCE_FROM = 5
+"""Complete trials from which importances are computed."""
 
-#: Key of the lock against two creations of Optuna's tables at once.
 _TABLES_LOCK = 0x6F7074
+"""Key of the lock against two creations of Optuna's tables at once."""
 
 
 class Conductor:

@@ -26,36 +26,36 @@ from naosprint_worker.settings import WorkerSettings
 
 logger = logging.getLogger(__name__)
 
-#: Seconds between two checks of a child's memory: finding all of its processes takes time.
 MEMORY_PERIOD_S = 1.0
+"""Seconds between two checks of a child's memory: finding all of its processes takes time."""
 
-#: Seconds that a stalled child has to print where it is, and the lines of that which are kept.
 _TRACEBACK_S, _TRACEBACK_LINES = 0.5, 60
+"""Seconds that a stalled child has to print where it is, and the lines of that which are kept."""
 
 
 class Intent(enum.IntEnum):
     """Reason to stop a child; a higher one overrides a lower one."""
 
-    #: It was not asked to stop.
     NONE = 0
-    #: The worker shuts down; the work resumes on another one.
+    """It was not asked to stop."""
     SHUTDOWN = 1
-    #: A user requested a pause.
+    """The worker shuts down; the work resumes on another one."""
     PAUSE = 2
-    #: The database has been unreachable for too long.
+    """A user requested a pause."""
     CUT_OFF = 3
-    #: It has run longer than it may.
+    """The database has been unreachable for too long."""
     TIME_LIMIT = 4
-    #: A user requested its end.
+    """It has run longer than it may."""
     CANCEL = 5
-    #: It has made no step for too long.
+    """A user requested its end."""
     STALLED = 6
-    #: All children of the worker together hold more memory than they may.
+    """It has made no step for too long."""
     CROWDED = 7
-    #: It holds more memory than it may.
+    """All children of the worker together hold more memory than they may."""
     MEMORY = 8
-    #: The lease is lost.
+    """It holds more memory than it may."""
     LEASE_LOST = 9
+    """The lease is lost."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Ending:
     intent: Intent
     returncode: int
     outcome: Outcome | None
-    #: Whether it had to be killed because it did not stop within the grace period.
     overstayed: bool
+    """Whether it had to be killed because it did not stop within the grace period."""
     peak_bytes: int
-    #: Whether the kernel ended some process for lack of memory meanwhile.
     oom: bool
+    """Whether the kernel ended some process for lack of memory meanwhile."""
     last_output: str
 
     @property

@@ -50,8 +50,8 @@ logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
-#: Share of the grace period in which a stopped training waits for its last records to be stored.
 _FLUSH_SHARE = 0.75
+"""Share of the grace period in which a stopped training waits for its last records to be stored."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class _Start:
     """Checkpoint that an attempt resumes from."""
 
     step: int
-    #: Its id; none if it is not recorded yet.
     checkpoint_id: str | None
+    """Its id; none if it is not recorded yet."""
     folder: Path
-    #: Checkpoints up to this one that the attempt before could not store.
     waiting: Sequence[Entry] = ()
+    """Checkpoints up to this one that the attempt before could not store."""
 
 
 class Attempt:
@@ -74,8 +74,8 @@ class Attempt:
         self._services = services
         self._assignment = assignment
         self._lease = assignment.lease
-        #: The recorded checkpoint that was resumed from, and the steps of all by id.
         self._resumed_from: str | None = None
+        """The recorded checkpoint that was resumed from, and the steps of all by id."""
         self._steps: dict[str, int] = {}
         self._sink = JobSink(services.sessions, services.store, assignment.lease, retention=services.settings.retention)
         settings = services.settings

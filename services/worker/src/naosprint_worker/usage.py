@@ -8,8 +8,8 @@ import time
 
 import psutil
 
-#: Seconds between two searches for new descendants: a search reads the whole table of processes.
 _SEARCH_S = 5.0
+"""Seconds between two searches for new descendants: a search reads the whole table of processes."""
 
 
 class Usage:
@@ -19,8 +19,8 @@ class Usage:
         """Start to measure."""
         self._processes = [psutil.Process()]
         self._searched_at = -math.inf
-        #: Processor time in seconds by process id.
         self._cpu_s: dict[int, float] = {}
+        """Processor time in seconds by process id."""
         self._read_at = time.monotonic()
         self.read()
 

@@ -38,14 +38,14 @@ from naoctl.render import ago, cell, listing, pairs, size, stall_text, state_tex
 from naoctl.specflags import build, parse_flags, spec_parameters, with_parameters
 from naoctl.transfer import RemoteFile, fetch
 
-#: Name of a report's page.
 REPORT_PAGE = "report.html"
-#: Maximum number of rows of metrics in one response.
+"""Name of a report's page."""
 MAX_POINTS = 5_000
-#: Exit codes for states of an evaluation.
+"""Maximum number of rows of metrics in one response."""
 EXIT_CODES = {"failed": ExitCode.JOB_FAILED, "cancelled": ExitCode.JOB_CANCELLED}
-#: Seconds between two requests for a running evaluation.
+"""Exit codes for states of an evaluation."""
 POLL_S = 0.5
+"""Seconds between two requests for a running evaluation."""
 CheckpointOption = Annotated[
     str | None,
     typer.Option("--checkpoint", "-c", metavar="ID|STEP", help="Checkpoint to use (default: the newest)."),
@@ -70,8 +70,8 @@ JobOrPolicy = Annotated[
 class What(StrEnum):
     """Artifacts to download."""
 
-    #: Everything below; an evaluation that does not exist yet is no error then.
     ALL = "all"
+    """Everything below; an evaluation that does not exist yet is no error then."""
     CHECKPOINT = "checkpoint"
     EVALUATION = "evaluation"
     METRICS = "metrics"

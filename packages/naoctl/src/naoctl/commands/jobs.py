@@ -21,8 +21,8 @@ STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "s
 Jobs = Annotated[
     list[str], typer.Argument(metavar="JOB...", help="Ids or names of jobs, or `last`.", autocompletion=complete_job)
 ]
-#: Beginning of an evaluation's id.
 EVALUATION_PREFIX = "eval_"
+"""Beginning of an evaluation's id."""
 WaitFlag = Annotated[bool, typer.Option("--wait", help="Return when it has happened, not when it is requested.")]
 
 

@@ -18,8 +18,8 @@ from naoctl.render import MISSING, ago, cell, duration, listing, pairs
 
 POLICY_HELP = "A bundled or registered policy: NAME, NAME@VERSION or NAME@ALIAS."
 Policy = Annotated[str, typer.Argument(metavar="POLICY", help=POLICY_HELP)]
-#: Leading digits of a digest that displays show.
 DIGEST_DIGITS = 12
+"""Leading digits of a digest that displays show."""
 
 
 def register_policy(

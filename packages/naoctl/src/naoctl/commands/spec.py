@@ -21,8 +21,8 @@ from naoctl.help import page
 from naoctl.render import MISSING, pairs
 from naoctl.specflags import choices_of, flag_name, limits_text, metavar, training_settings
 
-#: Groups of settings, in the order of the list.
 SECTIONS = (*GROUPS, "training", "runtime", "evaluation")
+"""Groups of settings, in the order of the list."""
 
 
 def settings_by_section() -> dict[str, dict[str, Setting]]:

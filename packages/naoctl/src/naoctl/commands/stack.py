@@ -11,13 +11,13 @@ from naoctl.config import Config
 from naoctl.context import Context, DataDir, JsonFlag, context_of
 from naoctl.errors import CliError, ExitCode, StackError
 
-#: Port of `naoctl up`.
 PortOption = Annotated[
     int | None,
     typer.Option(
         "--port", "-p", min=1, max=65535, help="Port of API and dashboard.", show_default="8000 or a free one"
     ),
 ]
+"""Port of `naoctl up`."""
 
 
 def up(

@@ -44,9 +44,8 @@ JOB_FIELDS = (
     "parent_policy",
 )
 EVAL_PREFIX = "eval_"
-#: Settings of an evaluation that have a flag.
 EVALUATION_SETTINGS = settings_of(EvaluationSpec, leave_out=["task"])
-#: Settings that ``naoctl submit --help`` shows; ``--help-all`` and ``naoctl spec`` show all.
+"""Settings of an evaluation that have a flag."""
 COMMON_SETTINGS = (
     "task",
     "robot",
@@ -58,11 +57,12 @@ COMMON_SETTINGS = (
     "n_envs",
     "hidden_sizes",
 )
+"""Settings that ``naoctl submit --help`` shows; ``--help-all`` and ``naoctl spec`` show all."""
 COMMON_EVALUATION_SETTINGS = ("episodes",)
-#: Largest number of seeds in one range of ``--seeds``.
 MAX_SEEDS = 256
-#: Attempts to submit a job when the answer is lost; the idempotency key prevents a second job.
+"""Largest number of seeds in one range of ``--seeds``."""
 SUBMIT_ATTEMPTS = 3
+"""Attempts to submit a job when the answer is lost; the idempotency key prevents a second job."""
 
 
 def _complete_recipe(incomplete: str) -> list[str]:

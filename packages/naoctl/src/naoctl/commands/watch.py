@@ -17,8 +17,8 @@ from naoctl.evaluations import evaluated, headline, shown_result
 from naoctl.follow import follow, is_over, result_of
 from naoctl.render import Curve, clock, duration, live_view, print_json_line, progress_line, stall_text
 
-#: Seconds between two lines of progress where there is no terminal.
 LINE_EVERY_S = 5.0
+"""Seconds between two lines of progress where there is no terminal."""
 LEVEL_STYLE = {"warning": "yellow", "error": "red", "critical": "red", "debug": "bright_black", "event": "cyan"}
 
 

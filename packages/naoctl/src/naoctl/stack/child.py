@@ -17,12 +17,12 @@ from naoctl.stack.ports import Address
 from naoctl.stack.postgres import Account, launch_command
 from naoctl.stack.state import ProcessRecord
 
-#: Size in bytes above which a log is renamed to ``NAME.log.1`` when its process starts.
 MAX_LOG_BYTES = 16 * 1024 * 1024
-#: Seconds before a process that died is restarted: the first delay, doubled with every death, and the longest.
+"""Size in bytes above which a log is renamed to ``NAME.log.1`` when its process starts."""
 FIRST_BACKOFF_S, LAST_BACKOFF_S = 0.5, 30.0
-#: Uptime in seconds after which the restart delay is reset.
+"""Seconds before a process that died is restarted: the first delay, doubled with every death, and the longest."""
 WELL_AFTER_S = 60.0
+"""Uptime in seconds after which the restart delay is reset."""
 
 
 @dataclass(frozen=True)

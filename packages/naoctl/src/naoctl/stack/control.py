@@ -22,8 +22,8 @@ from naoctl.stack.supervisor import WORKER_GRACE_S, Options, RunningStack, clear
 
 Say = Callable[[str, str], None]
 
-#: Seconds that stopping may take: the grace period of the worker and of the other processes.
 DOWN_WITHIN_S = WORKER_GRACE_S + 60.0
+"""Seconds that stopping may take: the grace period of the worker and of the other processes."""
 
 
 class ReadyPipe:

@@ -27,14 +27,13 @@ from naoctl.stack.supervisor import API_PORTS, find_migrations
 
 Verdict = Literal["ok", "warning", "failed"]
 
-#: Free space in bytes below which a check warns, and below which it fails.
 WARN_DISK_BYTES, LEAST_DISK_BYTES = 5_000_000_000, 1_000_000_000
-#: Memory for Postgres, broker, API, worker and one training, bytes.
+"""Free space in bytes below which a check warns, and below which it fails."""
 WANTED_MEMORY_BYTES = 2_000_000_000
-#: Instruction sets that the engine has code for, best first.
+"""Memory for Postgres, broker, API, worker and one training, bytes."""
 VECTOR_SETS = ("avx512f", "avx2", "avx", "asimd", "neon", "sse4_2")
+"""Instruction sets that the engine has code for, best first."""
 
-#: What the API and the worker import.
 MODULES = (
     "naospec",
     "naojobs",
@@ -44,6 +43,7 @@ MODULES = (
     "torch",
     "stable_baselines3",
 )
+"""What the API and the worker import."""
 
 _ENGINE_TRIAL = """
 import math, numpy

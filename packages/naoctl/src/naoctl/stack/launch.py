@@ -24,8 +24,8 @@ CAPABILITY_VERSION_3 = 0x20080522
 CAP_DAC_OVERRIDE = 1
 CAP_DAC_READ_SEARCH = 2
 
-#: The account field's value that keeps the present one.
 SAME_ACCOUNT = "-"
+"""The account field's value that keeps the present one."""
 
 
 class _CapabilityHeader(ctypes.Structure):

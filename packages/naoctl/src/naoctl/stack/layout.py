@@ -13,8 +13,8 @@ from naospec.files import private_folder
 
 from naoctl.errors import StackError
 
-#: Control characters, and bytes that are no UTF-8.
 _UNFIT = re.compile("[\x00-\x1f\x7f\ud800-\udfff]")
+"""Control characters, and bytes that are not UTF-8."""
 
 
 def default_data_dir() -> Path:
@@ -97,7 +97,7 @@ class Layout:
         """
         if _UNFIT.search(str(self.root)):
             raise StackError(
-                f"The data folder {str(self.root)!r} has a line break, or bytes that are no UTF-8, in its path",
+                f"The data folder {str(self.root)!r} has a line break, or bytes that are not UTF-8, in its path",
                 fix="Name another with --data-dir.",
             )
         try:

@@ -6,8 +6,8 @@ import socket
 
 HOST = "127.0.0.1"
 
-#: IP address and port.
 Address = tuple[str, int]
+"""IP address and port."""
 
 
 def is_free(port: int) -> bool:

@@ -23,10 +23,10 @@ from naoctl.stack import launch
 from naoctl.stack.layout import Layout
 
 USER = DATABASE = "naosprint"
-#: Capabilities that root needs to run, reach and stop Postgres as another account (linux/capability.h).
 RIGHTS_OF_ROOT = {"CHOWN": 0, "DAC_OVERRIDE": 1, "KILL": 5, "SETGID": 6, "SETUID": 7}
-#: Longest path of a Unix socket, bytes (sun_path of Linux is 108 with its end mark; others have 104).
+"""Capabilities that root needs to run, reach and stop Postgres as another account (linux/capability.h)."""
 MAX_SOCKET_PATH = 103
+"""Longest path of a Unix socket, bytes (sun_path of Linux is 108 with its end mark; others have 104)."""
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack.layout import Layout
 
-#: Environment variable that marks every process of a stack, and its descendants, with the stack's id.
 MARK = "NAOSPRINT_STACK_ID"
+"""Environment variable that marks every process of a stack, and its descendants, with the stack's id."""
 
 
 @dataclass(frozen=True)

@@ -33,16 +33,16 @@ from naoctl.stack.passwords import read_secrets
 from naoctl.stack.postgres import Postgres, launch_command
 from naoctl.stack.state import MARK, FolderLock, ProcessRecord, StackState, marked_processes
 
-#: Ports tried for the API before any free one is taken.
 API_PORTS = list(range(8000, 8020))
-#: Number of ports to try when another process takes each before the API does.
+"""Ports tried for the API before any free one is taken."""
 API_ATTEMPTS = 3
-#: Order in which the processes are stopped: a process stops before those it depends on.
+"""Number of ports to try when another process takes each before the API does."""
 STOP_ORDER = ("worker", "api", "broker", "postgres")
-#: Seconds a training has for its last checkpoint when the worker is stopped, plus some for the worker itself.
+"""Order in which the processes are stopped: a process stops before those it depends on."""
 WORKER_GRACE_S = 75.0
-#: Seconds in which the trainings of a dead worker may write a checkpoint and end.
+"""Seconds a training has for its last checkpoint when the worker is stopped, plus some for the worker itself."""
 LEFTOVER_GRACE_S = 15.0
+"""Seconds in which the trainings of a dead worker may write a checkpoint and end."""
 
 
 class Stopped(Exception):

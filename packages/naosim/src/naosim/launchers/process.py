@@ -159,8 +159,8 @@ class _ServerProcess:
         self._process = process
         self._home = home
         self._lease = lease
-        #: Bytes of its log from the time before it listened: plug-ins that it looked for, mostly.
         self._starting_bytes = 0
+        """Bytes of its log from the time before it listened: plug-ins that it looked for, mostly."""
 
     @property
     def pid(self) -> int:

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from naosprint.tasks.environment import Environment
 
 _SOURCES = Path(__file__).with_name("skills")
-#: Cycles of the recorded episode.
 CYCLES = 64
+"""Cycles of the recorded episode."""
 _NOISE_DEG = 2.0
 _SAME = 1e-5
 
@@ -37,12 +37,12 @@ _SAME = 1e-5
 class _Target:
     """Team code for the robots of a family."""
 
-    #: Folder of the skill, below the team code's own.
     folder: str
-    #: What the robot perceives, by the name of the argument of `Runner.observe`, in their order.
+    """Folder of the skill, below the team code's own."""
     inputs: Mapping[str, Callable[[Environment], AnyArray]]
-    #: Inputs that only some policies need, and whether this one does.
+    """What the robot perceives, by the name of the argument of `Runner.observe`, in their order."""
     optional: Mapping[str, Callable[[Environment], bool]] = field(default_factory=dict)
+    """Inputs that only some policies need, and whether this one does."""
 
 
 def _perceived(name: str) -> Callable[[Environment], AnyArray]:

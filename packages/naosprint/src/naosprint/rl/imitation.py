@@ -1,4 +1,4 @@
-"""PPO that imitates first: the actor learns the actions that a task demonstrates, then goes on by itself."""
+"""PPO after imitation: the actor learns the actions that a task demonstrates, and then from its own rewards."""
 
 from __future__ import annotations
 

@@ -30,14 +30,14 @@ router = APIRouter(tags=["sharing"], route_class=CountedRoute)
 _log = logging.getLogger(__name__)
 
 REPORT = "report.html"
-#: Seconds that the address of a report is valid.
 PAGE_S = 600
+"""Seconds that the address of a report is valid."""
 
-#: A report is one file: it runs no script, loads nothing else, and has no access to this origin.
 REPORT_POLICY = (
     "sandbox allow-downloads; default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:; "
     "frame-ancestors 'self'"
 )
+"""A report is one file: it runs no script, loads nothing else, and has no access to this origin."""
 
 _READ = responses(401, 403, 404, 422, 429, 503)
 
