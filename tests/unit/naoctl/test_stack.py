@@ -104,7 +104,7 @@ def test_the_stop_command_names_the_data_folder_unless_it_is_the_usual_one(
 
 @pytest.mark.parametrize("name", [b"a\nb", b"a\xff", b"a\x7f"], ids=["line break", "no UTF-8", "control"])
 def test_a_data_folder_whose_path_no_file_can_hold_is_refused(tmp_path: Path, name: bytes) -> None:
-    with pytest.raises(StackError, match="has a line break, or bytes that are no UTF-8"):
+    with pytest.raises(StackError, match="has a line break, or bytes that are not UTF-8"):
         Layout.at(tmp_path / os.fsdecode(name)).make()
 
 
