@@ -5,6 +5,7 @@
     python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`, or of a chain
     python benchmarks/learning/bundle.py sprint-blind --training FOLDER --after sprint
     python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
+    python benchmarks/learning/bundle.py --examine sprint    # only what its card says of motion and robustness
 
 The service is the one that naoctl talks to. A job's policy is one of its latest checkpoints: of those whose first
 headline result is within SLACK of the best, the one with the lowest first rate of the headline, such as that of falls.
@@ -28,12 +29,11 @@ from naospec.json_text import json_text
 # the same floating-point kernels on every x86-64 machine with AVX2, so that a refresh repeats a card to the last digit
 os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
-import examine
 import matplotlib as mpl
 import naopolicies
 from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
 from naosprint import evaluate
-from naosprint.analysis import figures
+from naosprint.analysis import examination, figures
 from naosprint.analysis.report import read_metrics, write_report
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
 from naosprint.rl.candidates import reward_per_step
@@ -44,7 +44,7 @@ ROOT = Path(__file__).parents[2]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
 PAGES = ROOT / "docs" / "policies"
 
-EPISODES, EXAMINED_EPISODES = 1000, 200
+EPISODES = 1000
 CHOOSING_EPISODES, CHOOSING_SEED, EVALUATION_SEED = 5000, 1, 2026
 SLACK = 0.01
 CURVE_POINTS = 200
@@ -64,6 +64,7 @@ def main() -> int:
         help="folders of trainings without the service, each of which started from the policy of the one before it",
     )
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
+    source.add_argument("--examine", action="store_true", help="examine bundled policies again, and nothing else")
     parser.add_argument("--after", metavar="POLICY", help="bundled policy that the first training started from")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
     parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
@@ -71,6 +72,10 @@ def main() -> int:
     if options.refresh:
         for name in options.names:
             refresh(name)
+        return 0
+    if options.examine:
+        for name in options.names:
+            write_card({**naopolicies.card(name), **examination.examine(BUNDLED / name).to_dict()})
         return 0
     (name,) = options.names
     if options.training:
@@ -218,21 +223,30 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
-            **examine.examine(target, EXAMINED_EPISODES),
+            **examination.examine(target).to_dict(),
         }
-        (target / "card.json").write_text(json_text(card), encoding="utf-8")
         report = write_report(work / "report", evaluation=work, title=name).parent
         pictures = PAGES / name
         shutil.rmtree(pictures, ignore_errors=True)
         pictures.mkdir(parents=True)
-        names = [*(table["name"].replace("_", "-") for table in summary["tables"]), "trajectories", "frames", "gait"]
-        for picture in names:
+        for picture in pictures_of(card):
             shutil.copy(report / f"{picture}.png", pictures)
         shutil.copy(report / "run.mp4", pictures)
         with mpl.rc_context(figures.style()):
             learning_curves(trained, card).savefig(pictures / "learning-curve.png", dpi=150)
-    (PAGES / f"{name}.md").write_text(page(card, names))
+    write_card(card)
     print(f"{name}: {card['summary']}")
+
+
+def write_card(card: dict[str, Any]) -> None:
+    """Write a policy's card, and its page in the docs."""
+    (BUNDLED / card["name"] / "card.json").write_text(json_text(card), encoding="utf-8")
+    (PAGES / f"{card['name']}.md").write_text(page(card), encoding="utf-8")
+
+
+def pictures_of(card: dict[str, Any]) -> list[str]:
+    """Return the names of a policy's pictures."""
+    return [*(table["name"].replace("_", "-") for table in card["tables"]), "trajectories", "frames", "gait"]
 
 
 def summary_text(summary: dict[str, Any]) -> str:
@@ -257,7 +271,7 @@ def learning_curves(spec: TrainingSpec, card: dict[str, Any]) -> Any:
     return figures.learning_curves(rows, presentation.charts, metrics, presentation.references, (steps, results))
 
 
-def page(card: dict[str, Any], pictures: list[str]) -> str:
+def page(card: dict[str, Any]) -> str:
     """Return a policy's page for the docs."""
     name, confidence = card["name"], card["evaluation"]["confidence"]
     lines = [f"# {name}", "", f"[![{name} in pictures]({name}/frames.png)]({name}/run.mp4)", ""]
@@ -281,10 +295,11 @@ def page(card: dict[str, Any], pictures: list[str]) -> str:
             f"| {one['job']} | {training} | {one['steps'] / 1e6:.0f} M | {one['training_s'] / 60:.0f} | {changes} |"
         )
     lines += ["", f"![learning curves]({name}/learning-curve.png)", ""]
-    lines += examine.page({key: card[key] for key in ("motion", "robustness") if key in card})
+    for title, (header, *rows) in examination.rows(card):
+        lines += [f"## {title}", "", *(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)), ""]
     repeats = plugins.load(plugins.TASKS, card["task"]).presentation.repeats
     lines += ["## Gait" if repeats else "## Motion in pictures", ""]
-    lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures if picture != "frames"]
+    lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures_of(card) if picture != "frames"]
     lines += [
         "## Try it",
         "",

@@ -89,15 +89,18 @@ def _parser() -> argparse.ArgumentParser:
     examine = commands.add_parser(
         "examine",
         help="find out how robust a policy is",
-        description="Search for each disturbance the range within which few enough episodes fail, and print it.",
+        description="Print peaks of motion, results under disturbances, and for each disturbance the range within "
+        "which few enough episodes fail.",
     )
     examine.add_argument("checkpoint", help=_CHECKPOINT_HELP)
-    examine.add_argument("--output", type=Path, help="directory for robustness.json and robustness.svg")
+    examine.add_argument("--output", type=Path, help="directory for examination.json and robustness.svg")
     examine.add_argument("--episodes", type=int, default=100, help="episodes at each strength (default: 100)")
     examine.add_argument(
         "--most-failures", type=float, default=0.05, metavar="SHARE", help="share that may fail (default: 0.05)"
     )
-    examine.add_argument("--only", metavar="NAMES", help="disturbances, separated by commas (default: all)")
+    examine.add_argument(
+        "--only", metavar="NAMES", help="motion, conditions, or disturbances with commas between"
+    )
     examine.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     examine.set_defaults(run=_examine)
 
@@ -330,28 +333,24 @@ def _examine(options: argparse.Namespace) -> int:
         raise ValueError("--most-failures: must be at least 0 and less than 1, for example 0.05")
     checkpoint = naopolicies.resolve(options.checkpoint)
 
+    from rich.console import Console
     from rich.progress import Progress
 
-    from naosprint.analysis.robustness import Disturbance, Point, examine
+    from naosprint.analysis.examination import examine, tables
 
-    with Progress(transient=True) as progress:
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
         bar = progress.add_task("examining", total=None)
-
-        def tell(disturbance: Disturbance, point: Point) -> None:
-            text = f"{disturbance.name} {point.strength:g} {disturbance.unit}".rstrip()
-            progress.update(bar, description=f"{text}: {100.0 * point.failures:.1f} % failed")
-
-        ranges = examine(
+        found = examine(
             checkpoint,
             episodes=options.episodes,
             most_failures=options.most_failures,
             names=options.only.split(",") if options.only else (),
             threads=options.threads,
-            on_point=tell,
+            tell=lambda text: progress.update(bar, description=text),
         )
-    sys.stdout.write(f"At most {100.0 * options.most_failures:g} % of {options.episodes} episodes fail:\n")
-    for each in ranges:
-        sys.stdout.write(f"  {each.disturbance.name:9} {each.disturbance.title:18} {each.text()}\n")
+    console = Console()
+    for table in tables(found.to_dict()):
+        console.print(table)
     if options.output is not None:
         from matplotlib import rc_context
         from naospec.json_text import json_text
@@ -359,14 +358,10 @@ def _examine(options: argparse.Namespace) -> int:
         from naosprint.analysis import figures
 
         options.output.mkdir(parents=True, exist_ok=True)
-        document = {
-            "episodes": options.episodes,
-            "most_failures": options.most_failures,
-            "ranges": [each.to_dict() for each in ranges],
-        }
-        (options.output / "robustness.json").write_text(json_text(document), encoding="utf-8")
-        with rc_context(figures.style()):
-            figures.robustness(ranges, options.most_failures).savefig(options.output / "robustness.svg")
+        (options.output / "examination.json").write_text(json_text(found.to_dict()), encoding="utf-8")
+        if found.ranges:
+            with rc_context(figures.style()):
+                figures.robustness(found.ranges, found.most_failures).savefig(options.output / "robustness.svg")
     return 0
 
 

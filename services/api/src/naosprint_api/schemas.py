@@ -488,6 +488,10 @@ class PolicyCard(BaseModel):
         default={}, description="Peaks of joint speed, foot force and contact depth, running and standing."
     )
     robustness: list[dict[str, Any]] = Field(default=[], description="Headline results under each disturbance.")
+    ranges: dict[str, Any] | None = Field(
+        default=None,
+        description="The range of each disturbance in which few enough episodes fail, by `naosprint examine`.",
+    )
 
 
 class PolicyPage(Page[PolicyCard]):

@@ -9,9 +9,8 @@ import naopolicies
 import pytest
 from naosprint.__main__ import main
 from naosprint.analysis import figures
-from naosprint.analysis.robustness import DISTURBANCES, Disturbance, Point, examine
-
-DELAY = next(each for each in DISTURBANCES if each.name == "delay")
+from naosprint.analysis.motion import motion
+from naosprint.analysis.robustness import CONDITIONS, DISTURBANCES, Disturbance, Point, ranges
 
 
 def test_the_range_ends_where_too_many_fail(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,7 +23,7 @@ def test_the_range_ends_where_too_many_fail(monkeypatch: pytest.MonkeyPatch) -> 
             return Point(strength, 0.05 if strength <= limit else 0.06, 0.0, 1.0)
 
         monkeypatch.setattr("naosprint.analysis.robustness._run", run)
-        (found,) = examine(Path("unused"), names=["pushes"])
+        (found,) = ranges(Path("unused"), names=["pushes"])
         assert found.reached == (None if border is None else limit)
         assert found.complete == (border == len(pushes.strengths) - 1)
         assert len(found.points) <= 7
@@ -32,29 +31,44 @@ def test_the_range_ends_where_too_many_fail(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_policy_is_examined_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """t1-sprint stands no delay; the NAO's engine has no pushes, which is said instead of a range."""
+    """t1-sprint stands no delay; the NAO's engine has no pushes and no contacts, which is said instead."""
     arguments = ["--episodes", "3", "--threads", "1", "--output", str(tmp_path)]
-    assert main(["examine", "t1-sprint", "--only", "delay", *arguments]) == 0
-    assert "delay     Delay              none" in capsys.readouterr().out
-    written = json.loads((tmp_path / "robustness.json").read_text(encoding="utf-8"))
-    (delay,) = written["ranges"]
-    assert delay["reached"] == 0.0 and delay["points"][0][:2] == [0.0, 0.0] and delay["points"][-1][:2] == [5.0, 1.0]
+    assert main(["examine", "t1-sprint", "--only", "delay,conditions", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert "delay        Delay     none" in printed and "the first five at once" in printed
+    written = json.loads((tmp_path / "examination.json").read_text(encoding="utf-8"))
+    (delay,) = written["ranges"]["disturbances"]
+    assert delay["text"] == "none" and delay["points"][0][:2] == [0.0, 0.0] and delay["points"][-1][:2] == [5.0, 1.0]
+    falls = {
+        row["disturbance"]: next(each["value"] for each in row["results"] if each["name"] == "fall_rate")
+        for row in written["robustness"]
+    }
+    assert falls.keys() == CONDITIONS.keys()
+    assert (falls["none"], falls["masses of bodies up to 10 % different"], falls["20 ms more delay"]) == (0.0, 0.0, 1.0)
     assert (tmp_path / "robustness.svg").read_text(encoding="utf-8").count("<svg") == 1
-    assert main(["examine", "sprint", "--only", "pushes", *arguments[:4]]) == 0
-    assert "not possible in this simulator" in capsys.readouterr().out
+    assert main(["examine", "sprint", "--only", "pushes,motion", *arguments[:4]]) == 0
+    printed = capsys.readouterr().out
+    assert "not possible in this simulator" in printed and "Largest joint speed" not in printed
+
+
+def test_a_running_robot_moves_faster_and_lands_harder_than_a_standing_one() -> None:
+    found = motion(naopolicies.folder("t1-sprint"), threads=1)
+    assert found["running"]["joint_speed_rad_s"] > 10 * found["standing"]["joint_speed_rad_s"] > 0.0
+    assert found["running"]["foot_force_n"] > 3 * found["standing"]["foot_force_n"] > 100.0
+    assert found["running"]["torque_at_limit"] > found["standing"]["torque_at_limit"]
 
 
 def test_figures_have_a_panel_for_each_range_that_was_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "naosprint.analysis.robustness._run", lambda *arguments: Point(arguments[2], arguments[2] / 10.0, 0.0, 1.0)
     )
-    ranges = examine(naopolicies.folder("t1-sprint"))
-    assert len(figures.robustness(ranges, 0.05).axes) == len(DISTURBANCES)
+    found = ranges(naopolicies.folder("t1-sprint"))
+    assert len(figures.robustness(found, 0.05).axes) == len(DISTURBANCES)
 
 
 def test_unknown_disturbances_and_impossible_numbers_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
-        (["--only", "rain"], "rain: unknown; choose among pushes"),
+        (["--only", "rain"], "rain: unknown; choose among motion, conditions, pushes"),
         (["--episodes", "0"], "--episodes: must be between 1"),
         (["--most-failures", "5"], "--most-failures: must be at least 0 and less than 1"),
     ):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -81,6 +81,7 @@ def show_policy(ctx: typer.Context, policy: Policy, as_json: JsonFlag = False) -
         rows.append(("Notes", cell(card["notes"])))
     rows.append(("Episodes", f"{card['episodes']:,}" if card["episodes"] else "not evaluated yet"))
     rows += headline(card).items()
+    rows += _ranges(card).items()
     context.out.print(pairs(rows))
     table = listing("Job", "Task", "Preset", "Steps", "Spec", "From")
     for part in card["lineage"]:
@@ -153,16 +154,34 @@ def compare_policies(
     add_settings(table, specs, differing)
     table.add_row("[bold]Evaluation[/bold]", *("" for _ in cards))
     table.add_row("Episodes", *(f"{card['episodes']:,}" if card["episodes"] else MISSING for card in cards))
-    for title, texts in _results(cards):
+    for title, texts in _side_by_side(_results, cards):
+        table.add_row(title, *texts)
+    robustness = _side_by_side(_ranges, cards)
+    if robustness:
+        table.add_row("[bold]Robustness[/bold]", *("" for _ in cards))
+    for title, texts in robustness:
         table.add_row(title, *texts)
     context.out.print(table)
 
 
-def _results(cards: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
-    """Return all results as texts, one list for each title."""
-    by_card = [{result["title"]: result_text(result) for result in card["results"]} for card in cards]
-    titles = dict.fromkeys(title for results in by_card for title in results)
-    return [(title, [results.get(title, MISSING) for results in by_card]) for title in titles]
+def _results(card: Mapping[str, Any]) -> dict[str, str]:
+    """Return all results as texts, by title."""
+    return {result["title"]: result_text(result) for result in card["results"]}
+
+
+def _ranges(card: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a policy stands of each disturbance, by the disturbance's name."""
+    found = (card.get("ranges") or {}).get("disturbances", ())
+    return {each["disturbance"].capitalize(): each["text"] for each in found}
+
+
+def _side_by_side(
+    texts_of: Callable[[Mapping[str, Any]], dict[str, str]], cards: Sequence[Mapping[str, Any]]
+) -> list[tuple[str, list[str]]]:
+    """Return the texts of all cards, one list for each title."""
+    by_card = [texts_of(card) for card in cards]
+    titles = dict.fromkeys(title for texts in by_card for title in texts)
+    return [(title, [texts.get(title, MISSING) for texts in by_card]) for title in titles]
 
 
 def promote(

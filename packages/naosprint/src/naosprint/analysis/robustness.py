@@ -1,4 +1,4 @@
-"""Ranges of disturbances within which a policy keeps on its feet.
+"""Results of a policy under disturbances, and the ranges of them within which it keeps on its feet.
 
 For each disturbance the strength is searched up to which few enough episodes fail: first the most severe one, then by
 halving the grid of strengths, as if failures grew with it. Every point that was run is kept with its interval.
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from naospec import EvaluationSpec
 
 from naosprint.analysis.evaluation import evaluate
-from naosprint.analysis.results import by_name
+from naosprint.analysis.results import by_name, headline
 from naosprint.rl.checkpoint import read_manifest
 from naosprint.tasks.statistics import wilson
 
@@ -63,6 +63,26 @@ DISTURBANCES = (
     Disturbance("noise", "Sensor noise", "", _grid(0.0, 5.0, 25), lambda v: {"sensor_noise": v}),
 )
 """The disturbances that can be examined."""
+
+BY_NAME = {disturbance.name: disturbance for disturbance in DISTURBANCES}
+"""Disturbances by name."""
+
+
+_SINGLE: dict[str, dict[str, Any]] = {
+    "pushes of up to 1 m/s every 2 s": {"push_mps": 1.0, "push_steps": 100},
+    "masses of bodies up to 10 % different": {"mass_variation": 0.1},
+    "friction times 0.6": _friction(0.6),
+    "20 ms more delay": {"extra_delay": 1},
+    "sensor noise (0.5 degrees, 5 deg/s, 5 mm)": {"sensor_noise": 1.0},
+}
+
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "none": {},
+    **_SINGLE,
+    "friction times 1.4": _friction(1.4),
+    "the first five at once": {key: value for settings in _SINGLE.values() for key, value in settings.items()},
+}
+"""Settings of the task by the name of a condition under which policies are compared."""
 
 
 @dataclass(frozen=True)
@@ -118,17 +138,18 @@ class Range:
             "unit": self.disturbance.unit,
             "reached": self.reached,
             "complete": self.complete,
+            "text": self.text(),
             "points": [[point.strength, point.failures, point.low, point.high] for point in self.points],
             "impossible": self.impossible,
         }
 
 
-def examine(
+def ranges(
     checkpoint: Path,
     *,
     episodes: int = 100,
     most_failures: float = 0.05,
-    names: Sequence[str] = (),
+    names: Sequence[str] = tuple(BY_NAME),
     threads: int = 2,
     on_point: Callable[[Disturbance, Point], None] = lambda disturbance, point: None,
 ) -> list[Range]:
@@ -138,19 +159,15 @@ def examine(
         checkpoint: the policy.
         episodes: episodes at each strength.
         most_failures: share of episodes that may fail.
-        names: which disturbances; all by default.
+        names: of the disturbances.
         threads: threads of the simulator.
         on_point: called after each strength.
 
     Raises:
-        ValueError: if a disturbance does not exist, or the task measures neither falls nor success.
+        ValueError: if the task measures neither falls nor success.
     """
-    known = {disturbance.name: disturbance for disturbance in DISTURBANCES}
-    unknown = sorted(set(names) - set(known))
-    if unknown:
-        raise ValueError(f"disturbance: {', '.join(unknown)}: unknown; choose among {', '.join(known)}")
     found = []
-    for disturbance in (known[name] for name in names or known):
+    for disturbance in (BY_NAME[name] for name in names):
         points: dict[int, Point] = {}
 
         def passes(k: int, disturbance: Disturbance = disturbance, points: dict[int, Point] = points) -> bool:
@@ -179,14 +196,39 @@ def examine(
     return found
 
 
+def conditions(
+    checkpoint: Path,
+    *,
+    episodes: int = 100,
+    threads: int = 2,
+    on_condition: Callable[[str], None] = lambda condition: None,
+) -> list[dict[str, Any]]:
+    """Return the headline results under each of `CONDITIONS` that the robot's simulator can do.
+
+    Args:
+        checkpoint: the policy.
+        episodes: episodes under each condition.
+        threads: threads of the simulator.
+        on_condition: called before each condition.
+    """
+    found = []
+    for name, settings in CONDITIONS.items():
+        on_condition(name)
+        try:
+            summary = _evaluated(checkpoint, settings, episodes, threads)
+        except _ImpossibleError:
+            continue
+        found.append({"disturbance": name, "results": headline(summary)})
+    return found
+
+
 class _ImpossibleError(Exception):
     """Disturbance that the simulator refuses."""
 
 
-def _run(checkpoint: Path, disturbance: Disturbance, strength: float, episodes: int, threads: int) -> Point:
-    """Run episodes at one strength, the others ideal."""
+def _evaluated(checkpoint: Path, settings: dict[str, Any], episodes: int, threads: int) -> dict[str, Any]:
+    """Return the summary of episodes with these settings of the task, the world ideal otherwise."""
     task = read_manifest(checkpoint).stage_spec.task.for_evaluation()
-    settings = disturbance.settings(strength)
     spec = EvaluationSpec(
         episodes=episodes,
         seed=SEED,
@@ -195,17 +237,21 @@ def _run(checkpoint: Path, disturbance: Disturbance, strength: float, episodes: 
         task={**task.model_dump(exclude_none=True), **settings},
     )
     try:
-        summary = evaluate(checkpoint, spec, threads=threads).summary
+        return evaluate(checkpoint, spec, threads=threads).summary
     except ValueError as error:
         if not any(name in str(error) for name in settings):
             raise
         raise _ImpossibleError(str(error)) from error
-    results = by_name(summary)
+
+
+def _run(checkpoint: Path, disturbance: Disturbance, strength: float, episodes: int, threads: int) -> Point:
+    """Run episodes at one strength, the others ideal."""
+    results = by_name(_evaluated(checkpoint, disturbance.settings(strength), episodes, threads))
     if "fall_rate" in results:
         failures = float(results["fall_rate"]["value"])
     elif "success_rate" in results:
         failures = 1.0 - float(results["success_rate"]["value"])
     else:
-        raise ValueError(f"task: {task.name} measures neither fall_rate nor success_rate; examine needs one of them")
+        raise ValueError("task: measures neither fall_rate nor success_rate; examine needs one of them")
     low, high = wilson(round(failures * episodes), episodes, CONFIDENCE)
     return Point(strength, failures, low, high)

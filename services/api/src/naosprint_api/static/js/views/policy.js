@@ -48,6 +48,36 @@ function lineage(card) {
   );
 }
 
+/** What a policy stands: its first results under each disturbance, and the ranges in which few enough episodes fail. */
+function robustness({ robustness: rows, ranges }) {
+  const line = (first, texts) =>
+    h(
+      "tr",
+      null,
+      h("th", { scope: "row" }, first),
+      texts.map((text) => h("td", { class: "num" }, text)),
+    );
+  const sections = [];
+  if (rows.length) {
+    const titles = ["Disturbance", ...rows[0].results.map((result) => result.title)];
+    const head = titles.map((title, i) => heading(title, i > 0));
+    const body = rows.map((row) =>
+      line(
+        row.disturbance,
+        row.results.map((result) => withUnit(result, result.value)),
+      ),
+    );
+    sections.push(["Results under disturbances", table(head, body, { class: "plain", "data-part": "robustness" })]);
+  }
+  if (ranges?.disturbances.length) {
+    const title = `Ranges in which at most ${100 * ranges.most_failures} % of ${ranges.episodes} episodes fail`;
+    const head = ["Disturbance", "Range"].map((text, i) => heading(text, i > 0));
+    const body = ranges.disturbances.map((each) => line(`${each.disturbance}: ${each.title.toLowerCase()}`, [each.text]));
+    sections.push([title, table(head, body, { class: "plain", "data-part": "ranges" })]);
+  }
+  return sections;
+}
+
 /** Commands that take the policy by its name, each with what it does. */
 const commands = (name) => [
   [`naoctl download ${name}`, "Download its checkpoint; every SHA-256 is checked."],
@@ -235,6 +265,7 @@ export async function mount(root, { id, params, signal }) {
           ? section(`Results of ${integer(card.episodes)} episodes`, scroller("Results", resultsTable(card, level)))
           : section("Results", h("p", { class: "pad" }, "Not evaluated yet: ", h("code", null, `naoctl eval ${id}`))),
         tableCards(card, level, (drawing) => keep(new Figure(drawing)).element),
+        robustness(card).map(([title, rows]) => section(title, scroller(title, rows))),
         section("Lineage", scroller("Lineage", lineage(card))),
         h(
           "div",
