@@ -98,11 +98,18 @@ def _parser() -> argparse.ArgumentParser:
     examine.add_argument(
         "--most-failures", type=float, default=0.05, metavar="SHARE", help="share that may fail (default: 0.05)"
     )
-    examine.add_argument(
-        "--only", metavar="NAMES", help="motion, conditions, or disturbances with commas between"
-    )
+    examine.add_argument("--only", metavar="NAMES", help="motion, conditions, or disturbances with commas between")
     examine.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     examine.set_defaults(run=_examine)
+
+    verify = commands.add_parser(
+        "verify",
+        help="train a segment again and compare it bit by bit",
+        description="Train again from a checkpoint to a later one of the same training. Exits with 1 if a bit differs.",
+    )
+    verify.add_argument("earlier", type=Path, help="checkpoint, or the folder of a training: its last two")
+    verify.add_argument("later", type=Path, nargs="?", help="later checkpoint of the same training")
+    verify.set_defaults(run=_verify)
 
     report = commands.add_parser(
         "report",
@@ -363,6 +370,29 @@ def _examine(options: argparse.Namespace) -> int:
             with rc_context(figures.style()):
                 figures.robustness(found.ranges, found.most_failures).savefig(options.output / "robustness.svg")
     return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from naosprint.rl.checkpoint import read_manifest
+    from naosprint.rl.verification import last_two, verify
+
+    earlier, later = (options.earlier, options.later) if options.later else last_two(options.earlier)
+    first, last = read_manifest(earlier).steps, read_manifest(later).steps
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
+        bar = progress.add_task("training again", total=last - first)
+        found = verify(earlier, later, lambda step: progress.update(bar, completed=step - first))
+    for line in found.versions:
+        sys.stderr.write(f"warning: another version: {line}\n")
+    for file, count in found.arrays.items():
+        differing = [name.removeprefix(f"{file}: ") for name in found.differing if name.startswith(f"{file}: ")]
+        outcome = f"DIFFERENT: {', '.join(differing)}" if differing else "same bits"
+        sys.stdout.write(f"{file:16} {count:3} arrays  {outcome}\n")
+    verdict = "is not what" if found.differing else "is exactly what"
+    sys.stdout.write(f"{later} {verdict} {last - first:,} steps from {earlier} give\n")
+    return 1 if found.differing else 0
 
 
 def _report(options: argparse.Namespace) -> int:

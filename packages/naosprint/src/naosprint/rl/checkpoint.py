@@ -163,7 +163,7 @@ def save_checkpoint(directory: Path, spec: TrainingSpec, state: TrainingState) -
             training_s=state.training_s,
             observations=state.observations,
             actions=state.actions,
-            versions=_versions(),
+            versions=installed_versions(),
             files=files,
         )
         text = json_text(manifest.model_dump(mode="json"))
@@ -285,7 +285,8 @@ def _write_arrays(path: Path, arrays: Mapping[str, AnyArray]) -> FileEntry:
     return FileEntry(sha256=digest, size=path.stat().st_size)
 
 
-def _versions() -> dict[str, str]:
+def installed_versions() -> dict[str, str]:
+    """Return the versions of the packages that decide what a training computes."""
     found: dict[str, Any] = {}
     for name in ("naosprint", "naosim", "naospec", "numpy", "torch", "stable-baselines3"):
         try:
