@@ -56,7 +56,7 @@ class MujocoBatch:
     ) -> None:
         from naosim.mujoco._mujoco import Worlds
 
-        mujoco = library()
+        self._mujoco = mujoco = library()  # which reads the versions of the packages: too slow for every episode
         self.n = n
         self.world = world
         self._models = [world.model] * n
@@ -236,7 +236,7 @@ class MujocoBatch:
 
     def set_motion(self, row: int, motion: RobotMotion, k: int) -> None:
         """Give a robot the k-th of some poses and velocities, which it perceives at once."""
-        mujoco, data, state = library(), self.data[row], np.empty(self.row_size)
+        mujoco, data, state = self._mujoco, self.data[row], np.empty(self.row_size)
         torso, first = self.world.torso, self.world.first_speed
         rotation = np.empty(9)
         quaternion = motion.torso_wxyz[k] / np.linalg.norm(motion.torso_wxyz[k])

@@ -58,6 +58,7 @@ class Rollout:
         log_probs: (T, n) logarithms of the actions' probability densities.
         advantages: (T, n) estimated advantages.
         returns: (T, n) estimated returns.
+        frozen: (T, n) whether another policy acted instead.
     """
 
     def __init__(self, n_steps: int, n_envs: int, n_observations: int, n_actions: int) -> None:
@@ -69,6 +70,7 @@ class Rollout:
         self.log_probs: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.advantages: Float32Array = np.zeros((n_steps, n_envs), np.float32)
         self.returns: Float32Array = np.zeros((n_steps, n_envs), np.float32)
+        self.frozen: BoolArray = np.zeros((n_steps, n_envs), np.bool_)
 
     def estimate_advantages(self, last_values: Float32Array, dones: BoolArray, gamma: float, gae_lambda: float) -> None:
         """Fill in advantages and returns by generalized advantage estimation (Schulman et al., 2016).
@@ -89,6 +91,15 @@ class Rollout:
             follows = 1.0 - self.episode_starts[step]
             next_values = self.values[step]
         self.returns = self.advantages + self.values
+
+    def leave_out_frozen(self, normalized: bool) -> None:
+        """Give actions that did not act the advantage 0, or the mean if advantages are normalized: they teach nothing.
+
+        The critic still learns what follows from them.
+        """
+        if self.frozen.any():
+            acting = self.advantages[~self.frozen]
+            self.advantages[self.frozen] = acting.mean() if normalized and len(acting) else 0.0
 
     def flat(self, name: str) -> Tensor:
         """Return one of the arrays as a tensor with one row per sample."""
@@ -240,6 +251,7 @@ class PPO(Learner):
             scaled_noise = (noise * log_std.exp()).numpy()
         # by what all groups and processes have contributed to the statistics
         observations, starts = normalizer.observations(environment.observations), self._starts.copy()
+        frozen = environment.environment.task.frozen
         _require_finite(environment, observations, slice(0, n))
         rollout.observations[0], rollout.episode_starts[0] = observations, starts
         # while the simulator computes for one group, another is processed here
@@ -266,6 +278,8 @@ class PPO(Learner):
                         rewards[transition.ended[follows]] += gamma * self._critic(last)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
+                    if frozen is not None:
+                        rollout.frozen[step, group] = frozen[group]
                     self._act(seen, scaled_noise[step, group], rollout.actions[step, group], step, group)
                     environment.step_async(rollout.actions[step, group], group)
         with torch.no_grad():
@@ -277,6 +291,7 @@ class PPO(Learner):
         rollout.values[:] = self._critic(samples).reshape(n_steps, n)
         last_values = self._critic(observations)[:, 0]
         rollout.estimate_advantages(last_values, starts, gamma, self.settings.gae_lambda)
+        rollout.leave_out_frozen(self.settings.advantage_normalization != "none")
         self._starts = starts
         self.steps += n * n_steps * self.processes.size
         return True
@@ -434,8 +449,9 @@ class PPO(Learner):
     ) -> Mapping[str, AnyArray]:
         """Return the policy of another training rearranged by names; see :func:`naosprint.rl.warm_start.adapt`."""
         if (observations[0], actions[0]) != (observations[1], actions[1]):
-            rest = self.environment.environment.actuation.rest
-            state = adapt(state, observations=observations, actions=actions, rest=rest)
+            inner = self.environment.environment
+            rest, spreads = inner.actuation.rest, inner.observer.spreads
+            state = adapt(state, observations=observations, actions=actions, rest=rest, spreads=spreads)
         return with_critic(state, self._n_seen, self.environment.n_observations - self._n_seen)
 
     def state(self) -> dict[str, AnyArray]:

@@ -23,19 +23,21 @@ def adapt(
     observations: tuple[Sequence[str], Sequence[str]],
     actions: tuple[Sequence[str], Sequence[str]],
     rest: FloatArray,
+    spreads: Mapping[str, float] | None = None,
 ) -> dict[str, AnyArray]:
     """Rearrange a policy's arrays by the names of its observations and actions.
 
     Observations that only the new training has get weight 0 at first; joints that only it has are held at angle 0 and
     explored with the mean of the other joints' standard deviations. New joint angles and rates are standardized as
-    those of the other joints on average, other new observations as they are. What only the old training has is left
-    out. With the same names on both sides nothing changes.
+    those of the other joints on average, other new observations by the given spreads or as they are. What only the old
+    training has is left out. With the same names on both sides nothing changes.
 
     Args:
         policy: weights and observation statistics by name, as in a checkpoint.
         observations: names of the observations, of the old training and of the new one.
         actions: the same for the actions, which are joints.
         rest: (A,) actions of the new robot that hold its joints at angle 0.
+        spreads: typical standard deviations of new observations by name.
 
     Returns:
         Arrays by the same names, for the new training.
@@ -60,6 +62,8 @@ def adapt(
         typical = variance[_indices(observations[0], known)[0]].mean() if known else 1.0
         new = [name + suffix for name in actions[1]]
         guess[[name in new for name in present]] = typical
+    for name, spread in (spreads or {}).items():
+        guess[[each == name for each in present]] = spread * spread
     fitted["observation_variance"] = np.where(unseen, guess, variance[seen])
     return fitted
 

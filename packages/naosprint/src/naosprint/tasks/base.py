@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from naosprint.tasks.compiled import Operation
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.measurements import Measurement
-    from naosprint.tasks.observations import ObservationBlock
+    from naosprint.tasks.observations import ObservationBlock, Observer
 
 
 @dataclass(frozen=True)
@@ -123,13 +123,19 @@ class World:
         """By part of the robot, (n,) share of the latest step in which the ball touched it."""
         return self.simulator.truth.contacts
 
-    def place_ball(self, rows: IntArray, position_m: FloatArray, velocity_mps: FloatArray | None = None) -> None:
-        """Place the ball of the (k,) robots ``rows`` at (k, 3), at rest or with (k, 3) velocities.
+    def place_ball(
+        self,
+        rows: IntArray,
+        position_m: FloatArray,
+        velocity_mps: FloatArray | None = None,
+        spin_rad_s: FloatArray | None = None,
+    ) -> None:
+        """Place the ball of the (k,) robots ``rows`` at (k, 3), at rest or with (k, 3) velocities and spins.
 
         Raises:
             ValueError: if the task's scene has no ball.
         """
-        self.simulator.place_ball(rows, position_m, velocity_mps)
+        self.simulator.place_ball(rows, position_m, velocity_mps, spin_rad_s)
 
     def motion(self, rows: IntArray) -> RobotMotion:
         """Return poses and velocities of the (k,) robots ``rows``.
@@ -190,6 +196,8 @@ class Task(Plugin):
         max_steps: length limit of an episode in steps.
         horizon_is_terminal: whether reaching ``max_steps`` belongs to the task; otherwise it is a time limit.
         trace: names of what :meth:`trace_row` returns in evaluations.
+        frozen: (n,) robots in which :meth:`take_over` replaces the next action, so that there is nothing to learn from
+            it; None if there are none.
         measurements: what it takes of every step, in order.
         flags: for each of ``ends``, (n,) robots that the latest step brought there.
     """
@@ -208,6 +216,7 @@ class Task(Plugin):
     max_steps: int = 1000
     horizon_is_terminal: bool = False
     trace: ClassVar[tuple[str, ...]] = ()
+    frozen: BoolArray | None = None
 
     # for specifications
 
@@ -299,6 +308,13 @@ class Task(Plugin):
     def ended(self, rows: slice) -> Sequence[BoolArray]:
         """Return for each of :attr:`ends` which of the robots ``rows`` reached it."""
         return [flag[rows] for flag in self.flags]
+
+    def take_over(self, rows: slice, observer: Observer) -> None:
+        """Replace ``world.actions`` of those robots ``rows`` in which another policy acts now, by the observations.
+
+        It is called before a step of tasks that set :attr:`frozen`.
+        """
+        del rows, observer
 
     def demonstration(self, rows: slice) -> FloatArray | None:
         """Return (k, A) actions to imitate for the next step of the robots ``rows``; None if the task shows none."""

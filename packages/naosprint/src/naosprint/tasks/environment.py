@@ -99,7 +99,8 @@ class Environment:
     def _compile(self) -> Any:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
         task, actuation = self.task, self.actuation
-        own = any(getattr(type(task), name) is not getattr(Task, name) for name in ("begin", "advance", "ended"))
+        methods = ("begin", "advance", "ended", "take_over")
+        own = any(getattr(type(task), name) is not getattr(Task, name) for name in methods)
         parts: tuple[Any, ...] = (*task.measurements, *self.observer.blocks, *self._terms)
         if own or not self.simulator.stable_arrays or any(part.operation is None for part in parts):
             return None
@@ -231,6 +232,8 @@ class Environment:
         else:
             world.previous_actions[rows] = world.actions[rows]
             np.clip(actions, -1.0, 1.0, out=world.actions[rows])
+            if self.task.frozen is not None:
+                self.task.take_over(rows, self.observer)
             targets = self.actuation.targets(world.actions[rows])
         targets = self.disturbances.delayed(targets, rows)
         began = perf_counter()

@@ -37,6 +37,8 @@ class ObservationBlock:
         measure: called with the rows of some robots, returns (k, width) numbers.
         partners: the names of their mirror images; themselves if left out.
         signs: the signs of their mirror images; 1 if left out.
+        spread: their typical standard deviations, with which a training that starts from a policy without these
+            observations standardizes them at first; 1 if left out.
         rates: whether their rates follow.
         angular: whether they are angles, whose rates take the short way round.
         begin: called with the rows of robots whose episode begins, before they are measured.
@@ -52,6 +54,7 @@ class ObservationBlock:
         *,
         partners: Sequence[str] | None = None,
         signs: Sequence[float] | None = None,
+        spread: Sequence[float] | None = None,
         rates: bool = False,
         angular: bool = False,
         begin: Callable[[IntArray], None] | None = None,
@@ -63,6 +66,7 @@ class ObservationBlock:
         self.measure = measure
         self.partners = self.names if partners is None else tuple(partners)
         self.signs = (1.0,) * len(self.names) if signs is None else tuple(signs)
+        self.spread = (1.0,) * len(self.names) if spread is None else tuple(spread)
         self.rates = rates
         self.angular = angular
         self.begin = begin
@@ -136,6 +140,12 @@ class Observer:
     def places(self) -> list[tuple[ObservationBlock, int, int]]:
         """Return each block with its first column, and with that of its values among those whose rates follow."""
         return self._places
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Typical standard deviations of the observations that differ from 1, by name."""
+        pairs = (pair for block in self.blocks for pair in zip(block.names, block.spread, strict=True))
+        return {name: spread for name, spread in pairs if spread != 1.0}
 
     @property
     def mirror(self) -> Mirror:
@@ -551,6 +561,7 @@ def _ball(world: World) -> ObservationBlock:
         ("ball_forward", "ball_left", "ball_forward_velocity", "ball_left_velocity", "ball_age"),
         measure,
         signs=(1.0, -1.0, 1.0, -1.0, 1.0),
+        spread=(0.3, 0.2, 0.5, 0.5, 0.05),
         begin=begin,
         update=update,
         arrays={"ball_place": place, "ball_velocity": velocity, "ball_seen": age},

@@ -1,0 +1,90 @@
+"""Policies that act inside a task without being trained: a walker that takes over after a kick, for example."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Protocol
+
+import naopolicies
+import numpy as np
+from naospec import TrainingSpec, plugins
+
+if TYPE_CHECKING:
+    from naosprint.arrays import FloatArray, IntArray
+    from naosprint.tasks.observations import Observer
+
+
+class Acting(Protocol):
+    """What a task needs of a policy."""
+
+    def act(self, observations: FloatArray) -> FloatArray:
+        """Return (n, A) actions for (n, D) raw observations."""
+
+
+class FrozenPolicy:
+    """A bundled policy that acts on those observations of another task that have the names of its own.
+
+    Args:
+        name: name of the bundled policy.
+
+    Attributes:
+        name: its name.
+        spec: the specification of the last stage of its training.
+        observations: names of what it observes.
+
+    Raises:
+        ValueError: if there is no policy of this name.
+    """
+
+    def __init__(self, name: str) -> None:
+        folder, manifest = naopolicies.folder(name), naopolicies.checkpoint(name)
+        self.name = name
+        self.spec = TrainingSpec.model_validate(manifest["spec"]).stage_specs[-1]
+        self.observations: tuple[str, ...] = tuple(manifest["observations"])
+        kind = plugins.load(plugins.LEARNERS, self.spec.algorithm.name)
+        with np.load(folder / naopolicies.WEIGHTS) as arrays:
+            self._policy: Acting = kind.load_policy(
+                dict(arrays), self.spec.algorithm, observations=self.observations, actions=manifest["actions"]
+            )
+        self._columns: dict[tuple[str, ...], IntArray] = {}
+
+    def act(self, observer: Observer, rows: slice | IntArray) -> FloatArray:
+        """Return (k, A) actions for the robots ``rows``.
+
+        Raises:
+            ValueError: if something that it observes is missing; the message names it.
+        """
+        names = observer.names
+        if names not in self._columns:
+            missing = sorted(set(self.observations) - set(names))
+            if missing:
+                raise ValueError(f"policy {self.name} cannot act here: it observes {', '.join(missing)}, too")
+            self._columns[names] = np.array([names.index(name) for name in self.observations])
+        return self._policy.act(observer.observations[rows][:, self._columns[names]])
+
+
+@cache
+def bundled(robot: str, task: str) -> tuple[str, ...]:
+    """Return the names of the bundled policies that move this robot and were last trained for this task."""
+    found = []
+    for name in naopolicies.names():
+        spec = naopolicies.spec(name)
+        last = (spec.get("stages") or [{}])[-1]
+        tasks = ({**section, "name": section.get("name", "")} for section in (last.get("task", {}), spec["task"]))
+        if spec["robot"]["name"] == robot and next((each["name"] for each in tasks if each["name"]), "") == task:
+            found.append(name)
+    return tuple(found)
+
+
+def require_policy(setting: str, name: str, robot: str, task: str) -> None:
+    """Check that a bundled policy exists, moves this robot and does this task.
+
+    Raises:
+        ValueError: naming the setting and the policies that can be used.
+    """
+    fitting = bundled(robot, task)
+    if name not in fitting:
+        raise ValueError(
+            f"{setting}: {name!r} is no bundled policy of robot {robot} for task {task}; "
+            f"use {' or '.join(fitting) or 'another robot'}"
+        )

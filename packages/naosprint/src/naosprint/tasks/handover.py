@@ -1,0 +1,159 @@
+"""Hand-over states: robots that another policy moves, caught in the middle of a step.
+
+Skills that follow each other begin where the one before ends: at speed, on one foot, with a command on its way to the
+motors. A task records such states when its starts are drawn, with the policy that comes before it, and begins its
+episodes from them. Other seeds give other states, so evaluations see none of those that a training saw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from naosim.simulator import RobotMotion, Starts
+
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.randomness import uniform
+from naosprint.tasks.starts import draw_start_poses
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from naosim.simulator import Simulator
+
+    from naosprint.arrays import FloatArray, IntArray
+    from naosprint.tasks.base import Task, World
+    from naosprint.tasks.frozen import FrozenPolicy
+
+STATES_PER_RUN = 8
+"""States that are recorded of one run."""
+
+_FIRST, _APART = 60, 40  # steps before the first state of a run, and between two
+_STREAM = 0x4A4D
+_LEAST_HEIGHT, _LEAST_UPRIGHT = 0.8, 0.8
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """k states in which a policy is interrupted.
+
+    Attributes:
+        motion: poses, velocities and pending commands; the torsos face +x at the world's origin.
+        actions: (k, A) latest actions.
+        velocity: (k, 3) perceived velocity in the torso's frame, which takes two perceptions.
+    """
+
+    motion: RobotMotion
+    actions: FloatArray
+    velocity: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of states."""
+        return len(self.actions)
+
+    def begin(self, world: World, rows: IntArray, states: IntArray, places: FloatArray) -> None:
+        """Put the (k,) robots ``rows`` into (k,) states, at (k, 3) x, y and heading."""
+        chosen = _chosen(self.motion, states)
+        world.set_motion(rows, _turned(chosen, places[:, 2], places[:, :2]))
+
+
+def record(
+    simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: Any, count: int, seed: int
+) -> HandOver:
+    """Run a policy and return ``count`` of its states.
+
+    The states follow from seed and number; the number of the simulator's robots does not matter. Robots that have
+    fallen are left out, so there can be fewer states.
+
+    Args:
+        simulator: robots to run; their starts are replaced.
+        policy: moves them.
+        task: the task that commands the policy.
+        settings: settings of that task.
+        count: number of states.
+        seed: seed of starts, commands and moments.
+    """
+    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
+    n, runs = simulator.n, -(-count // STATES_PER_RUN)
+    poses = draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed)
+    environment.load_starts(Starts(poses))
+    velocity = [environment.observer.names.index(f"velocity_{axis}") for axis in "xyz"]
+    found: dict[int, tuple[RobotMotion, FloatArray, FloatArray]] = {}
+    for first in range(0, runs, n):
+        numbers = np.arange(first, min(first + n, runs))
+        rows = np.arange(len(numbers))
+        environment.restart(rows, numbers % len(poses), episodes=numbers)
+        moments = np.stack(
+            [
+                _FIRST + _APART * k + (_APART * uniform(seed + _STREAM, numbers, np.full(len(numbers), k), 1)[:, 0])
+                for k in range(STATES_PER_RUN)
+            ],
+            axis=1,
+        ).astype(np.int64)
+        active = np.zeros(n, dtype=np.bool_)
+        active[rows] = True
+        for step in range(1, int(moments.max()) + 1):
+            environment.step(policy.act(environment.observer, slice(0, n)), None if active.all() else active)
+            active &= ~(environment.terminated | environment.lost)
+            world = environment.world
+            due, which = np.nonzero(moments == step)
+            standing = active[due] & (world.rotation(due)[:, 2, 2] > _LEAST_UPRIGHT)
+            standing &= world.position(due)[:, 2] > _LEAST_HEIGHT * simulator.robot.standing_height_m
+            due, which = due[standing], which[standing]
+            if not len(due):
+                continue
+            motion, seen = simulator.motion(due), environment.observations[due][:, velocity]
+            for k, (row, moment) in enumerate(zip(due.tolist(), which.tolist(), strict=True)):
+                state = _chosen(motion, np.array([k])), world.actions[row].copy(), seen[k].copy()
+                found[int(numbers[row]) * STATES_PER_RUN + moment] = state
+    kept = [found[number] for number in sorted(found)][:count]
+    if not kept:
+        raise ValueError(f"policy {policy.name} falls before a state of it can be recorded")
+    parts = {
+        each.name: np.concatenate([getattr(motion, each.name) for motion, *_ in kept]) for each in fields(kept[0][0])
+    }
+    motion = RobotMotion(**parts)
+    back = -_yaw(motion.torso_wxyz)
+    home = replace(motion, torso_m=motion.torso_m * (0.0, 0.0, 1.0))
+    return HandOver(
+        _turned(home, back, np.zeros((len(kept), 2))),
+        np.array([actions for _, actions, _ in kept]),
+        np.array([velocity for *_, velocity in kept]),
+    )
+
+
+def _chosen(motion: RobotMotion, states: IntArray) -> RobotMotion:
+    return RobotMotion(**{each.name: getattr(motion, each.name)[states] for each in fields(motion)})
+
+
+def _yaw(quaternions: FloatArray) -> FloatArray:
+    w, x, y, z = quaternions.T
+    return np.asarray(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def _turned(motion: RobotMotion, angles: FloatArray, offsets: FloatArray) -> RobotMotion:
+    """Return motion turned by (k,) angles about the vertical through the origin, then moved by (k, 2) metres."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+
+    def vector(values: FloatArray) -> FloatArray:
+        x, y, z = values.T
+        return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+
+    half_cosine, half_sine = np.cos(angles / 2.0), np.sin(angles / 2.0)
+    w, x, y, z = motion.torso_wxyz.T
+    quaternion = [
+        half_cosine * w - half_sine * z,
+        half_cosine * x - half_sine * y,
+        half_cosine * y + half_sine * x,
+        half_cosine * z + half_sine * w,
+    ]
+    place = vector(motion.torso_m)
+    place[:, :2] += offsets
+    return replace(
+        motion,
+        torso_m=place,
+        torso_wxyz=np.stack(quaternion, axis=1),
+        torso_mps=vector(motion.torso_mps),
+        torso_rad_s=vector(motion.torso_rad_s),
+    )

@@ -1,0 +1,110 @@
+"""How far and where a ball rolls on rcssservermj, and how to launch it so that it stops at a point.
+
+MuJoCo's rolling friction acts along the world's x and y axes, so a ball swerves toward the field's diagonals: one that
+is launched 20 degrees from the x axis stops 31 degrees from it, and rolls farther than along the axis. The swerve
+comes late, when the ball is slow. ``ball_data/rolls.json`` contains rolls in the exact engine; a test repeats some.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from naosprint.arrays import FloatArray
+
+_QUARTER = np.pi / 2.0
+_ROUNDS = 50  # the distance grows with the speed to the power 1.5 to 2, so each brings the speed closer
+_TABLE = Path(__file__).with_name("ball_data") / "rolls.json"
+
+
+@cache
+def table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return (S,) speeds in m/s, (D,) launch directions in radians, (S, D) distances in metres and directions."""
+    found = json.loads(_TABLE.read_bytes())
+    speeds, directions = np.array(found["speeds_mps"]), np.radians(found["directions_deg"])
+    return speeds, directions, np.array(found["distance_m"]), np.radians(found["stop_deg"])
+
+
+def rolling(velocity: FloatArray, spin: FloatArray, radius_m: float) -> FloatArray:
+    """Return the (k, 2) velocities with which balls of (k, 3) velocities and spins roll once they no longer slide.
+
+    Sliding friction keeps the angular momentum about the contact: v' = (5 v + 2 r (w x up)) / 7 for a uniform sphere.
+    """
+    return np.asarray((5.0 * velocity[:, :2] + 2.0 * radius_m * spin[:, 1::-1] * (1.0, -1.0)) / 7.0)
+
+
+def stop(speed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far balls roll, in metres, and in which direction from their start they stop.
+
+    Args:
+        speed: (k,) speeds of rolling balls, m/s.
+        direction: (k,) directions in radians, counter-clockwise from the field's +x axis.
+    """
+    speeds, directions, distances, turned = table()
+    axis = np.round(direction / _QUARTER) * _QUARTER
+    aside = direction - axis
+    row, column = _place(speeds, speed), _place(directions, np.abs(aside))
+    # below the slowest roll of the table distances grow with the square of the speed
+    slow = np.square(np.minimum(speed / speeds[0], 1.0))
+    return slow * _between(distances, row, column), axis + np.sign(aside) * _between(turned, row, column)
+
+
+def straight_m(speed: FloatArray) -> FloatArray:
+    """Return how far balls of (k,) speeds roll along the field's x axis, metres."""
+    speeds, _, distances, _ = table()
+    return np.asarray(np.interp(speed, np.append(0.0, speeds), np.append(0.0, distances[:, 0])))
+
+
+def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (k,) speeds in m/s and directions with which balls have to roll off to stop at (k,) distances.
+
+    Args:
+        distance_m: (k,) distances.
+        direction: (k,) directions of the points where they stop, radians, counter-clockwise from the field's +x axis.
+    """
+    distances, directions, speeds, aims = _launches()
+    axis = np.round(direction / _QUARTER) * _QUARTER
+    aside = direction - axis
+    row, column = _place(distances, distance_m), _place(directions, np.abs(aside))
+    return _between(speeds, row, column), axis + np.sign(aside) * _between(aims, row, column)
+
+
+@cache
+def _launches() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return distances and directions of stops, and for each pair of them the speed and direction of the launch."""
+    distances, directions = np.linspace(0.2, 14.0, 139), np.radians(np.arange(46.0))
+    shape = len(distances), len(directions)
+    far, direction = (each.ravel() for each in np.meshgrid(distances, directions, indexing="ij"))
+    speed, aim = _inverse(far, direction)
+    return distances, directions, speed.reshape(shape), aim.reshape(shape)
+
+
+def _inverse(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the arguments for which :func:`stop` returns (k,) distances and directions."""
+    fastest, axis = table()[0][-1], np.round(direction / _QUARTER) * _QUARTER
+    speed, aim = np.full_like(distance_m, 2.0), np.array(direction)
+    for _ in range(_ROUNDS):
+        reached, found = stop(speed, aim)
+        speed = np.clip(speed * np.sqrt(distance_m / np.maximum(reached, 1e-6)), 1e-3, fastest)
+        aim = axis + np.clip(aim + 0.7 * (direction - found) - axis, -0.5 * _QUARTER, 0.5 * _QUARTER)
+    return speed, aim
+
+
+def _place(grid: FloatArray, values: FloatArray) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], FloatArray]:
+    """Return in which interval of a grid values are, and where in it, 0 to 1."""
+    index = np.clip(np.searchsorted(grid, values) - 1, 0, len(grid) - 2)
+    share = np.clip((values - grid[index]) / (grid[index + 1] - grid[index]), 0.0, 1.0)
+    return index, share
+
+
+def _between(values: FloatArray, row: tuple, column: tuple) -> FloatArray:  # type: ignore[type-arg]
+    """Return a table's values between its rows and columns, bilinearly."""
+    (i, s), (j, t) = row, column
+    near = (1.0 - t) * values[i, j] + t * values[i, j + 1]
+    far = (1.0 - t) * values[i + 1, j] + t * values[i + 1, j + 1]
+    return np.asarray((1.0 - s) * near + s * far)
