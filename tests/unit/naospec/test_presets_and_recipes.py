@@ -50,7 +50,7 @@ def test_recipes_are_possible_jobs(name: str) -> None:
     EvaluationSpec.model_validate(job["evaluation"])
     assert job["name"] == name
     assert recipes.summary(name).endswith(".")
-    assert set(job) <= {"name", "tags", "spec", "evaluation"}
+    assert set(job) <= {"name", "tags", "parent_policy", "spec", "evaluation"}
     assert len(spec.stage_specs) == len(spec.stages or (spec,))
 
 

@@ -255,7 +255,10 @@ def _train(options: argparse.Namespace) -> int:
     base: Mapping[str, Any] = {}
     policy = options.from_policy
     if options.recipe is not None:
-        base = recipes.job(options.recipe)["spec"]
+        job = recipes.job(options.recipe)
+        base = job["spec"]
+        if options.resume is None:
+            policy = policy or job.get("parent_policy")
     if options.resume is not None:
         from naosprint.rl.checkpoint import read_manifest
 

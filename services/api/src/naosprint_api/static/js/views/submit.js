@@ -305,7 +305,14 @@ class SubmitView {
     );
     const recipe = h(
       "select",
-      { id: "recipe", onchange: () => this.fillFrom(this.recipes.get(recipe.value)?.job ?? { spec: {} }) },
+      {
+        id: "recipe",
+        onchange: () => {
+          const job = this.recipes.get(recipe.value)?.job ?? { spec: {} };
+          this.parentPolicy = job.parent_policy;
+          this.fillFrom(job);
+        },
+      },
       h("option", { value: "" }, "None"),
       [...this.recipes.values()].map((r) => h("option", { value: r.name }, `${r.name}: ${r.summary}`)),
     );
@@ -548,6 +555,7 @@ class SubmitView {
       ...(this.evaluate.checked ? (Object.keys(evaluation).length ? { evaluation } : {}) : { evaluation: null }),
       ...(parent ? { parent_job_id: parent } : {}),
       ...(checkpoint ? { parent_checkpoint_id: checkpoint } : {}),
+      ...(this.parentPolicy && !parent ? { parent_policy: this.parentPolicy } : {}),
     };
     return several ? { group: { job, seeds: several } } : { job };
   }

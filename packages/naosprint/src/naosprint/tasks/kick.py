@@ -1,0 +1,845 @@
+"""Kicking a ball in a commanded direction and over a commanded distance, from the middle of a step.
+
+A walker approaches, the kick takes over, and the walker takes over again; every episode has all three. It begins with a
+state of the walker (:mod:`naosprint.tasks.handover`), and after the kick the walker acts, whose falls count: a kick
+that leaves the robot on one leg has failed.
+
+What acts knows only what a player perceives: the ball from the camera, and whether it has been kicked from its motion.
+Rewards and results use the truth.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self, cast
+
+import numpy as np
+from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
+from naospec.sections import PlainName
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from naosprint.tasks import rolling
+from naosprint.tasks.base import End, RewardTerm, Task, World
+from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
+from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
+from naosprint.tasks.handover import record
+from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
+from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
+from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.randomness import uniform
+from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.velocity import Velocity, VelocitySettings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosim.robots import Robot
+
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.tasks.episodes import Episodes, Statistics
+    from naosprint.tasks.observations import Observer
+
+CORRIDORS_M = (2.0, 3.5, 5.0)
+"""Lengths of the corridors that a kick has to pass."""
+
+CORRIDOR_HALF_M = 0.5
+"""Half the corridors' width, metres."""
+
+UPRIGHT_S = 3.0
+"""Time after the touch at which a robot has to be upright, seconds."""
+
+UPRIGHT = 0.6
+"""Upward component of the torso's axis below which a robot has fallen."""
+
+KICKED_M = 0.04
+"""Distance between the ball and where it was expected from which it counts as kicked, metres."""
+
+PLACED = (0.16, 0.04, np.radians(12.0))
+"""Ball before the ankle, and spreads of its distance from the foot's line and of the foot's yaw, at a good touch."""
+
+_ALIGNED = (np.radians(10.0), 0.45, 0.9, 0.06)  # aim, nearest, farthest, distance from a foot's line
+_FOOT_M = 0.106  # distance of a foot's line from the robot's
+_LEAST_SPEED = 0.03  # of a ball that still rolls, m/s
+_ROLL_STEPS = 600  # steps after which a roll is over in any case
+_SETTLED = 25  # steps after the touch until which a score counts
+_SCORE_M = 6.5
+_POWER_M = 8.0
+_CALM = 0.2  # share of a new velocity in that which is expected
+_STREAM = 0x61C
+
+CONTACT = Metric(
+    "contact_rate", "Touches", "%", "Fraction of episodes in which the ball is touched.", 1, "higher", "rate"
+)
+KICK_FALLS = FALL_RATE
+LAUNCH_ERROR = Metric(
+    "launch_error_deg",
+    "Launch error",
+    "°",
+    "Angle between commanded and actual direction of the ball's roll.",
+    1,
+    "lower",
+)
+ROLL = Metric(
+    "roll_m", "Roll", "m", "Distance that the kick lets the ball roll straight along an axis of the field.", 1
+)
+ROLL_ERROR = Metric("roll_error", "Roll error", "%", "Difference from the commanded roll as a share of it.", 0, "lower")
+UPRIGHT_RATE = Metric(
+    "upright_rate",
+    "Upright after 3 s",
+    "%",
+    "Fraction of the kicks 3 s after which the robot stands.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+STOP_ERROR = Metric(
+    "stop_error_deg",
+    "Direction error",
+    "°",
+    "Median angle between the commanded point and where the ball stops.",
+    1,
+    "lower",
+    live=False,
+)
+STOP_ERROR_90 = Metric(
+    "stop_error_90_deg",
+    "Direction error, 90th percentile",
+    "°",
+    "Error that nine of ten kicks stay below.",
+    1,
+    "lower",
+    live=False,
+)
+DISTANCE = Metric(
+    "kick_distance_m", "Distance", "m", "Distance from the ball's start to where it stops.", 2, live=False
+)
+POWER = Metric(
+    "power_distance_m",
+    "Distance of power kicks",
+    "m",
+    "Mean distance of the kicks that are to go as far as possible.",
+    2,
+    "higher",
+    live=False,
+)
+DISTANCE_ERROR = Metric(
+    "distance_error",
+    "Distance error",
+    "%",
+    "Median difference from commanded distances of 2 to 6 m, as a share.",
+    1,
+    "lower",
+    live=False,
+)
+CORRIDOR = Metric(
+    "corridor_rate",
+    "Through the corridor",
+    "%",
+    "Fraction of the kicks that are to go at least so far, stay within a corridor of 1 m, and leave the robot upright.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+CORRIDOR_5 = Metric(
+    "corridor_5_rate",
+    "Corridor of 5 m",
+    "%",
+    "Fraction of those kicks through a corridor of 5 m.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+
+
+class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
+    """Settings of the task ``kick``."""
+
+    walker: PlainName = Field(
+        default="t1-run", title="Walker", description="Bundled policy that approaches, and takes over after the kick."
+    )
+    handover_states: int = Field(
+        default=1024,
+        ge=8,
+        le=100_000,
+        title="Hand-over states",
+        description="States of the walker that episodes begin with; recorded when a training or evaluation begins.",
+    )
+    entry_speed_mps: float = Field(
+        default=1.1,
+        ge=0.0,
+        le=3.0,
+        title="Entry speed",
+        description="Fastest commanded speed of the walker in these states.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    aligned_fraction: float = Field(
+        default=0.65,
+        ge=0.0,
+        le=1.0,
+        title="Aligned fraction",
+        description="Fraction of the episodes with an aim within 10 degrees, and a ball 0.45 to 0.9 m ahead and within "
+        "6 cm of a foot's line.",
+    )
+    aim_max_deg: float = Field(
+        default=30.0,
+        ge=0.0,
+        le=45.0,
+        title="Largest aim",
+        description="Largest angle between the robot's front and the commanded direction in the other episodes.",
+        json_schema_extra={"unit": "deg"},
+    )
+    ball_near_m: float = Field(
+        default=0.35,
+        ge=0.3,
+        le=2.0,
+        title="Nearest ball",
+        description="Least distance of the ball ahead of the torso in the other episodes.",
+        json_schema_extra={"unit": "m"},
+    )
+    ball_far_m: float = Field(
+        default=0.9,
+        ge=0.3,
+        le=2.0,
+        title="Farthest ball",
+        description="Largest distance of the ball ahead of the torso in the other episodes.",
+        json_schema_extra={"unit": "m"},
+    )
+    ball_aside_m: float = Field(
+        default=0.22,
+        ge=0.0,
+        le=1.0,
+        title="Ball aside",
+        description="Largest distance of the ball to either side in the other episodes.",
+        json_schema_extra={"unit": "m"},
+    )
+    rolling_fraction: float = Field(
+        default=0.1,
+        ge=0.0,
+        le=1.0,
+        title="Rolling fraction",
+        description="Fraction of the episodes with a rolling ball.",
+    )
+    ball_speed_max_mps: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=1.5,
+        title="Fastest ball",
+        description="Largest speed of a rolling ball.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    distance_min_m: float = Field(
+        default=1.5,
+        ge=1.5,
+        le=10.0,
+        title="Shortest kick",
+        description="Lower end of the commanded distance.",
+        json_schema_extra={"unit": "m"},
+    )
+    distance_max_m: float = Field(
+        default=10.0,
+        ge=1.5,
+        le=10.0,
+        title="Longest kick",
+        description="Upper end of the commanded distance.",
+        json_schema_extra={"unit": "m"},
+    )
+    power_fraction: float = Field(
+        default=0.4,
+        ge=0.0,
+        le=1.0,
+        title="Power kicks",
+        description="Fraction of the kicks that are to go as far as possible; their commanded distance is 10 m.",
+    )
+    takeover_steps: int = Field(
+        default=6,
+        ge=0,
+        le=1000,
+        title="Takeover",
+        description="Steps from the perceived kick until the walker takes over.",
+        json_schema_extra={"unit": "steps"},
+    )
+    watch_steps: int = Field(
+        default=45,
+        ge=0,
+        le=1000,
+        title="Walker's steps",
+        description="Steps that the walker acts before an episode ends.",
+        json_schema_extra={"unit": "steps"},
+    )
+    approach_steps: int = Field(
+        default=150,
+        ge=10,
+        le=10_000,
+        title="Approach limit",
+        description="Steps within which the ball has to be kicked.",
+        json_schema_extra={"unit": "steps"},
+    )
+    whole_roll: bool = Field(
+        default=False,
+        title="Whole roll",
+        description="Episodes end when the ball has stopped and 3 s have passed, as in evaluations.",
+    )
+    place_weight: float = Field(
+        default=1.0,
+        ge=0.0,
+        le=1000.0,
+        title="Placement weight",
+        description="Reward for a first touch with the ball before the foot, whose yaw is that of the aim.",
+    )
+    upright_weight: float = Field(
+        default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
+    )
+    fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+    miss_penalty: float = Field(
+        default=1.0, ge=0.0, le=1000.0, title="Miss penalty", description="Penalty for an episode without a kick."
+    )
+    time_penalty: float = Field(
+        default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
+    )
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for low, high in (("ball_near_m", "ball_far_m"), ("distance_min_m", "distance_max_m")):
+            if getattr(self, low) > getattr(self, high):
+                raise PydanticCustomError(
+                    "range",
+                    "{low}: {least} is above {high}, {most}; exchange them",
+                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
+                )
+        return self
+
+    def for_evaluation(self) -> Self:
+        """Return the same settings without disturbances, and with episodes that last until the ball has stopped."""
+        return super().for_evaluation().model_copy(update={"whole_roll": True})
+
+
+class Kick(Task):
+    """Kick a ball to a commanded point.
+
+    The command is a direction in the field and a distance. A table of rolls turns it into the direction and the speed
+    with which the ball has to leave the foot (:mod:`naosprint.tasks.rolling`), which are observed. The walker's inputs
+    are there, too, with the commands of an approach: turn to the aim, bring a foot behind the ball, and walk through
+    it; and stand once the ball has been kicked.
+    """
+
+    name = "kick"
+    summary = "Kick a ball to a commanded point, from walking, and keep standing."
+    Parameters = KickSettings
+    scene = Scene(ball=True)
+    needs = frozenset({Ability.MOVING})
+    metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, KICK_FALLS)
+    results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, POWER, DISTANCE)
+    ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
+    trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error")
+    presentation = Presentation(
+        charts=(
+            Chart("Launch error", ("launch_error_deg",)),
+            Chart("Roll", ("roll_m",)),
+            Chart("Roll error", ("roll_error",)),
+            Chart("Touches", ("contact_rate",)),
+            Chart("Falls", ("fall_rate",)),
+            Chart("Reward", ("reward",)),
+            Chart("Episode length", ("episode_length",)),
+        ),
+        listed=("launch_error_deg", "roll_m", "fall_rate"),
+        headline=("contact_rate", "upright_rate", "corridor_5_rate", "stop_error_deg", "power_distance_m"),
+        repeats=False,
+    )
+    horizon_is_terminal = True
+
+    @classmethod
+    def supports(cls, robot: Robot) -> bool:
+        """Return whether the robot has a camera, and a bundled policy walks it."""
+        return robot.camera is not None and bool(bundled(robot.name, Velocity.name))
+
+    @classmethod
+    def resolve(cls, parameters: KickSettings, robot: Robot) -> KickSettings:
+        """Return the settings with the robot's own minimum height where none is given."""
+        super().resolve(parameters, robot)
+        require_policy("task.walker", parameters.walker, robot.name, Velocity.name)
+        return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
+
+    def __init__(self, parameters: KickSettings, world: World, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        n, settings = self.n, parameters
+        rest = _ROLL_STEPS if settings.whole_roll else settings.takeover_steps + settings.watch_steps + 50
+        self.max_steps = settings.approach_steps + rest
+        self._min_height = float(settings.min_height_m or 0.0)  # resolve has filled it in
+        self._walker = FrozenPolicy(settings.walker)
+        self._radius = self.robot.field.ball_radius_m
+        self.command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
+        self._draws: IntArray = np.zeros(n, dtype=np.int64)
+        self._target: FloatArray = np.zeros((n, 2))  # direction in the field, distance
+        self._aim: FloatArray = np.zeros(n)  # direction in which the ball has to leave
+        self._speed: FloatArray = np.zeros(n)  # speed with which it has to roll off
+        self._power: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._aligned: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._side: FloatArray = np.ones(n)  # 1: kick with the left foot
+        self._state: IntArray = np.zeros(n, dtype=np.int64)
+        self._sighted: FloatArray = np.zeros((n, 2))  # where the ball was last seen
+        self._expected: FloatArray = np.zeros((n, 2))  # its velocity until it is kicked
+        self._sightings: IntArray = np.zeros(n, dtype=np.int64)
+        self._unseen: IntArray = np.zeros(n, dtype=np.int64)  # steps since
+        self._kicked: IntArray = np.full(n, -1)  # steps since the perceived kick
+        self._touched: IntArray = np.full(n, -1)  # steps since the true touch
+        self._start: FloatArray = np.zeros((n, 2))
+        self._score: FloatArray = np.zeros(n)
+        self._launch: FloatArray = np.zeros((n, 2))  # error of the direction, roll in metres
+        self.arrays = {
+            "command": self.command,
+            "draws": self._draws,
+            "target": self._target,
+            "aim": self._aim,
+            "speed": self._speed,
+            "power": self._power,
+            "aligned": self._aligned,
+            "side": self._side,
+            "state": self._state,
+            "sighted": self._sighted,
+            "expected": self._expected,
+            "sightings": self._sightings,
+            "unseen": self._unseen,
+            "kicked": self._kicked,
+            "touched": self._touched,
+            "start": self._start,
+            "score": self._score,
+            "launch": self._launch,
+        }
+        self._walks: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.frozen = self._walks
+        self._gain: FloatArray = np.zeros(n)
+        self._placed: FloatArray = np.zeros(n)
+        self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._done: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._missed: BoolArray = np.zeros(n, dtype=np.bool_)
+        usual = [name for name in world.defaults.observations if name != "heading"]
+        self._usual = dict(zip(usual, blocks(world, usual), strict=True))
+        (self._sight,) = blocks(world, ("ball",))
+        self._seen_at = cast("FloatArray", self._sight.arrays["ball_place"])
+        self._age = cast("FloatArray", self._sight.arrays["ball_seen"])  # steps since it was seen
+
+    # what is observed
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return the walker's observations, the ball as it is perceived, and the command."""
+        command = ObservationBlock(
+            ("command_forward", "command_sideways", "command_turn"),
+            lambda rows: self.command[rows],
+            signs=(1.0, -1.0, -1.0),
+            begin=self._look_first,
+            update=self._look,
+        )
+        path = ObservationBlock(
+            ("line_offset", "heading_sin", "heading_cos"),
+            lambda rows: np.tile((0.0, 0.0, 1.0), (len(self.command[rows]), 1)),
+            signs=(-1.0, -1.0, 1.0),
+        )
+        aim = ObservationBlock(
+            ("aim_sin", "aim_cos", "ball_along", "ball_across", "launch_speed", "power", "kicked"),
+            self._aimed,
+            signs=(-1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0),
+            spread=(0.3, 0.1, 0.3, 0.2, 1.0, 0.5, 0.5),
+        )
+        return [*self._usual.values(), self._sight, command, path, aim]
+
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what only a critic observes: the ball's true motion, the feet, and how far the episode is."""
+        names = (
+            "ball_speed_along",
+            "ball_speed_across",
+            "ball_height",
+            "touched",
+            "since_touch",
+            "since_kick",
+            "score",
+        )
+        progress = ObservationBlock(
+            tuple(f"true_{name}" for name in names), self._progress, signs=(1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+        )
+        feet = [
+            ObservationBlock(
+                tuple(f"{side}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
+                lambda rows, side=side: self._foot(side, rows),  # type: ignore[misc]
+                partners=tuple(f"{other}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
+                signs=(1.0, -1.0, 1.0, -1.0),
+            )
+            for side, other in (("left", "right"), ("right", "left"))
+        ]
+        return [*super().critic_blocks(), progress, *feet]
+
+    def _aimed(self, rows: slice | IntArray) -> FloatArray:
+        turn = _wrapped(self._aim[rows] - perceived_yaw(self.world, rows))
+        along, across = self._behind(rows)
+        kicked = np.minimum((self._kicked[rows] + 1.0) / 10.0, 1.0)
+        columns = [np.sin(turn), np.cos(turn), along, across, self._speed[rows], self._power[rows], kicked]
+        return np.stack(columns, axis=1)
+
+    def _behind(self, rows: slice | IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far ahead in the aim's direction, and to its left, the ball is perceived; 0 if it never was."""
+        apart = self._seen_at[rows] - self.world.perceptors["torso_pos"][rows, :2]
+        along, across = _along(self._aim[rows], apart)
+        known = self._sightings[rows] > 0
+        return np.clip(along, -1.0, 3.0) * known, np.clip(across, -2.0, 2.0) * known
+
+    def _progress(self, rows: slice | IntArray) -> FloatArray:
+        ball = self.world.bodies[BALL]
+        along, across = _along(self._aim[rows], ball.velocity[rows, :2])
+        touched, kicked = (np.minimum(each[rows] + 1.0, 100.0) / 50.0 for each in (self._touched, self._kicked))
+        columns = [along, across, ball.position[rows, 2], touched > 0.0, touched, kicked, self._score[rows]]
+        return np.stack(columns, axis=1)
+
+    def _foot(self, side: str, rows: slice | IntArray) -> FloatArray:
+        """Return the ball before and left of an ankle in the foot's direction, its height, and its yaw from the aim."""
+        foot = self.world.bodies[f"{side}_foot"]
+        yaw = np.arctan2(foot.rotation[rows, 1, 0], foot.rotation[rows, 0, 0])
+        along, across = _along(yaw, self.world.bodies[BALL].position[rows, :2] - foot.position[rows, :2])
+        columns = [np.clip(along, -1.0, 1.5), np.clip(across, -1.0, 1.0), foot.position[rows, 2]]
+        return np.stack([*columns, _wrapped(yaw - self._aim[rows])], axis=1)
+
+    # what the ball does, as it is perceived
+
+    def _look_first(self, rows: IntArray) -> None:
+        """Take in what is perceived at the start of an episode."""
+        if "velocity" in self._usual:
+            self._usual["velocity"].arrays["velocity"][rows] = self._states.velocity[self._state[rows]]
+        self._kicked[rows] = -1
+        self._sightings[rows] = 0
+        self._unseen[rows] = 0
+        self._expected[rows] = 0.0
+        self._see(rows[self._age[rows] == 0.0])
+        self._steer(rows)
+
+    def _look(self, rows: slice) -> None:
+        """Take in what is perceived after a step, and whether the ball has left the path that it was on."""
+        everyone = np.arange(self.n)[rows]
+        self._unseen[rows] += 1
+        self._kicked[rows] += self._kicked[rows] >= 0
+        self._see(everyone[self._age[rows] == 0.0])
+        self._steer(everyone)
+
+    def _see(self, rows: IntArray) -> None:
+        place, count = self._seen_at[rows], self._sightings[rows]
+        elapsed = np.maximum(self._unseen[rows], 1)[:, None] * STEP_S
+        velocity = (place - self._sighted[rows]) / elapsed
+        surprise = np.hypot(*(place - self._sighted[rows] - self._expected[rows] * elapsed).T)
+        kicked = (count >= 2) & (surprise > KICKED_M + 0.3 * np.maximum(elapsed[:, 0] - 2 * STEP_S, 0.0))
+        self._kicked[rows[kicked & (self._kicked[rows] < 0)]] = 0
+        share = np.where(count == 0, 0.0, np.where(count == 1, 1.0, _CALM))[:, None]
+        self._expected[rows] += share * (velocity - self._expected[rows])
+        first = rows[count == 0]
+        self._sighted[rows] = place
+        self._sightings[rows] += 1
+        self._unseen[rows] = 0
+        if len(first):
+            across = self._behind(first)[1]
+            self._side[first] = np.where(across >= 0.0, 1.0, -1.0)
+
+    def _steer(self, rows: IntArray) -> None:
+        """Command the walker: bring a foot behind the ball, walk through it, and stand once it has been kicked."""
+        turn = _wrapped(self._aim[rows] - perceived_yaw(self.world, rows))
+        along, across = self._behind(rows)
+        aside = across - self._side[rows] * _FOOT_M
+        ready = np.clip(1.6 - np.abs(aside) / 0.05 - np.abs(turn) / 0.2, 0.0, 1.0)
+        forward = 0.8 * ready + (1.0 - ready) * np.clip(2.0 * (along - 0.52), -0.3, 0.8)
+        left = np.clip(3.0 * aside, -0.45, 0.45)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        command = np.stack(
+            [
+                np.clip(cosine * forward - sine * left, 0.0, 1.0),
+                np.clip(sine * forward + cosine * left, -0.45, 0.45),
+                np.clip(3.0 * turn, -1.0, 1.0),
+            ],
+            axis=1,
+        )
+        approaching = (self._kicked[rows] < 0) & (self._sightings[rows] > 0)
+        self.command[rows] = np.where(approaching[:, None], command, 0.0)
+        self._walks[rows] = self._kicked[rows] >= self.parameters.takeover_steps
+
+    # starts
+
+    def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
+        """Record the states of the walker that episodes begin with, and return a pose to replace by them."""
+        settings = self.parameters
+        walk = VelocitySettings(
+            name=Velocity.name,
+            start_noise_deg=noise_deg,
+            forward_min_mps=min(0.4, settings.entry_speed_mps),
+            forward_max_mps=settings.entry_speed_mps,
+            sideways_max_mps=0.3,
+            turn_max_rad_s=0.5,
+            straight_fraction=0.4,
+            stand_fraction=0.2,
+            command_steps=100,
+            episode_steps=100_000,
+        )
+        states = min(settings.handover_states, 4 * count)
+        self._states = record(self.world.simulator, self._walker, Velocity, walk, states, seed)
+        # two alike: in one the camera reports in odd steps, in the other in even ones
+        return Starts(np.repeat(self.robot.nominal[None], 2, axis=0))
+
+    def place(self, rows: IntArray) -> None:
+        """Draw state, ball and command, and put the robot into the state and the ball to its place."""
+        settings = self.parameters
+        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 13).T
+        self._draws[rows] += 1
+        self._state[rows] = (draw[0] * len(self._states)).astype(np.int64)
+        heading = 2.0 * np.pi * draw[1]
+        zero = np.zeros_like(heading)
+        self._states.begin(self.world, rows, self._state[rows], np.stack([zero, zero, heading], axis=1))
+        # where the ball is to be kicked, and where to, in the robot's frame
+        aligned = draw[2] < settings.aligned_fraction
+        most, near, far, line = _ALIGNED
+        aim = np.where(aligned, most, np.radians(settings.aim_max_deg)) * (2.0 * draw[3] - 1.0)
+        ahead = np.where(
+            aligned,
+            near + (far - near) * draw[4],
+            settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[4],
+        )
+        beside = np.where(draw[5] < 0.5, -_FOOT_M, _FOOT_M) + line * (2.0 * draw[6] - 1.0)
+        aside = np.where(
+            aligned, (beside + np.sin(aim) * ahead) / np.cos(aim), settings.ball_aside_m * (2.0 * draw[6] - 1.0)
+        )
+        self._power[rows] = draw[7] < settings.power_fraction
+        drawn = settings.distance_min_m + (settings.distance_max_m - settings.distance_min_m) * draw[8]
+        self._aligned[rows] = aligned
+        self._target[rows, 0] = _wrapped(heading + aim)
+        self._target[rows, 1] = np.where(self._power[rows], KickSettings.model_fields["distance_max_m"].default, drawn)
+        self._speed[rows], self._aim[rows] = self._launched(self._target[rows], self._power[rows])
+        # a rolling ball gets there after 0.3 to 0.8 s
+        rolls = draw[9] < settings.rolling_fraction
+        velocity = np.where(rolls, settings.ball_speed_max_mps * draw[10], 0.0)
+        way, ago = 2.0 * np.pi * draw[11], 0.3 + 0.5 * draw[12]
+        aside -= np.sin(way) * velocity * ago
+        ahead = np.maximum(ahead - np.cos(way) * velocity * ago, 0.35)
+        torso = self.world.position(rows)[:, :2]
+        cosine, sine = np.cos(heading), np.sin(heading)
+        ball = np.stack(
+            [
+                torso[:, 0] + cosine * ahead - sine * aside,
+                torso[:, 1] + sine * ahead + cosine * aside,
+                np.full(len(rows), self._radius),
+            ],
+            axis=1,
+        )
+        moves = np.stack([velocity * np.cos(heading + way), velocity * np.sin(heading + way), zero], axis=1)
+        spin = np.stack([-moves[:, 1], moves[:, 0], zero], axis=1) / self._radius
+        self.world.place_ball(rows, ball, moves, spin)
+        self._start[rows] = ball[:, :2]
+
+    @staticmethod
+    def _launched(target: FloatArray, power: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return speed and direction with which a ball has to roll off to stop at (k, 2) directions and distances.
+
+        A power kick goes straight at its point: it passes it before it swerves.
+        """
+        speed, aim = rolling.launch(target[:, 1], target[:, 0])
+        straight = rolling.launch(target[:, 1], np.zeros(len(target)))[0]
+        return np.where(power, straight, speed), np.where(power, target[:, 0], aim)
+
+    def begin(self, rows: IntArray) -> None:
+        """Reset what is stored, and restore the walker's latest action."""
+        self.world.actions[rows] = self.world.previous_actions[rows] = self._states.actions[self._state[rows]]
+        self._touched[rows] = -1
+        self._score[rows] = 0.0
+        self._launch[rows] = 0.0
+        for flags in (self._fallen, self._done, self._missed, self._walks):
+            flags[rows] = False
+
+    # steps
+
+    def take_over(self, rows: slice, observer: Observer) -> None:
+        """Apply the walker's actions after the kick."""
+        others = np.arange(self.n)[rows][self._walks[rows]]
+        if len(others):
+            self.world.actions[others] = self._walker.act(observer, others)
+
+    def advance(self, rows: slice) -> None:
+        """Measure touch, score, falls and ends."""
+        settings, world = self.parameters, self.world
+        ball = world.bodies[BALL]
+        fresh = (self._touched[rows] < 0) & (world.contacts["robot"][rows] > 0.0)
+        self._touched[rows] += self._touched[rows] >= 0
+        self._touched[rows] = np.where(fresh, 0, self._touched[rows])
+        touched = self._touched[rows]
+        self._measure_placement(rows, fresh)
+        # direction and speed of the roll that would follow from now on
+        roll = rolling.rolling(ball.velocity[rows], ball.spin[rows], self._radius)
+        apart = ball.position[rows, :2] - self._start[rows]
+        speed = np.hypot(*roll.T)
+        along, across = _along(
+            self._aim[rows], apart + roll * (rolling.straight_m(speed) / np.maximum(speed, 1e-6))[:, None]
+        )
+        angle, reached = np.arctan2(across, along), np.hypot(along, across)
+        live = (touched >= 0) & (touched <= _SETTLED)
+        score = np.where(live, self._scored(angle, reached, rows), self._score[rows])
+        self._gain[rows] = score - self._score[rows]
+        self._score[rows] = score
+        self._launch[rows] = np.where(live[:, None], np.stack([angle, reached], axis=1), self._launch[rows])
+        up = world.rotation(rows)[:, 2, 2]
+        self._fallen[rows] = (world.position(rows)[:, 2] < self._min_height) | (up < UPRIGHT)
+        kicked = self._kicked[rows]
+        if settings.whole_roll:
+            still = np.hypot(*ball.velocity[rows, :2].T) < _LEAST_SPEED
+            over = (kicked >= 0) & (touched >= round(UPRIGHT_S / STEP_S)) & still
+        else:
+            over = kicked >= settings.takeover_steps + settings.watch_steps
+        self._done[rows] = over & ~self._fallen[rows]
+        self._missed[rows] = (kicked < 0) & (world.steps[rows] >= settings.approach_steps) & ~self._fallen[rows]
+
+    def _measure_placement(self, rows: slice, fresh: BoolArray) -> None:
+        """Score how the ball lies before the nearer foot in robots that have just touched it."""
+        self._placed[rows] = 0.0
+        now = np.arange(self.n)[rows][fresh]
+        if not len(now):
+            return
+        feet = np.stack([self._foot(side, now) for side in ("left", "right")])
+        nearer = np.argmin(np.hypot(feet[:, :, 0] - PLACED[0], feet[:, :, 1]), axis=0)
+        _, aside, _, yaw = feet[nearer, np.arange(len(now))].T
+        self._placed[now] = np.exp(-np.square(aside / PLACED[1])) * (0.3 + 0.7 * np.exp(-np.square(yaw / PLACED[2])))
+
+    def _scored(self, angle: FloatArray, reached: FloatArray, rows: slice) -> FloatArray:
+        """Return the score of launches at (k,) angles from the aim, that let the ball roll (k,) metres straight."""
+        error = np.abs(angle)
+        direction = (
+            0.25 * np.maximum(np.cos(error) - 2.5 * np.sin(error), -0.5)
+            + 0.35 * np.exp(-np.square(error / np.radians(14.0)))
+            + 0.4 * np.exp(-np.square(error / np.radians(5.0)))
+        )
+        ratio = reached / np.maximum(rolling.straight_m(self._speed[rows]), 0.1)
+        close = 0.5 * np.clip(np.minimum(ratio, 2.0 - ratio), 0.0, 1.0) + 0.5 * np.exp(-np.square((ratio - 1.0) / 0.2))
+        far = np.minimum(reached / _POWER_M, 1.0)
+        return np.asarray(_SCORE_M * direction * np.where(self._power[rows], far, close))
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return the gain of the score, so that a second touch counts, and what becomes of the robot."""
+        settings = self.parameters
+
+        def flag(array: BoolArray) -> object:
+            return lambda rows: array[rows].astype(np.float64)
+
+        return (
+            RewardTerm("kick", 1.0, lambda rows: self._gain[rows]),
+            RewardTerm("placement", settings.place_weight, lambda rows: self._placed[rows]),
+            RewardTerm("upright", settings.upright_weight, flag(self._done)),  # type: ignore[arg-type]
+            RewardTerm("fall", -settings.fall_penalty, flag(self._fallen)),  # type: ignore[arg-type]
+            RewardTerm("miss", -settings.miss_penalty, flag(self._missed)),  # type: ignore[arg-type]
+            RewardTerm("time", -settings.time_penalty, lambda rows: (self._touched[rows] < 0).astype(np.float64)),
+            *penalties(self.world, settings),
+        )
+
+    def ended(self, rows: slice) -> Sequence[BoolArray]:
+        """Return which robots have fallen, have kicked and stand, or have not kicked in time."""
+        return (self._fallen[rows], self._done[rows], self._missed[rows])
+
+    # results
+
+    def measure(self, rows: IntArray) -> FloatArray:
+        """Return touch, errors of launch and roll, roll, and fall."""
+        angle, reached = self._launch[rows].T
+        asked = rolling.straight_m(self._speed[rows])
+        error = np.where(self._power[rows], 0.0, np.abs(reached / np.maximum(asked, 0.1) - 1.0))
+        touched = self._touched[rows] >= 0
+        return np.stack([touched, np.degrees(np.abs(angle)), reached, error, self._fallen[rows]], axis=1)
+
+    def trace_row(self, rows: IntArray) -> FloatArray:
+        """Return the ball's place, whether it was touched, and the command."""
+        ball, touched = self.world.bodies[BALL].position[rows, :2], self._touched[rows] >= 0
+        kind = np.where(self._aligned[rows], 1.0, 0.0)
+        distance = np.where(self._power[rows], np.inf, self._target[rows, 1])
+        return np.column_stack(
+            [ball, touched, self._target[rows, 0], distance, kind, np.degrees(self._launch[rows, 0])]
+        )
+
+    def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+        """Return results of all episodes, and those of aligned and of other starts side by side."""
+        kicks = _Kicks(episodes)
+        everyone = np.ones(len(episodes), dtype=np.bool_)
+        results = (
+            *kicks.results(everyone, statistics),
+            statistics.rate(FALL_RATE, episodes.ends["fallen"]),
+        )
+        classes = {"Aligned": kicks.aligned, "Other": ~kicks.aligned}
+        corridors = ResultTable(
+            "corridors",
+            "Corridors by start",
+            "Fraction of the kicks of at least this distance that pass a corridor of 1 m and leave the robot upright.",
+            Metric("corridor_m", "Corridor", "m", digits=1),
+            CORRIDORS_M,
+            {
+                title: tuple(statistics.rate(CORRIDOR, kicks.passed(length, chosen)) for length in CORRIDORS_M)
+                for title, chosen in classes.items()
+                if chosen.any()
+            },
+        )
+        return results, (corridors,)
+
+
+class _Kicks:
+    """What became of the balls of an evaluation.
+
+    Attributes:
+        aligned: (episodes,) whether the start was aligned.
+    """
+
+    def __init__(self, episodes: Episodes) -> None:
+        self._paths = [trace[:, :2] - trace[0, :2] for trace in episodes.trace]
+        first = np.array([trace[0] for trace in episodes.trace])
+        self._direction, self._distance, self.aligned = first[:, 3], first[:, 4], first[:, 5] > 0.0
+        touched = np.array([trace[-1, 2] > 0.0 for trace in episodes.trace])
+        moment = np.array([int(np.argmax(trace[:, 2] > 0.0)) for trace in episodes.trace])
+        late = episodes.steps - moment >= UPRIGHT_S / STEP_S
+        self._touched, self._upright = touched, touched & (late | ~episodes.ends["fallen"])
+        self._along, self._across = zip(
+            *(_along(np.array(direction), path) for direction, path in zip(self._direction, self._paths, strict=True)),
+            strict=True,
+        )
+        ends = np.array([path[-1] for path in self._paths])
+        self._rolled = np.hypot(*ends.T)
+        self._error = np.degrees(np.abs(_wrapped(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
+        self._power = np.isinf(self._distance)
+
+    def passed(self, length: float, chosen: BoolArray) -> BoolArray:
+        """Return which of the chosen kicks of at least this distance pass the corridor."""
+        return np.array(
+            [self._passes(i, length) for i in np.flatnonzero(chosen & (self._distance >= length)).tolist()],
+            dtype=np.bool_,
+        )
+
+    def _passes(self, i: int, length: float) -> bool:
+        beyond = np.flatnonzero(self._along[i] >= length)
+        if not len(beyond) or not self._upright[i]:
+            return False
+        return bool(np.abs(self._across[i][: beyond[0] + 1]).max() <= CORRIDOR_HALF_M)
+
+    def results(self, chosen: BoolArray, statistics: Statistics) -> tuple[Result, ...]:
+        """Return the results of the chosen kicks."""
+        kicked = chosen & self._touched
+        errors = self._error[kicked]
+        middle = kicked & (self._distance >= 2.0) & (self._distance <= 6.0)
+        asked = np.abs(self._rolled[middle] / self._distance[middle] - 1.0)
+        worst = float(np.percentile(errors, 90)) if len(errors) else None
+        return (
+            statistics.rate(CONTACT, self._touched[chosen]),
+            statistics.rate(UPRIGHT_RATE, self._upright[kicked]),
+            statistics.rate(CORRIDOR_5, self.passed(CORRIDORS_M[-1], chosen)),
+            statistics.median(STOP_ERROR, errors),
+            Result(STOP_ERROR_90, worst, episodes=len(errors)),
+            statistics.median(DISTANCE_ERROR, asked),
+            statistics.mean(POWER, self._rolled[kicked & self._power]),
+            statistics.mean(DISTANCE, self._rolled[kicked]),
+        )
+
+
+def _along(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the parts of (k, 2) displacements along (k,) headings, and to the left of them."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
+    """Return angles in [-pi, pi)."""
+    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)

@@ -1,0 +1,293 @@
+"""The task kick and its parts: hand-over states, a frozen walker, the ball's roll, what is perceived, and results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.robots.booster import T1
+from naosim.simulator import BALL, STEP_S, Scene, Starts
+from naospec import TrainingSpec
+from naosprint.rl.ppo import Rollout
+from naosprint.tasks import rolling
+from naosprint.tasks.environment import Environment
+from naosprint.tasks.episodes import Episodes, Statistics
+from naosprint.tasks.frozen import FrozenPolicy
+from naosprint.tasks.handover import HandOver, record
+from naosprint.tasks.kick import UPRIGHT_S, Kick, KickSettings
+from naosprint.tasks.observations import ObservationBlock, Observer
+from naosprint.tasks.velocity import Velocity, VelocitySettings
+from pydantic import ValidationError
+
+RADIUS = T1.field.ball_radius_m
+PITCHED = T1.with_parameters({"head_pitch_rad": 0.6})
+FAST = BoosterEmbeddedParameters(engine="fast")
+
+
+def environment_of(n: int, *, seed: int = 0, **settings: Any) -> Environment:
+    """Return n robots at their starts."""
+    parameters = Kick.resolve(KickSettings(name="kick", handover_states=8, **settings), PITCHED)
+    simulator = MujocoSimulator(PITCHED, n, FAST, scene=Kick.scene)
+    environment = Environment(simulator, Kick, parameters, seed, critic=True)
+    environment.load_starts(environment.task.starts(2, seed, 2.0))
+    environment.restart(np.arange(n), np.arange(n) % 2)
+    return environment
+
+
+def task_of(environment: Environment) -> Kick:
+    assert isinstance(environment.task, Kick)
+    return environment.task
+
+
+def walk(environment: Environment, steps: int) -> None:
+    """Take steps with the walker's actions."""
+    walker = task_of(environment)._walker
+    for _ in range(steps):
+        environment.step(walker.act(environment.observer, slice(0, environment.n)))
+
+
+@pytest.fixture(scope="module")
+def states() -> HandOver:
+    """States of the walker."""
+    return recorded(2)
+
+
+def recorded(n: int, seed: int = 0) -> HandOver:
+    simulator = MujocoSimulator(T1, n, FAST)
+    settings = VelocitySettings(name="velocity", forward_min_mps=0.5, forward_max_mps=1.0, stand_fraction=0.0)
+    return record(simulator, FrozenPolicy("t1-run"), Velocity, settings, 16, seed)
+
+
+# --- hand-over ------------------------------------------------------------------------------------------------------
+
+
+def test_hand_over_states_walk_whatever_the_number_of_robots(states: HandOver) -> None:
+    assert len(states) == 16
+    speed = np.hypot(*states.motion.torso_mps[:, :2].T)
+    assert np.median(speed) > 0.3
+    assert np.abs(states.motion.joints_rad_s).max(axis=1).min() > 0.1
+    w, x, y, z = states.motion.torso_wxyz.T
+    np.testing.assert_allclose(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)), 0.0, atol=1e-9)
+    alone = recorded(1)
+    np.testing.assert_array_equal(alone.actions, states.actions)
+    np.testing.assert_array_equal(alone.motion.torso_mps, states.motion.torso_mps)
+
+
+def test_another_seed_gives_other_states(states: HandOver) -> None:
+    other = recorded(2, seed=1)
+    apart = np.abs(other.actions[:, None] - states.actions[None]).max(axis=2)
+    assert apart.min() > 1e-3
+
+
+def test_a_walker_continues_from_its_states() -> None:
+    """In any direction: nothing of the motion is lost, or it would fall."""
+    environment = environment_of(8, aligned_fraction=0.0, ball_near_m=2.0, ball_far_m=2.0, time_penalty=0.0)
+    before = environment.world.bodies["torso"].velocity.copy()
+    walk(environment, 100)
+    assert np.hypot(*before[:, :2].T).max() > 0.3
+    assert not environment.ends["fallen"].any()
+    assert environment.world.position(slice(0, 8))[:, 2].min() > 0.55
+
+
+def test_the_first_observation_is_that_of_a_robot_in_motion() -> None:
+    environment = environment_of(4)
+    task, names = task_of(environment), environment.observer.names
+    seen = environment.observations[:, [names.index(f"velocity_{axis}") for axis in "xyz"]]
+    np.testing.assert_array_equal(seen, task._states.velocity[task._state])
+    actions = environment.observations[:, [k for k, name in enumerate(names) if name.startswith("action_")]]
+    np.testing.assert_array_equal(actions, task._states.actions[task._state])
+
+
+# --- another policy acts ----------------------------------------------------------------------------------------------
+
+
+def test_a_frozen_policy_names_what_it_misses() -> None:
+    block = ObservationBlock(("gravity_x",), lambda rows: np.zeros((1, 1)))
+    with pytest.raises(ValueError, match="t1-run cannot act here: it observes action_left_ankle_pitch, "):
+        FrozenPolicy("t1-run").act(Observer(1, [block]), slice(0, 1))
+
+
+@pytest.mark.parametrize("walker", ["t1-sprint", "sprint", "unknown"])
+def test_only_a_walker_of_the_robot_can_take_over(walker: str) -> None:
+    content = {"task": {"name": "kick", "walker": walker}, "robot": "t1", "total_steps": 1}
+    with pytest.raises(ValidationError, match=rf"task.walker: '{walker}' is no bundled policy .* use t1-run"):
+        TrainingSpec.model_validate(content)
+
+
+def test_the_walker_takes_over_after_the_perceived_kick() -> None:
+    environment = environment_of(2, takeover_steps=3)
+    task, rows = task_of(environment), np.arange(2)
+    walk(environment, 3)
+    assert not task.frozen.any()
+    ball = environment.world.bodies[BALL].position[:1].copy()
+    environment.world.place_ball(rows[:1], ball, np.array([[3.0, 0.0, 0.0]]))
+    nothing = np.zeros((2, environment.actuation.n_actions))
+    for _ in range(12):
+        frozen = task.frozen.copy()
+        expected = np.where(frozen[:, None], task._walker.act(environment.observer, slice(0, 2)), nothing)
+        environment.step(nothing)
+        np.testing.assert_array_equal(environment.world.actions, expected)
+    assert task.frozen.tolist() == [True, False]
+    assert not task.command[0].any()
+
+
+def test_frozen_actions_teach_the_actor_nothing() -> None:
+    rollout = Rollout(2, 3, 1, 1)
+    rollout.advantages[:] = [[1.0, 2.0, 50.0], [3.0, 4.0, -70.0]]
+    rollout.returns[:] = 7.0
+    rollout.frozen[:, 2] = True
+    rollout.leave_out_frozen(normalized=True)
+    np.testing.assert_array_equal(rollout.advantages[:, 2], 2.5)
+    assert (rollout.advantages - rollout.advantages.mean())[0, 2] == 0.0
+    assert (rollout.returns == 7.0).all()
+    rollout.leave_out_frozen(normalized=False)
+    np.testing.assert_array_equal(rollout.advantages[:, 2], 0.0)
+
+
+# --- the ball's roll --------------------------------------------------------------------------------------------------
+
+
+def test_rolls_are_those_of_the_exact_engine() -> None:
+    """Rolling and sliding, along an axis and aside; a turn by 90 degrees changes nothing."""
+    starts = [(1.0, 0.0, True), (1.0, 20.0, True), (2.0, 30.0, True), (1.5, 100.0, True), (1.5, -20.0, False)]
+    simulator = MujocoSimulator(T1, len(starts), scene=Scene(ball=True))
+    simulator.load_starts(Starts(T1.nominal[None], (0.0, 8.0)))
+    rows, still = np.arange(len(starts)), np.zeros(len(starts), dtype=np.int64)
+    simulator.start(rows, still)
+    speed, angle = np.array([s for s, *_ in starts]), np.radians([a for _, a, _ in starts])
+    velocity = np.stack([speed * np.cos(angle), speed * np.sin(angle), 0.0 * speed], axis=1)
+    spin = np.stack([-velocity[:, 1], velocity[:, 0], 0.0 * speed], axis=1) / RADIUS
+    spin[~np.array([rolls for *_, rolls in starts])] = 0.0
+    simulator.place_ball(rows, np.tile((0.0, -4.0, RADIUS), (len(starts), 1)), velocity, spin)
+    ball = simulator.truth.bodies[BALL]
+    targets = np.tile(T1.nominal, (len(starts), 1))
+    for _ in range(250):
+        simulator.step(targets)
+        if np.hypot(*ball.velocity[:, :2].T).max() < 0.01:
+            break
+    moved = ball.position[:, :2] - (0.0, -4.0)
+    predicted = rolling.rolling(velocity, spin, RADIUS)
+    distance, direction = rolling.stop(np.hypot(*predicted.T), np.arctan2(predicted[:, 1], predicted[:, 0]))
+    found = np.hypot(*moved.T)
+    np.testing.assert_allclose(distance[:4], found[:4], rtol=0.02)
+    assert 0.0 < found[4] - distance[4] < 0.15  # it slides at first
+    turned = np.degrees(np.arctan2(moved[:, 1], moved[:, 0]) - direction)
+    np.testing.assert_allclose(turned, 0.0, atol=1.0)
+
+
+def test_a_launch_stops_where_it_is_aimed_at() -> None:
+    rng = np.random.default_rng(0)
+    distance, direction = rng.uniform(1.5, 10.0, 500), rng.uniform(-np.pi, np.pi, 500)
+    reached, found = rolling.stop(*rolling.launch(distance, direction))
+    np.testing.assert_allclose(reached, distance, rtol=0.01)
+    np.testing.assert_allclose(np.cos(found - direction), 1.0, atol=1e-5)
+
+
+# --- starts and perception --------------------------------------------------------------------------------------------
+
+
+def test_balls_are_before_a_foot_or_somewhere_near() -> None:
+    environment = environment_of(64, aligned_fraction=0.5, rolling_fraction=0.0)
+    task, everyone = task_of(environment), slice(0, 64)
+    apart = environment.world.bodies[BALL].position[:, :2] - environment.world.position(everyone)[:, :2]
+    yaw = environment.world.yaw(everyone)
+    ahead, aside = (
+        np.cos(yaw) * apart[:, 0] + np.sin(yaw) * apart[:, 1],
+        np.cos(yaw) * apart[:, 1] - np.sin(yaw) * apart[:, 0],
+    )
+    aim = (task._target[:, 0] - yaw + np.pi) % (2 * np.pi) - np.pi
+    aligned = task._aligned
+    assert 16 <= aligned.sum() <= 48
+    assert np.degrees(np.abs(aim[aligned])).max() <= 10.01
+    assert np.degrees(np.abs(aim[~aligned])).max() <= 30.01
+    assert np.degrees(np.abs(aim[~aligned])).max() > 20.0
+    line = np.abs(np.cos(aim) * aside - np.sin(aim) * ahead)
+    assert (np.abs(line[aligned] - 0.106) <= 0.0601).all()
+    assert ((ahead > 0.349) & (ahead < 0.901)).all()
+    assert np.ptp(yaw) > 5.0
+
+
+def test_nothing_but_a_kick_looks_like_one() -> None:
+    """Neither a ball at rest, nor one that rolls and slows down, while the robot walks."""
+    for fraction in (0.0, 1.0):
+        environment = environment_of(32, rolling_fraction=fraction, aligned_fraction=0.0, ball_near_m=0.9)
+        task = task_of(environment)
+        for _ in range(25):
+            environment.step(task._walker.act(environment.observer, slice(0, 32)))
+            untouched = task._touched < 0
+            assert (task._kicked[untouched] < 0).all()
+
+
+def test_a_score_prefers_straight_kicks_of_the_commanded_distance() -> None:
+    environment = environment_of(3)
+    task, everyone = task_of(environment), slice(0, 3)
+    task._power[:] = False
+    task._speed[:] = rolling.launch(np.full(3, 4.0), np.zeros(3))[0]
+    angles, far = np.radians([0.0, 5.0, 20.0]), np.full(3, 4.0)
+    straight, off, wide = task._scored(angles, far, everyone)
+    assert straight > 1.2 * off > 2.0 * wide
+    short, right, long = task._scored(np.zeros(3), np.array([2.0, 4.0, 7.0]), everyone)
+    assert right > 1.5 * max(short, long)
+    task._power[:] = True
+    assert task._scored(np.zeros(3), np.array([2.0, 4.0, 7.0]), everyone).argmax() == 2
+
+
+def test_a_walk_through_the_ball_moves_it_and_ends_upright() -> None:
+    environment = environment_of(8, seed=3, aligned_fraction=1.0, rolling_fraction=0.0, watch_steps=5)
+    walk(environment, 60)
+    task = task_of(environment)
+    assert (task._touched >= 0).sum() >= 6
+    angle, reached = task._launch[task._touched >= 0].T
+    assert np.median(reached) > 0.5
+    assert np.abs(np.degrees(angle)).max() < 90.0
+
+
+def test_a_state_is_complete() -> None:
+    first = environment_of(4, seed=1)
+    walk(first, 30)
+    saved = first.state()
+    walk(first, 10)
+    second = environment_of(4, seed=1)
+    second.load_state(saved)
+    walk(second, 10)
+    np.testing.assert_array_equal(second.observations, first.observations)
+    np.testing.assert_array_equal(second.rewards, first.rewards)
+
+
+# --- results ----------------------------------------------------------------------------------------------------------
+
+
+def episodes_of(*kicks: tuple[float, float, float, bool]) -> Episodes:
+    """Return episodes in which the ball goes straight, each by angle from the command, distance, command and fall."""
+    traces, rows = [], round(UPRIGHT_S / STEP_S) + 60
+    for angle, far, asked, _ in kicks:
+        way = np.linspace(0.0, far, rows)
+        x, y = way * np.cos(1.0 + np.radians(angle)), way * np.sin(1.0 + np.radians(angle))
+        touched, ones = (np.arange(rows) >= 20).astype(float), np.ones(rows)
+        traces.append(np.column_stack([x, y, touched, ones, asked * ones, ones, angle * ones]))
+    lengths = [80 if fell else rows for *_, fell in kicks]
+    blank: Any = [np.zeros(length) for length in lengths]
+    fallen = np.array([fell for *_, fell in kicks])
+    traces = [trace[:length] for trace, length in zip(traces, lengths, strict=True)]
+    ends = {"fallen": fallen, "done": ~fallen, "missed": np.zeros(len(kicks), dtype=np.bool_)}
+    return Episodes(blank, blank, blank, blank, blank, blank, traces, ends, 1000)
+
+
+def test_results_follow_from_the_balls_ways() -> None:
+    kicks = episodes_of(
+        (0.0, 6.0, np.inf, False), (4.0, 8.0, np.inf, False), (9.0, 6.0, 5.5, False), (0.0, 9.0, 9.0, True)
+    )
+    task = task_of(environment_of(1))
+    results, tables = task.summarize(kicks, Statistics(0.95, 100, 0))
+    found = {result.metric.name: result.value for result in results}
+    assert found["contact_rate"] == 1.0
+    assert found["upright_rate"] == 0.75
+    assert found["fall_rate"] == 0.25
+    assert found["stop_error_deg"] == pytest.approx(2.0)
+    assert found["distance_error"] == pytest.approx(6.0 / 5.5 - 1.0)
+    assert found["power_distance_m"] == pytest.approx(7.0)
+    corridors = tables[0].columns["Aligned"]
+    assert [result.value for result in corridors] == [0.75, 0.5, 0.5]
