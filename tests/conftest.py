@@ -8,11 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from tests import forking
+
 # On processors with AVX-512, NumPy's sines and roots differ from the C library's in the last digit. Compiled code is
 # held against NumPy bit for bit, so the tests use NumPy's other kernels. It reads this when it is imported, and warns
 # of names that a processor does not have.
 if "avx512dq" in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
     os.environ.setdefault("NPY_DISABLE_CPU_FEATURES", "X86_V4")
+
+
+forking.install()
 
 
 @pytest.fixture(autouse=True)

@@ -24,6 +24,7 @@ from pathlib import Path
 import httpx
 import psycopg
 import pytest
+from naoctl.client import NO_CERTIFICATES
 from naojobs.database import make_engine, make_sessions, upgrade
 from naojobs.roles import Role, create_roles
 from naojobs.settings import ServiceSettings
@@ -142,7 +143,7 @@ class S3Server:
         deadline = time.monotonic() + 60
         while True:
             try:
-                httpx.get(f"http://127.0.0.1:{self._port}/", trust_env=False, timeout=5)
+                httpx.get(f"http://127.0.0.1:{self._port}/", trust_env=False, timeout=5, verify=NO_CERTIFICATES)
             except httpx.TransportError:
                 assert self._process.poll() is None and time.monotonic() < deadline, "the S3 server does not start"
                 time.sleep(0.05)
@@ -274,7 +275,7 @@ def make_client(api: RunningApi, make_token: Callable[..., str]) -> Iterator[Cal
 
     def make(owner: str, *scopes: str) -> httpx.Client:
         headers = {"Authorization": f"Bearer {make_token(owner, *scopes)}"}
-        clients.append(httpx.Client(base_url=api.url, headers=headers, timeout=20))
+        clients.append(httpx.Client(base_url=api.url, headers=headers, timeout=20, verify=NO_CERTIFICATES))
         return clients[-1]
 
     yield make

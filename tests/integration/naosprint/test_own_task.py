@@ -18,6 +18,7 @@ import psutil
 import pytest
 from naojobs.roles import Role
 
+from tests.forking import leads_session
 from tests.integration.conftest import as_role
 
 PACKAGES = [Path(__file__).parents[2] / "packages" / f"naosprint-{name}" for name in ("backwards", "push", "sac")]
@@ -216,7 +217,7 @@ def test_an_algorithm_is_trained_killed_resumed_evaluated_and_exported(installed
     job = json.loads(installed.naoctl("submit", *own, *few, "--eval-episodes", "10", "--name", "sac", "--json"))
     path = f"/jobs/{job['id']}"
     _until(lambda: installed.client.get(path).json()["progress_step"] >= 1024, 300)
-    (training,) = installed.worker.children()
+    (training,) = [child for child in installed.worker.children() if leads_session(child.pid)]
     training.kill()
     installed.naoctl("watch", job["id"], "--json")
     job = installed.client.get(path).json()

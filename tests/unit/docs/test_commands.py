@@ -11,11 +11,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from naoctl.cli import build_app
 from naojobs.__main__ import _parser as naojobs_parser
 from naosim.cli import _parser as naosim_parser
 from naosprint.__main__ import _parser as naosprint_parser
-from typer.main import get_command
 
 from . import documents
 from .documents import ROOT, Command
@@ -57,7 +55,7 @@ ComposeLoader.add_constructor("!reset", lambda *_: None)
 
 
 def check_naoctl(words: list[str]) -> None:
-    name, command = "naoctl", get_command(build_app())
+    name, command = "naoctl", documents.naoctl()
     while hasattr(command, "commands"):
         name = words.pop(0)
         if name == "--url":  # in front of the command
@@ -156,7 +154,7 @@ def test_the_documents_speak_of_most_things() -> None:
 
 
 def test_commands_in_the_text_exist() -> None:
-    known = get_command(build_app()).commands
+    known = documents.naoctl().commands
     for path in documents.DOCUMENTS:
         for name in re.findall(r"`naoctl ([a-z]+)", path.read_text(encoding="utf-8")):
             assert name in known, f"{path.name}: naoctl {name}"

@@ -29,7 +29,7 @@ STEPS = re.compile(r"(?:checkpoint|export)-0*(\d+)|of ([\d,]+) steps")
 
 def dry_run(words: tuple[str, ...], folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.chdir(folder)
-    done = CliRunner().invoke(build_app(), [*words[1:], *([] if "--dry-run" in words else ["--dry-run"])])
+    done = CliRunner().invoke(build_app(words[1]), [*words[1:], *([] if "--dry-run" in words else ["--dry-run"])])
     assert done.exit_code == 0, f"{shlex.join(words)}: {done.output}{done.exception}"
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed.get("job", printed)

@@ -25,7 +25,7 @@ PROGRAM = Path(sys.executable).parent / "naoctl"
 
 def help_of(*words: str) -> str:
     environment = {"COLUMNS": "80", "LINES": "50", "TERM": "dumb"}
-    done = CliRunner().invoke(build_app(), list(words), env=environment)
+    done = CliRunner().invoke(build_app(words[0] if words else None), list(words), env=environment)
     assert done.exit_code == 0, done.output
     return done.stdout
 
@@ -67,7 +67,7 @@ def test_nothing_is_cut_off_at_80_columns(words: tuple[str, ...]) -> None:
     text = help_of(*words) if words != ("spec",) else terminal("spec", "simulator")
     assert "…" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
-    command = get_command(build_app())
+    command = get_command(build_app(words[0] if words else None))
     for word in words:
         command = getattr(command, "commands", {}).get(word, command)
     for parameter in command.params:

@@ -41,8 +41,28 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def build_app() -> typer.Typer:
-    """Return the application with all commands."""
+_MODULES = (
+    submit,
+    studies,
+    spec,
+    jobs,
+    watch,
+    artifacts,
+    tensorboard,
+    mirror,
+    policies,
+    service,
+    webhooks,
+    stack_commands,
+)
+"""Modules of commands, in the order of the help."""
+
+
+def build_app(word: str | None = None) -> typer.Typer:
+    """Return the application with all commands, or with the one command or group ``word`` if it is one.
+
+    Most of the time that a command takes to start is spent on the options of all others.
+    """
     app = typer.Typer(
         name="naoctl",
         help="Train simulated humanoid robots: submit jobs, watch them, download policies, run the service.",
@@ -72,21 +92,12 @@ def build_app() -> typer.Typer:
     ) -> None:
         ctx.obj = Context(url=url)
 
-    for module in (
-        submit,
-        studies,
-        spec,
-        jobs,
-        watch,
-        artifacts,
-        tensorboard,
-        mirror,
-        policies,
-        service,
-        webhooks,
-        stack_commands,
-    ):
+    for module in _MODULES:
         module.register(app)
+    commands = [command for command in app.registered_commands if command.name == word]
+    groups = [group for group in app.registered_groups if group.name == word]
+    if commands or groups:
+        app.registered_commands, app.registered_groups = commands, groups
     return app
 
 
@@ -99,7 +110,7 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # what the terminal's character set has not
     try:
-        code = build_app()(words, prog_name="naoctl", standalone_mode=False)
+        code = build_app(words[0] if words else None)(words, prog_name="naoctl", standalone_mode=False)
     except CliError as error:
         report(error, as_json=as_json)
         code = error.code

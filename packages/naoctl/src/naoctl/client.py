@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +27,10 @@ STREAM_SILENCE_S = 60.0
 """Seconds without data after which a stream counts as lost; the service sends comments more often."""
 RECONNECT_FIRST_S, RECONNECT_LAST_S = 0.5, 10.0
 """Seconds between attempts to reconnect: the first delay, doubled each time, and the longest."""
+
+
+NO_CERTIFICATES = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+"""For connections without TLS: reading the certificates of all authorities takes longer than a request."""
 
 
 class ApiError(CliError):
@@ -68,7 +73,7 @@ class Client:
                 follow_redirects=False,
                 # proxies of the environment are for other machines, its certificates for all
                 trust_env=not is_loopback(url.host),
-                verify=httpx.create_ssl_context() if url.scheme == "https" else True,
+                verify=httpx.create_ssl_context() if url.scheme == "https" else NO_CERTIFICATES,
             )
         except (ImportError, OSError, ValueError, httpx.InvalidURL) as error:
             raise InvalidInput(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -50,8 +51,9 @@ def _run() -> int:
     for chatty in ("celery.worker.strategy", "celery.app.trace"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     worker = WorkLoop(settings)
-    worker.start()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery has its own handler
     try:
+        worker.start()
         return serve(make_application(settings, worker), worker, settings)
     finally:
         worker.close()

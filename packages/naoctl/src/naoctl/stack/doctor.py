@@ -17,6 +17,7 @@ from typing import Literal
 import httpx
 import psutil
 
+from naoctl.client import NO_CERTIFICATES
 from naoctl.errors import StackError
 from naoctl.stack import ports
 from naoctl.stack.broker import find_program
@@ -231,7 +232,7 @@ def _stack(layout: Layout) -> Iterator[Finding]:
         else:
             yield Finding(name.capitalize(), "ok", f"process {record.pid}, {process.memory_info().rss / 1e6:.0f} MB")
     try:
-        response = httpx.get(f"{state.url}/readyz", timeout=5.0, trust_env=False)
+        response = httpx.get(f"{state.url}/readyz", timeout=5.0, trust_env=False, verify=NO_CERTIFICATES)
         if response.status_code == 200:
             yield Finding("Readiness", "ok", "database, broker and store answer")
         else:

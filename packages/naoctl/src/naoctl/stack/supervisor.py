@@ -22,6 +22,7 @@ import httpx
 import psutil
 from naospec.files import write_whole
 
+from naoctl.client import NO_CERTIFICATES
 from naoctl.config import PRIVATE
 from naoctl.errors import StackError
 from naoctl.stack import ports
@@ -345,7 +346,9 @@ class StackSupervisor:
     def _ask(self, path: str) -> httpx.Response:
         headers = {"Authorization": f"Bearer {self.admin_token}"} if self.admin_token else {}
         # Never through a proxy: this is the loopback.
-        return httpx.get(f"{self.state.url}{path}", headers=headers, timeout=2.0, trust_env=False)
+        return httpx.get(
+            f"{self.state.url}{path}", headers=headers, timeout=2.0, trust_env=False, verify=NO_CERTIFICATES
+        )
 
     def _run_tool(self, command: list[str], environment: dict[str, str]) -> str:
         result = subprocess.run(
@@ -515,7 +518,7 @@ def clear_leftovers(state: StackState, *, grace_s: float = LEFTOVER_GRACE_S) -> 
 
 
 def find_migrations() -> Path:
-    """Return the folder of the database migrations: ``NAOSPRINT_MIGRATIONS``, or that of the source tree in use.
+    """Return the folder of the database migrations: ``NAOSPRINT_MIGRATIONS``, or that of the installed service.
 
     Raises:
         StackError: when there is none.
@@ -523,11 +526,10 @@ def find_migrations() -> Path:
     named = os.environ.get("NAOSPRINT_MIGRATIONS")
     spec = importlib.util.find_spec("naojobs")
     if spec is None or spec.origin is None:
-        raise StackError("The service is not installed", fix="Install it from a checkout with `make install`.")
-    candidates = [Path(named)] if named else [folder / "migrations" for folder in Path(spec.origin).parents]
-    for folder in candidates:
-        if (folder / "env.py").is_file():
-            return folder.resolve()
+        raise StackError("The service is not installed", fix="Install it: pip install naosprint-all, or `make install` in a checkout.")
+    folder = Path(named) if named else Path(spec.origin).with_name("migrations")
+    if (folder / "env.py").is_file():
+        return folder.resolve()
     raise StackError(
         f"No database migrations {'in ' + named if named else 'beside the installed service'}",
         fix="Name their folder with NAOSPRINT_MIGRATIONS.",

@@ -1,0 +1,88 @@
+"""Forked programs of tests see what executed ones see."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests import forking
+
+PROBE = """
+import atexit, json, os, signal, sys
+atexit.register(lambda: print("last"))
+status = dict(line.split(":", 1) for line in open("/proc/self/status", encoding="ascii"))
+print(json.dumps({
+    "name": __name__, "argv": sys.argv, "path": sys.path[:2], "cwd": os.getcwd(), "input": sys.stdin.read(),
+    "environment": dict(os.environ), "command": open("/proc/self/cmdline", "rb").read().decode().rstrip(chr(0)).split(chr(0)),
+    "shown": sorted(open("/proc/self/environ", "rb").read().decode().rstrip(chr(0)).split(chr(0))),
+    "leads": os.getsid(0) == os.getpid(), "parent": os.getppid(), "umask": status["Umask"],
+    # without the signals that the C library uses itself
+    "signals": [int(status[name], 16) & 0x7FFFFFFF for name in ("SigBlk", "SigIgn", "SigCgt")],
+    "descriptors": sorted(int(number) for number in os.listdir("/proc/self/fd")),
+    "streams": [[s.encoding, s.errors, s.line_buffering] for s in (sys.stdin, sys.stdout, sys.stderr)],
+}))
+if "wait" in sys.argv:
+    sys.stdout.flush()
+    signal.pause()
+if "raise" in sys.argv:
+    raise ValueError("wrong")
+sys.exit("a message" if "message" in sys.argv else 3)
+"""
+
+
+OPTIONS = {"start_new_session": True, "umask": 0o27, "preexec_fn": forking.die_with_parent}
+
+
+@pytest.fixture
+def probe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the module `probe`, which is forked, and a copy `other` of it, which is executed."""
+    for name in ("probe", "other"):
+        (tmp_path / f"{name}.py").write_text(PROBE, encoding="utf-8")
+    monkeypatch.setattr(forking, "HEAVY", ("probe",))
+    return tmp_path
+
+
+def run(folder: Path, module: str, *words: str, **options: Any) -> tuple[int, dict[str, Any], str, str]:
+    done = subprocess.run(
+        [sys.executable, "-m", module, *words], cwd=folder, input="äöü", capture_output=True, text=True, **options
+    )
+    first, _, rest = done.stdout.replace("other", "probe").partition("\n")
+    return done.returncode, json.loads(first), rest, done.stderr.replace("other", "probe")
+
+
+@pytest.mark.parametrize("words", [(), ("message",)])
+@pytest.mark.parametrize("options", [{}, OPTIONS])
+def test_it_is_the_same_process(probe: Path, words: tuple[str, ...], options: dict[str, Any]) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(probe.parent), "ONE": "=a b"}
+    forked, executed = (run(probe, module, *words, env=environment, **options) for module in ("probe", "other"))
+    assert forked == executed
+    assert executed[0] == (1 if words else 3) and executed[1]["parent"] == os.getpid()
+
+
+def test_an_error_ends_it_as_it_ends_any_program(probe: Path) -> None:
+    code, _, rest, errors = run(probe, "probe", "raise")
+    assert (code, rest) == (1, "last\n") and errors.endswith("ValueError: wrong\n")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, -15), (signal.SIGKILL, -9), (signal.SIGINT, -2)])
+def test_signals_end_it(probe: Path, number: signal.Signals, code: int) -> None:
+    command = [sys.executable, "-m", "probe", "wait"]
+    options: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, cwd=probe, **options) as process:
+        assert process.stdout is not None
+        shown = json.loads(process.stdout.readline())
+        assert shown["command"] == command
+        process.send_signal(number)
+    assert process.returncode == code
+
+
+def test_what_an_interpreter_reads_when_it_starts_is_executed(probe: Path) -> None:
+    _, seen, _, _ = run(probe, "probe", env={**os.environ, "PYTHONUTF8": "0", "LC_ALL": "C"})
+    assert seen["streams"][1][1] == "surrogateescape"
