@@ -1,8 +1,12 @@
 #!/usr/bin/env bash
-# Build both engines with AddressSanitizer and UndefinedBehaviorSanitizer into a scratch folder and run their unit tests on that build.
+# Build both engines with AddressSanitizer and UndefinedBehaviorSanitizer into a scratch folder and run tests on that build: those given,
+# or conformance, fuzz and all others that step an engine or read messages.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 python=${PYTHON:-$here/../../.venv/bin/python}
+unit=tests/unit/naosim
+[ $# -gt 0 ] || set -- $unit/test_{batch,conformance,control,protocol,vision}.py $unit/mujoco/test_{ball,embedded,humanoid}.py \
+  tests/unit/naosprint/rl/test_engines.py::test_every_cycle_of_moving_robots_is_mj_steps
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 "$python" -m pip install -q --no-deps --no-build-isolation --target "$scratch/site" "$here" \
@@ -17,4 +21,4 @@ import sys
 sys.meta_path[:] = [finder for finder in sys.meta_path if type(finder).__name__ != 'ScikitBuildRedirectingFinder']
 import naosim, pytest
 assert naosim.__file__.startswith('$scratch'), naosim.__file__
-sys.exit(pytest.main(['-q', '-p', 'no:cacheprovider', 'tests/unit/naosim', '-o', 'timeout=900']))"
+sys.exit(pytest.main(['-q', '-x', '-p', 'no:cacheprovider', '-o', 'timeout=900', *sys.argv[1:]]))" "$@"

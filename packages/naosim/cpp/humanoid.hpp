@@ -4,7 +4,7 @@
 // robot's MjModel, read by naosim.mujoco.humanoid.
 #pragma once
 #include <cstddef>
-#include <vector>
+#include <cstdint>
 
 namespace naosim::humanoid {
 
@@ -30,7 +30,9 @@ struct Library {
 
 // One robot as the kernel sees it: its model and the arrays of its mjData. The ball's arrays are null where there is none.
 struct Robot {
-  const void* numbers;  // Varied of humanoid_model.hpp
+  const void* numbers;    // Varied of humanoid_model.hpp
+  std::uint64_t version;  // of the numbers: robots with the same version have the same numbers
+  unsigned char* active;  // Kernel::rows bytes: rows of the solver that were active in the last substep; 0: unknown
   double *qpos, *qvel, *warm, *sensordata;
   const double* ctrl;
   double *ball_qpos, *ball_qvel, *ball_warm;
@@ -41,13 +43,19 @@ struct Robot {
   bool collided = false;  // MuJoCo found some of its contacts in the last substep
 };
 
+constexpr int kMotion = 18;
+
 struct Kernel {
   const char* name;  // of the instruction set
   int lanes;
   Topology topology;
-  std::size_t shared, varied;  // bytes
-  // Advance `count` <= lanes robots by a substep. Sensors are MuJoCo's: those of the state before the substep.
-  void (*substep)(const void* shared, const Library&, Robot* const* robots, int count);
+  std::size_t shared, varied, rows;  // bytes
+  // Advance `count` <= lanes robots by a substep. Sensors are MuJoCo's: those of the state before the substep; without `last`,
+  // only the forces on the feet and what touches the ball.
+  void (*substep)(const void* shared, const Library&, Robot* const* robots, int count, bool last);
+  // Write position, rotation, velocity and spin of some bodies (number `bodies` of the topology: the ball), world axes: kMotion
+  // numbers a body, robot by robot.
+  void (*motion)(const void* shared, Robot* const* robots, int count, const int* bodies, int number, double* out);
 };
 
 // The kernel for a robot, "t1" or "k1", and an instruction set, or for the best one that runs here if `isa` is null; null: none.

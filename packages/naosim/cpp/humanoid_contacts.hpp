@@ -29,11 +29,11 @@ inline void mark_used(Work& w, int body) {
   for (int b = body; b >= 0; b = kParent[b]) w.used[b] = true;
 }
 
-// A contact halfway between the geom's lowest point r and the floor.
-inline void put_point(const Shared& m, Work& w, int geom, Vec r, Real dist, Mask exists, Real tx, Real ty) {
+// The contact halfway between the floor and the lowest point r of a geom; `number`: which of the geom's points it is.
+inline void put_point(const Shared& m, Work& w, int geom, int number, Vec r, Real dist, Mask exists, Real tx, Real ty) {
   const Impedance& c = m.floor[geom];
   Point& p = w.pt[w.npt++];
-  p.body = kGeomBody[geom], p.exists = exists, p.mu = w.numbers.friction[geom];
+  p.row = points_before(geom) + number, p.body = kGeomBody[geom], p.exists = exists, p.mu = w.numbers.friction[geom];
   p.r = {r.x, r.y, r.z - 0.5 * dist};
   p.tx = tx, p.ty = ty;
   Real rest;
@@ -41,8 +41,8 @@ inline void put_point(const Shared& m, Work& w, int geom, Vec r, Real dist, Mask
   p.d = select(exists, pyramid_weight(imp, rest, p.mu, w.numbers.weight[p.body]), splat(0));
   const Vec v = velocity_at(w.vel[p.body], p.r);
   p.cn = c.b * v.z + c.k * imp * dist;
-  p.c1 = c.b * (tx * v.x + ty * v.y);
-  p.c2 = c.b * (tx * v.y - ty * v.x);
+  p.ct = c.b * (tx * v.x + ty * v.y);
+  p.cs = c.b * (tx * v.y - ty * v.x);
   mark_used(w, p.body);
 }
 
@@ -80,12 +80,12 @@ inline void collide_floor(const Shared& m, const Group& g, Work& w) {
         const Mask exists = dist < 0.0;
         if (!any(exists)) continue;
         const double corner[3] = {sx * size[0], sy * size[1], -size[2]};
-        put_point(m, w, k, o + select(l > 0.0, -one, one) * rotate(r, corner), dist, exists, zero, one);
+        put_point(m, w, k, p, o + select(l > 0.0, -one, one) * rotate(r, corner), dist, exists, zero, one);
       }
     } else if (kGeomShape[k] == kSphere) {
       const Real dist = height - size[0];
       const Mask exists = dist < 0.0;
-      if (any(exists)) put_point(m, w, k, {o.x, o.y, o.z - size[0]}, dist, exists, zero, one);
+      if (any(exists)) put_point(m, w, k, 0, {o.x, o.y, o.z - size[0]}, dist, exists, zero, one);
     } else {
       const double axis[3] = {m.frame[k][2], m.frame[k][5], m.frame[k][8]};
       const Vec ax = rotate(r, axis);
@@ -98,7 +98,7 @@ inline void collide_floor(const Shared& m, const Group& g, Work& w) {
         const Vec e = o + (s * size[1]) * ax;
         const Real dist = z0 + e.z - size[0];
         const Mask exists = dist < 0.0;
-        if (any(exists)) put_point(m, w, k, {e.x, e.y, e.z - size[0]}, dist, exists, tx, ty);
+        if (any(exists)) put_point(m, w, k, s < 0, {e.x, e.y, e.z - size[0]}, dist, exists, tx, ty);
       }
     }
   }
@@ -231,8 +231,6 @@ inline Mask separated(Vec d, const Rot& A, const double* sa, bool cylinder_a, co
   return found;
 }
 
-constexpr bool is_round(int geom) { return kGeomShape[geom] == kSphere || kGeomShape[geom] == kCapsule; }
-
 // Self contacts of spheres and capsules. Where boxes, or the boxes around other shapes, are touched, MuJoCo looks for contacts.
 inline void collide_self(const Shared& m, Work& w) {
   const auto reach = [&](int k) {
@@ -294,7 +292,7 @@ inline void collide_self(const Shared& m, Work& w) {
       const Real len = sqrt(len2), dist = len - near;
       const Impedance& c = m.pair[g1][g2];
       Pair& p = w.pr[w.npr++];
-      p.a = a, p.b = b, p.exists = exists, p.g1 = g1, p.g2 = g2, p.level = kBetween.of[a][b].level;
+      p.row = pair_row(i, j), p.a = a, p.b = b, p.exists = exists, p.level = kBetween.of[a][b].level;
       p.n = (1.0 / len) * e;
       p.r = p1 + (s1[0] + 0.5 * dist) * p.n;
       frame_of(p.n, p.t, p.s);
@@ -304,8 +302,8 @@ inline void collide_self(const Shared& m, Work& w) {
       p.d = select(exists, pyramid_weight(imp, rest, p.mu, w.numbers.weight[a] + w.numbers.weight[b]), splat(0));
       const Vec v_ab = velocity_at(w.vel[b], p.r) - velocity_at(w.vel[a], p.r);
       p.cn = c.b * dot(p.n, v_ab) + c.k * imp * dist;
-      p.c1 = c.b * dot(p.t, v_ab);
-      p.c2 = c.b * dot(p.s, v_ab);
+      p.ct = c.b * dot(p.t, v_ab);
+      p.cs = c.b * dot(p.s, v_ab);
       mark_used(w, a), mark_used(w, b);
       if (p.level > w.pattern) w.pattern = p.level;
     }

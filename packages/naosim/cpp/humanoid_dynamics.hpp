@@ -45,23 +45,28 @@ struct Group {
   Real ball[7];
 };
 
-// A contact of a geom with the floor: four rows n +- mu t1, n +- mu t2 with the same weight d.
-struct Point {
-  int body;
+// The friction pyramid of a contact: four rows n + mu t, n - mu t, n + mu s, n - mu s with the same weight d.
+struct Pyramid {
+  int row;                   // where the robot's memory has it
   Mask exists, active[4];
-  Vec r;                     // about the torso's origin
-  Real tx, ty, d, mu;        // first tangent; the second is n x t1
-  Real un, u1, u2;           // J a - aref along n, t1, t2
-  Real dn, d1, d2;           // J p
-  Real cn, c1, c2;           // -aref
+  Mask known;                // lanes whose active rows are remembered
+  Vec r;                     // the contact about the torso's origin
+  Real d, mu;
+  Real un, ut, us;           // J a - aref along n, t, s
+  Real pn, pt, ps;           // J p
+  Real cn, ct, cs;           // -aref
+};
+
+// A contact of a geom with the floor: n = z, t = (tx, ty, 0), s = n x t.
+struct Point : Pyramid {
+  int body;
+  Real tx, ty;
 };
 
 // A contact of two geoms, normal from a to b.
-struct Pair {
-  int a, b, g1, g2, level;
-  Mask exists, active[4];
-  Vec r, n, t, s;
-  Real d, mu, un, u1, u2, dn, d1, d2, cn, c1, c2;
+struct Pair : Pyramid {
+  int a, b, level;
+  Vec n, t, s;
 };
 
 // A contact of any two bodies, the world (-1) and the ball among them: rows n +- mu[k - 1] q, with q the other directions of `u`:
@@ -75,8 +80,6 @@ struct Contact {
   Real d, mu[5], u[6], du[6], c[6];
 };
 
-constexpr int kMostPoints = 32, kMostPairs = kGeoms * (kGeoms - 1) / 2;
-
 // What a substep computes, of one group.
 struct Work {
   VariedOf<Real> numbers;
@@ -89,9 +92,9 @@ struct Work {
   Real a[kAll], Ma[kAll], g[kAll], p[kAll], Mp[kAll];
   Spatial tw[kBodies + 1], wr[kBodies + 1];  // the ball's about its centre
   Real Kc[kBodies][21];                      // stiffness of the contacts at a body and below
-  Point pt[kMostPoints];
+  Point pt[kPoints];
   int npt;
-  Pair pr[kMostPairs];
+  Pair pr[kPairs + 1];
   int npr;
   std::vector<Contact> more;                 // by key
   int speeds;                                // kSpeeds, or kAll with a ball
@@ -103,6 +106,7 @@ struct Work {
   Mask lim_act[kJoints];
   Real fc[kJoints], fd[kJoints];             // friction rows: -aref and weight
   Mask zone[kJoints][2];                     // within the quadratic zone; sliding forward
+  Mask zone_known[kJoints];                  // lanes whose zone is remembered
   bool used[kBodies];                        // bodies with a contact at them or below
   int pattern;                               // of H's sparsity
   Mask flagged;                              // lanes that mj_step must take
@@ -137,7 +141,7 @@ inline Rot rotation_of(const Real* q) {
   return r;
 }
 
-// Frames, hinge axes and inertias about the torso's origin: I_o = R I_c R^T + m (c^2 1 - c c^T).
+// Frames and hinge axes of the bodies.
 inline void kinematics(const Shared& m, const Group& g, Work& w) {
   w.rot[0] = rotation_of(g.qpos + 3);
   w.r[0] = zero_vec();
@@ -162,6 +166,17 @@ inline void kinematics(const Shared& m, const Group& g, Work& w) {
     w.ax[b] = r.column(ax);
     w.sv[b] = cross(w.r[b], w.ax[b]);
   }
+}
+
+// Spins of the bodies and velocities of what of them is at the torso's origin: v_b = v_parent + qd S_b.
+inline void velocities(const Group& g, Work& w) {
+  const Real* qd = g.qvel;
+  w.vel[0] = {w.rot[0] * load(qd + 3), load(qd)};
+  for (int b = 1; b < kBodies; ++b) w.vel[b] = w.vel[kParent[b]] + Spatial{qd[5 + b] * w.ax[b], qd[5 + b] * w.sv[b]};
+}
+
+// Inertias of the bodies about the torso's origin: I_o = R I_c R^T + m (c^2 1 - c c^T).
+inline void inertias(const Shared& m, Work& w) {
   for (int b = 0; b < kBodies; ++b) {
     const Rot& r = w.rot[b];
     const Real* I = w.numbers.inertia[b];
@@ -201,17 +216,13 @@ inline Spatial air(const Shared& m, const Rot& axes, const double* s, Vec c, Vec
 // fs = motors + damping + air - bias; recursive Newton-Euler with the torso accelerated by (0, v x w - g).
 inline void forces(const Shared& m, const Group& g, Work& w) {
   const Real* qd = g.qvel;
-  const Vec lin = {qd[0], qd[1], qd[2]};
   const Rot& r0 = w.rot[0];
-  const Vec om = r0 * Vec{qd[3], qd[4], qd[5]};
-  w.vel[0] = {om, lin};
-  Vec al = cross(lin, om);
+  Vec al = cross(w.vel[0].v, w.vel[0].w);
   al.z = al.z - w.numbers.gravity;
   w.acc[0] = {zero_vec(), al};
   for (int b = 1; b < kBodies; ++b) {
     const int p = kParent[b];
     const Spatial vj = {qd[5 + b] * w.ax[b], qd[5 + b] * w.sv[b]}, v = w.vel[p];
-    w.vel[b] = v + vj;
     w.acc[b] = w.acc[p] + Spatial{cross(v.w, vj.w), cross(v.w, vj.v) + cross(v.v, vj.w)};
   }
   const bool in_air = m.density > 0.0 || m.viscosity > 0.0;

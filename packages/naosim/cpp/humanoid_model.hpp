@@ -4,7 +4,7 @@
 
 namespace naosim::NAOSIM_ROBOT {
 
-using humanoid::Impedance, humanoid::Library, humanoid::Robot;
+using humanoid::Impedance, humanoid::kMotion, humanoid::Library, humanoid::Robot;
 
 enum Shape { kSphere = 2, kCapsule = 3, kCylinder = 5, kBox = 6, kMesh = 7 };  // mjtGeom
 
@@ -14,6 +14,25 @@ constexpr int kJoints = kBodies - 1, kSpeeds = kJoints + 6, kPositions = kJoints
 constexpr int kBall = kBodies, kAll = kSpeeds + 6;     // the ball's number as a body; speeds with the ball's, which come last
 constexpr int kEntries = kAll * (kAll + 1) / 2;        // of a packed lower triangle
 inline constexpr int at(int i, int j) { return i * (i + 1) / 2 + j; }
+
+constexpr bool is_round(int geom) { return kGeomShape[geom] == kSphere || kGeomShape[geom] == kCapsule; }
+
+// What the solver remembers of a robot's rows, a byte each: the points at which a geom can touch the floor, the joints' friction,
+// and the pairs of spheres and capsules.
+constexpr int points_before(int geom) {
+  int count = 0;
+  for (int k = 0; k < geom; ++k) count += kGeomShape[k] == kBox ? 4 : kGeomShape[k] == kCapsule ? 2 : kGeomShape[k] == kSphere ? 1 : 0;
+  return count;
+}
+constexpr int round_before(int geom) {
+  int count = 0;
+  for (int k = 0; k < geom; ++k) count += is_round(k);
+  return count;
+}
+constexpr int kPoints = points_before(kGeoms), kRound = round_before(kGeoms), kPairs = kRound * (kRound - 1) / 2;
+constexpr int kRows = kPoints + kJoints + kPairs;
+constexpr int joint_row(int joint) { return kPoints + joint; }
+constexpr int pair_row(int low, int high) { return kPoints + kJoints + round_before(high) * (round_before(high) - 1) / 2 + round_before(low); }
 
 // Numbers that all robots of a batch share. Doubles only: they come as one array.
 struct Shared {

@@ -1,17 +1,20 @@
 // MuJoCo's convex cost of the accelerations of a group of humanoids, minimised by Newton's method to the end.
 //
-// cost(a) = 1/2 (a - a_smooth)^T M (a - a_smooth) + sum of s(J a - aref) over the rows. It is strictly convex and piecewise
-// quadratic: whichever exact method finds the minimum finds MuJoCo's.
+//     cost(a) = 1/2 (a - a_smooth)^T M (a - a_smooth) + sum over the rows of s(J a - aref)
+//
+// with M a_smooth = fs. A row of a contact or a limit is one-sided, s(x) = 1/2 D min(x, 0)^2: it is active where x < 0. A row of
+// joint friction is s(x) = 1/2 D x^2 up to the friction loss f and linear with slope f beyond. The cost is strictly convex and
+// piecewise quadratic, so every exact method ends at MuJoCo's minimum.
 #pragma once
 #include "humanoid_contacts.hpp"
 
 namespace naosim::NAOSIM_ROBOT::NAOSIM_ISA {
 
-// Velocities of the bodies that x means.
+// --- products with J: the motion of bodies that speeds x mean, and the speeds' forces that forces on bodies mean ----------------------
+
+// Twists of the bodies with contacts, for the generalised speeds x.
 inline void twists(Work& w, const Real* x) {
-  const Rot& r0 = w.rot[0];
-  w.tw[0] = {{r0.m[0][0] * x[3] + r0.m[0][1] * x[4] + r0.m[0][2] * x[5], r0.m[1][0] * x[3] + r0.m[1][1] * x[4] + r0.m[1][2] * x[5],
-              r0.m[2][0] * x[3] + r0.m[2][1] * x[4] + r0.m[2][2] * x[5]}, {x[0], x[1], x[2]}};
+  w.tw[0] = {w.rot[0] * load(x + 3), load(x)};
   for (int b = 1; b < kBodies; ++b)
     if (w.used[b]) {
       const Spatial& t = w.tw[kParent[b]];
@@ -27,7 +30,54 @@ inline Spatial motion_at(const Work& w, int body, const Contact& c) {
   return {t.w, velocity_at(t, body == kBall ? c.ball : c.r)};
 }
 
-// J^T f of a contact's force and torque on one body.
+// J x of a point on the floor, of a pair: n, t, s.
+inline Vec relative(const Work& w, const Point& p) {
+  const Vec v = velocity_at(w.tw[p.body], p.r);
+  return {v.z, p.tx * v.x + p.ty * v.y, p.tx * v.y - p.ty * v.x};
+}
+inline Vec relative(const Work& w, const Pair& p) {
+  const Vec v = velocity_at(w.tw[p.b], p.r) - velocity_at(w.tw[p.a], p.r);
+  return {dot(p.n, v), dot(p.t, v), dot(p.s, v)};
+}
+// J x of a contact in six dimensions: along n, t, s and about them.
+inline void relative(const Work& w, const Contact& c, Real* q) {
+  const Spatial x = motion_at(w, c.b, c) - motion_at(w, c.a, c);
+  q[0] = dot(c.n, x.v), q[1] = dot(c.t, x.v), q[2] = dot(c.s, x.v), q[3] = dot(c.n, x.w), q[4] = dot(c.t, x.w), q[5] = dot(c.s, x.w);
+}
+
+// J a - aref of all contacts, for the accelerations a.
+inline void residuals(Work& w, const Real* a) {
+  twists(w, a);
+  const auto pyramid = [&](auto& p) {
+    const Vec q = relative(w, p);
+    p.un = q.x + p.cn, p.ut = q.y + p.ct, p.us = q.z + p.cs;
+  };
+  for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
+  for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
+  for (Contact& c : w.more) {
+    Real q[6];
+    relative(w, c, q);
+    for (int k = 0; k < c.dim; ++k) c.u[k] = q[k] + c.c[k];
+  }
+}
+
+// J p of all contacts, for the direction p.
+inline void directions(Work& w, const Real* direction) {
+  twists(w, direction);
+  const auto pyramid = [&](auto& p) {
+    const Vec q = relative(w, p);
+    p.pn = q.x, p.pt = q.y, p.ps = q.z;
+  };
+  for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
+  for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
+  for (Contact& c : w.more) {
+    Real q[6];
+    relative(w, c, q);
+    for (int k = 0; k < c.dim; ++k) c.du[k] = q[k];
+  }
+}
+
+// Add a contact's force and torque to what acts on one of its bodies.
 inline void push(Work& w, int body, const Contact& c, Vec force, Vec torque, double sign) {
   if (body < 0) return;
   Spatial& to = w.wr[body];
@@ -35,111 +85,128 @@ inline void push(Work& w, int body, const Contact& c, Vec force, Vec torque, dou
   to.w = to.w + sign * (cross(body == kBall ? c.ball : c.r, force) + torque);
 }
 
-// Forces along n, t1, t2 and active rows of a point.
-inline void rows_point(Point& p, Real& cn, Real& c1, Real& c2, Mask& changed) {
-  const Real m1 = p.mu * p.u1, m2 = p.mu * p.u2;
-  const Real j0 = p.un + m1, j1 = p.un - m1, j2 = p.un + m2, j3 = p.un - m2;
-  const Mask a0 = (j0 < 0.0) & p.exists, a1 = (j1 < 0.0) & p.exists, a2 = (j2 < 0.0) & p.exists, a3 = (j3 < 0.0) & p.exists;
-  changed |= (a0 ^ p.active[0]) | (a1 ^ p.active[1]) | (a2 ^ p.active[2]) | (a3 ^ p.active[3]);
-  p.active[0] = a0, p.active[1] = a1, p.active[2] = a2, p.active[3] = a3;
-  const Real z = splat(0);
-  const Real f0 = a0 ? -p.d * j0 : z, f1 = a1 ? -p.d * j1 : z, f2 = a2 ? -p.d * j2 : z, f3 = a3 ? -p.d * j3 : z;
-  cn = f0 + f1 + f2 + f3, c1 = p.mu * (f0 - f1), c2 = p.mu * (f2 - f3);
-}
-
-// Forces and active rows at the current J a - aref; gradient = Ma - fs - J^T f
-inline Mask rows(const Shared& m, Work& w) {
-  Mask changed = Mask{};
-  const Real z = splat(0);
-  for (int b = 0; b < kBodies; ++b) if (w.used[b]) w.wr[b] = {{z, z, z}, {z, z, z}};
-  for (int i = 0; i < w.npt; ++i) {
-    Point& p = w.pt[i];
-    Real fn, f1, f2;
-    rows_point(p, fn, f1, f2, changed);
-    const Vec F = {p.tx * f1 - p.ty * f2, p.ty * f1 + p.tx * f2, fn};
-    w.wr[p.body].v = w.wr[p.body].v + F;
-    w.wr[p.body].w = w.wr[p.body].w + cross(p.r, F);
-  }
-  for (int i = 0; i < w.speeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
-  for (int i = 0; i < w.npr; ++i) {
-    Pair& p = w.pr[i];
-    const Real m1 = p.mu * p.u1, m2 = p.mu * p.u2;
-    const Real j[4] = {p.un + m1, p.un - m1, p.un + m2, p.un - m2};
-    Real f[4];
-    for (int k = 0; k < 4; ++k) {
-      const Mask a = (j[k] < 0.0) & p.exists;
-      changed |= a ^ p.active[k];
-      p.active[k] = a;
-      f[k] = a ? -p.d * j[k] : z;
-    }
-    const Real fn = f[0] + f[1] + f[2] + f[3], f1 = p.mu * (f[0] - f[1]), f2 = p.mu * (f[2] - f[3]);
-    const Vec F = fn * p.n + f1 * p.t + f2 * p.s, t = cross(p.r, F);
-    w.wr[p.b].v = w.wr[p.b].v + F, w.wr[p.b].w = w.wr[p.b].w + t;
-    w.wr[p.a].v = w.wr[p.a].v - F, w.wr[p.a].w = w.wr[p.a].w - t;
-  }
-  w.wr[kBall] = {{z, z, z}, {z, z, z}};
-  for (Contact& p : w.more) {
-    Real f[6] = {z, z, z, z, z, z};
-    for (int k = 1; k < p.dim; ++k) {
-      const Real m1 = p.mu[k - 1] * p.u[k], j[2] = {p.u[0] + m1, p.u[0] - m1};
-      Real r[2];
-      for (int i = 0; i < 2; ++i) {
-        Mask& active = p.active[2 * k - 2 + i];
-        const Mask a = (j[i] < 0.0) & p.exists;
-        changed |= a ^ active;
-        active = a;
-        r[i] = a ? -p.d * j[i] : z;
-      }
-      f[0] += r[0] + r[1], f[k] = p.mu[k - 1] * (r[0] - r[1]);
-    }
-    const Vec force = f[0] * p.n + f[1] * p.t + f[2] * p.s, torque = f[3] * p.n + f[4] * p.t + f[5] * p.s;
-    push(w, p.b, p, force, torque, 1.0), push(w, p.a, p, force, torque, -1.0);
-  }
+// g -= J^T f: forces on bodies, summed from the leaves to the root, projected onto the axes.
+inline void subtract_forces(Work& w) {
   if (w.speeds == kAll) {
     const Spatial& f = w.wr[kBall];
     Real* g = w.g + kSpeeds;
     g[0] -= f.v.x, g[1] -= f.v.y, g[2] -= f.v.z, g[3] -= f.w.x, g[4] -= f.w.y, g[5] -= f.w.z;
   }
-  for (int b = kBodies - 1; b > 0.0; --b)
+  for (int b = kBodies - 1; b > 0; --b)
     if (w.used[b]) {
       const Spatial& f = w.wr[b];
       w.g[5 + b] -= dot(w.ax[b], f.w) + dot(w.sv[b], f.v);
-      Spatial& q = w.wr[kParent[b]];
-      q = q + f;
+      Spatial& parent = w.wr[kParent[b]];
+      parent = parent + f;
     }
   if (w.used[0]) {
     const Spatial& f = w.wr[0];
     const Vec t = inverse_rotate(w.rot[0], f.w);
     w.g[0] -= f.v.x, w.g[1] -= f.v.y, w.g[2] -= f.v.z, w.g[3] -= t.x, w.g[4] -= t.y, w.g[5] -= t.z;
   }
-  for (int k = 0; k < w.nlim; ++k) {
-    const int j = w.lim[k];
-    const Real jar = w.lim_s[k] * w.a[6 + j] + w.lim_c[k];
-    const Mask a = (jar < 0.0) & (w.lim_d[k] > 0.0);
-    changed |= a ^ w.lim_act[k];
-    w.lim_act[k] = a;
-    w.g[6 + j] += a ? w.lim_d[k] * w.lim_s[k] * jar : z;
+}
+
+// --- rows: which are active, their forces, the gradient -------------------------------------------------------------------------------
+
+// Active rows of a pyramid, J a - aref < 0, or at the first look those remembered; and their forces -D (J a - aref) along n, t, s.
+inline Vec pyramid_force(Pyramid& p, bool first, Mask& changed) {
+  const Real mt = p.mu * p.ut, ms = p.mu * p.us, zero = splat(0);
+  const Real x[4] = {p.un + mt, p.un - mt, p.un + ms, p.un - ms};
+  Real f[4];
+  for (int k = 0; k < 4; ++k) {
+    Mask active = (x[k] < 0.0) & p.exists;
+    if (first) active = (p.known & p.active[k]) | (~p.known & active);
+    changed |= active ^ p.active[k];
+    p.active[k] = active;
+    f[k] = active ? -p.d * x[k] : zero;
   }
-  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
-    const Real jar = w.a[6 + j] + w.fc[j];
-    const Mask quad = abs(jar) * w.fd[j] < m.friction_loss, up = jar > 0.0;
-    changed |= (quad ^ w.zone[j][0]) | (~quad & (up ^ w.zone[j][1]));
-    w.zone[j][0] = quad, w.zone[j][1] = up;
-    w.g[6 + j] += quad ? w.fd[j] * jar : up ? splat(m.friction_loss) : splat(-m.friction_loss);
+  return {f[0] + f[1] + f[2] + f[3], p.mu * (f[0] - f[1]), p.mu * (f[2] - f[3])};
+}
+
+// The gradient M a - fs - J^T f at the current J a - aref, and the lanes whose active rows have changed. At the first look, rows
+// that the robot remembers are active as in its last substep: the next step of Newton's method then ends at the minimum of that set.
+inline Mask gradient(const Shared& m, Work& w, bool first) {
+  Mask changed = Mask{};
+  const Real zero = splat(0);
+  for (int i = 0; i < w.speeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
+  for (int b = 0; b < kBodies; ++b)
+    if (w.used[b]) w.wr[b] = {zero_vec(), zero_vec()};
+  w.wr[kBall] = {zero_vec(), zero_vec()};
+  for (int i = 0; i < w.npt; ++i) {  // points on the floor
+    Point& p = w.pt[i];
+    const Vec f = pyramid_force(p, first, changed), force = {p.tx * f.y - p.ty * f.z, p.ty * f.y + p.tx * f.z, f.x};
+    Spatial& on = w.wr[p.body];
+    on.v = on.v + force, on.w = on.w + cross(p.r, force);
+  }
+  for (int i = 0; i < w.npr; ++i) {  // pairs of geoms
+    Pair& p = w.pr[i];
+    const Vec f = pyramid_force(p, first, changed), force = f.x * p.n + f.y * p.t + f.z * p.s, torque = cross(p.r, force);
+    Spatial &on_a = w.wr[p.a], &on_b = w.wr[p.b];
+    on_b.v = on_b.v + force, on_b.w = on_b.w + torque;
+    on_a.v = on_a.v - force, on_a.w = on_a.w - torque;
+  }
+  for (Contact& c : w.more) {  // contacts that MuJoCo found, and the ball's
+    Real f[6] = {zero, zero, zero, zero, zero, zero};
+    for (int k = 1; k < c.dim; ++k) {
+      const Real side = c.mu[k - 1] * c.u[k], x[2] = {c.u[0] + side, c.u[0] - side};
+      Real r[2];
+      for (int i = 0; i < 2; ++i) {
+        const Mask active = (x[i] < 0.0) & c.exists;
+        changed |= active ^ c.active[2 * k - 2 + i];
+        c.active[2 * k - 2 + i] = active;
+        r[i] = active ? -c.d * x[i] : zero;
+      }
+      f[0] += r[0] + r[1], f[k] = c.mu[k - 1] * (r[0] - r[1]);
+    }
+    const Vec force = f[0] * c.n + f[1] * c.t + f[2] * c.s, torque = f[3] * c.n + f[4] * c.t + f[5] * c.s;
+    push(w, c.b, c, force, torque, 1.0), push(w, c.a, c, force, torque, -1.0);
+  }
+  subtract_forces(w);
+  for (int k = 0; k < w.nlim; ++k) {  // joint limits
+    const int j = w.lim[k];
+    const Real x = w.lim_s[k] * w.a[6 + j] + w.lim_c[k];
+    const Mask active = (x < 0.0) & (w.lim_d[k] > 0.0);
+    changed |= active ^ w.lim_act[k];
+    w.lim_act[k] = active;
+    w.g[6 + j] += active ? w.lim_d[k] * w.lim_s[k] * x : zero;
+  }
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {  // joint friction
+    const Real x = w.a[6 + j] + w.fc[j];
+    Mask quadratic = abs(x) * w.fd[j] < m.friction_loss, forward = x > 0.0;
+    if (first) {
+      quadratic = (w.zone_known[j] & w.zone[j][0]) | (~w.zone_known[j] & quadratic);
+      forward = (w.zone_known[j] & w.zone[j][1]) | (~w.zone_known[j] & forward);
+    }
+    changed |= (quadratic ^ w.zone[j][0]) | (~quadratic & (forward ^ w.zone[j][1]));
+    w.zone[j][0] = quadratic, w.zone[j][1] = forward;
+    w.g[6 + j] += quadratic ? w.fd[j] * x : forward ? splat(m.friction_loss) : splat(-m.friction_loss);
   }
   return changed;
 }
 
-inline void add_row(Work& w, Real* A, int b, Spatial f) {
-  const int i = 5 + b;
-  Real* row = A + at(i, 0);
-  const Vec t = inverse_rotate(w.rot[0], f.w);
-  row[0] += f.v.x, row[1] += f.v.y, row[2] += f.v.z, row[3] += t.x, row[4] += t.y, row[5] += t.z;
-  for (int a = b; a > 0.0; a = kParent[a]) row[5 + a] += dot(w.ax[a], f.w) + dot(w.sv[a], f.v);
+// --- H = M + J^T D J over the active rows ---------------------------------------------------------------------------------------------
+
+// What a pyramid's active rows add up to in the contact's frame, a symmetric 3x3 matrix without an entry between t and s.
+struct Stiffness {
+  Real nn, nt, ns, tt, ss;
+};
+inline Stiffness stiffness_of(const Pyramid& p) {
+  const Real zero = splat(0), mu = p.mu;
+  const Real d0 = p.active[0] ? p.d : zero, d1 = p.active[1] ? p.d : zero, d2 = p.active[2] ? p.d : zero, d3 = p.active[3] ? p.d : zero;
+  return {d0 + d1 + d2 + d3, mu * (d0 - d1), mu * (d2 - d3), mu * mu * (d0 + d1), mu * mu * (d2 + d3)};
 }
 
-// Mask: 0-5 ww (xx yy zz xy xz yz), 6-14 wv row-major, 15-20 vv (xx yy zz xy xz yz)
-inline Spatial stiff(const Real* k, Spatial s) {
+// Add the row of a body's hinge to H: the projections of a force onto its axis and those of its ancestors.
+inline void add_row(Work& w, int b, Spatial f) {
+  Real* row = w.H + at(5 + b, 0);
+  const Vec t = inverse_rotate(w.rot[0], f.w);
+  row[0] += f.v.x, row[1] += f.v.y, row[2] += f.v.z, row[3] += t.x, row[4] += t.y, row[5] += t.z;
+  for (int a = b; a > 0; a = kParent[a]) row[5 + a] += dot(w.ax[a], f.w) + dot(w.sv[a], f.v);
+}
+
+// A 6x6 stiffness times a twist. Entries 0-5: torque by rotation (xx yy zz xy xz yz); 6-14: torque by translation, row by row; 15-20:
+// force by translation (xx yy zz xy xz yz).
+inline Spatial times(const Real* k, Spatial s) {
   return {{k[0] * s.w.x + k[3] * s.w.y + k[4] * s.w.z + k[6] * s.v.x + k[7] * s.v.y + k[8] * s.v.z,
            k[3] * s.w.x + k[1] * s.w.y + k[5] * s.w.z + k[9] * s.v.x + k[10] * s.v.y + k[11] * s.v.z,
            k[4] * s.w.x + k[5] * s.w.y + k[2] * s.w.z + k[12] * s.v.x + k[13] * s.v.y + k[14] * s.v.z},
@@ -148,29 +215,27 @@ inline Spatial stiff(const Real* k, Spatial s) {
            k[8] * s.w.x + k[11] * s.w.y + k[14] * s.w.z + k[19] * s.v.x + k[20] * s.v.y + k[17] * s.v.z}};
 }
 
-// J^T D J of a self contact, over the joints between its bodies.
-inline void pair_hessian(Work& w, const Pair& p) {
+// Add J^T D J of a self contact to H, over the joints between its bodies.
+inline void add_pair(Work& w, const Pair& p) {
   const Between& c = kBetween.of[p.a][p.b];
-  const Real z = splat(0), mu = p.mu;
-  const Real d0 = p.active[0] ? p.d : z, d1 = p.active[1] ? p.d : z, d2 = p.active[2] ? p.d : z, d3 = p.active[3] ? p.d : z;
-  if (!any((d0 + d1 + d2 + d3) > 0.0)) return;
-  const Real nn = d0 + d1 + d2 + d3, n1 = mu * (d0 - d1), n2 = mu * (d2 - d3), w1 = mu * mu * (d0 + d1), w2 = mu * mu * (d2 + d3);
-  Vec col[32];  // in the contact's frame
+  const Stiffness k = stiffness_of(p);
+  if (!any(k.nn > 0.0)) return;
+  Vec column[kBodies];  // of J, in the contact's frame
   for (int i = 0; i < c.count; ++i) {
     const int b = c.joints[i] - 5;
     const Vec v = w.sv[b] + cross(w.ax[b], p.r);
     const Real s = splat(c.sign[i]);
-    col[i] = {s * dot(p.n, v), s * dot(p.t, v), s * dot(p.s, v)};
+    column[i] = {s * dot(p.n, v), s * dot(p.t, v), s * dot(p.s, v)};
   }
   for (int i = 0; i < c.count; ++i) {
-    const Vec q = col[i], f = {nn * q.x + n1 * q.y + n2 * q.z, n1 * q.x + w1 * q.y, n2 * q.x + w2 * q.z};
+    const Vec q = column[i], f = {k.nn * q.x + k.nt * q.y + k.ns * q.z, k.nt * q.x + k.tt * q.y, k.ns * q.x + k.ss * q.z};
     Real* row = w.H + at(c.joints[i], 0);
-    for (int j = 0; j <= i; ++j) row[c.joints[j]] += dot(col[j], f);
+    for (int j = 0; j <= i; ++j) row[c.joints[j]] += dot(column[j], f);
   }
 }
 
-// The same of a contact that MuJoCo found, or of the ball: over the speeds that move either body.
-inline void contact_hessian(Work& w, const Contact& p) {
+// The same of a contact that MuJoCo found, or of the ball, over all speeds that move either body.
+inline void add_contact(Work& w, const Contact& p) {
   const Real z = splat(0);
   Real W[6][6], sum = z;
   for (auto& row : W)
@@ -222,150 +287,81 @@ inline void contact_hessian(Work& w, const Contact& p) {
   }
 }
 
-// H = M + J^T D J. The floor contacts of a body are a 6x6 stiffness about the reference point, which adds up the tree as inertias
-// do, so H keeps the sparsity of M.
-inline void hessian(const Shared& m, Work& w) {
-  const Real z = splat(0);
-  if (w.pattern == 1) zero_fill(w.H);
-  else if (w.pattern == 2) for (int i = 0; i < kEntries; ++i) w.H[i] = z;
-  copy_tree_fast(w.M, w.H);
-  bool loaded[kBodies] = {false};
-  int feeds[kBodies] = {0};  // stiffnesses that meet at a body: its own points and its children's
+// Add a point's stiffness to that of its body, about the torso's origin: with A the active rows' 3x3 matrix in world axes, A,
+// [r] A and [r] A [r]^T.
+inline void add_point(const Point& p, Real* k) {
+  const Stiffness a = stiffness_of(p);
+  const Real xx = a.tt * p.tx * p.tx + a.ss * p.ty * p.ty, yy = a.tt * p.ty * p.ty + a.ss * p.tx * p.tx, xy = (a.tt - a.ss) * p.tx * p.ty;
+  const Real xz = a.nt * p.tx - a.ns * p.ty, yz = a.nt * p.ty + a.ns * p.tx;
+  const Vec cx = cross(p.r, {xx, xy, xz}), cy = cross(p.r, {xy, yy, yz}), cz = cross(p.r, {xz, yz, a.nn});  // columns of [r] A
+  const Vec rx = cross(p.r, {cx.x, cy.x, cz.x}), ry = cross(p.r, {cx.y, cy.y, cz.y});
+  k[0] += rx.x, k[1] += ry.y, k[2] += p.r.x * cy.z - p.r.y * cx.z, k[3] += rx.y, k[4] += rx.z, k[5] += ry.z;
+  k[6] += cx.x, k[7] += cy.x, k[8] += cz.x, k[9] += cx.y, k[10] += cy.y, k[11] += cz.y, k[12] += cx.z, k[13] += cy.z, k[14] += cz.z;
+  k[15] += xx, k[16] += yy, k[17] += a.nn, k[18] += xy, k[19] += xz, k[20] += yz;
+}
+
+// Add J^T D J of the points on the floor to H. The points of a body are one 6x6 stiffness, and stiffnesses add up the tree as
+// inertias do, so H keeps the zeros of M.
+inline void add_floor(Work& w) {
+  const auto bit = [](int body) { return 1u << body; };
+  unsigned loaded = 0, filled = 0, done = 0;  // bodies with a point at them or below; whose stiffness is begun; that are in H
+  int feeds[kBodies] = {};                    // stiffnesses that meet at a body: its own points' and its children's
   for (int i = 0; i < w.npt;) {
     const int body = w.pt[i].body;
-    Real k[21];
-    for (int q = 0; q < 21; ++q) k[q] = z;
-    for (; i < w.npt && w.pt[i].body == body; ++i) {
-      const Point& p = w.pt[i];
-      const Real d0 = p.active[0] ? p.d : z, d1 = p.active[1] ? p.d : z, d2 = p.active[2] ? p.d : z, d3 = p.active[3] ? p.d : z;
-      const Real mu = p.mu;
-      const Real nn = d0 + d1 + d2 + d3, n1 = mu * (d0 - d1), n2 = mu * (d2 - d3), w1 = mu * mu * (d0 + d1), w2 = mu * mu * (d2 + d3);
-      const Real xx = w1 * p.tx * p.tx + w2 * p.ty * p.ty, yy = w1 * p.ty * p.ty + w2 * p.tx * p.tx, xy = (w1 - w2) * p.tx * p.ty;
-      const Real xz = n1 * p.tx - n2 * p.ty, yz = n1 * p.ty + n2 * p.tx;
-      const Vec cx = cross(p.r, {xx, xy, xz}), cy = cross(p.r, {xy, yy, yz}), cz = cross(p.r, {xz, yz, nn});  // columns of A = [r] W
-      k[6] += cx.x, k[7] += cy.x, k[8] += cz.x, k[9] += cx.y, k[10] += cy.y, k[11] += cz.y, k[12] += cx.z, k[13] += cy.z, k[14] += cz.z;
-      const Vec rx = cross(p.r, {cx.x, cy.x, cz.x}), ry = cross(p.r, {cx.y, cy.y, cz.y});
-      k[0] += rx.x, k[1] += ry.y, k[2] += p.r.x * cy.z - p.r.y * cx.z, k[3] += rx.y, k[4] += rx.z, k[5] += ry.z;
-      k[15] += xx, k[16] += yy, k[17] += nn, k[18] += xy, k[19] += xz, k[20] += yz;
-    }
-    for (int q = 0; q < 21; ++q) w.Kc[body][q] = k[q];
+    Real* k = w.Kc[body];
+    for (int q = 0; q < 21; ++q) k[q] = splat(0);
+    for (; i < w.npt && w.pt[i].body == body; ++i) add_point(w.pt[i], k);
+    filled |= bit(body);
     ++feeds[body];
-    for (int b = body; b > 0.0 && !loaded[b]; b = kParent[b]) { loaded[b] = true; ++feeds[kParent[b]]; }
-    loaded[0] = true;
+    for (int b = body; b > 0 && !(loaded & bit(b)); b = kParent[b]) loaded |= bit(b), ++feeds[kParent[b]];
+    loaded |= bit(0);
   }
-  bool filled[kBodies] = {false};
-  for (int i = 0; i < w.npt; ++i) filled[w.pt[i].body] = true;
-  bool done[kBodies] = {false};
-  for (int top = kBodies - 1; top > 0.0; --top) {
-    if (!loaded[top] || done[top]) continue;  // its children's chains are done: they come later in the numbering
-    Real k[21];
-    for (int q = 0; q < 21; ++q) k[q] = w.Kc[top][q];
-    for (int b = top; b > 0.0;) {
-      add_row(w, w.H, b, stiff(k, {w.ax[b], w.sv[b]}));
-      done[b] = true;
-      const int p = kParent[b];
-      if (feeds[p] > 1.0 || p == 0) {
-        Real* q = w.Kc[p];
-        if (filled[p]) for (int i = 0; i < 21; ++i) q[i] += k[i];
-        else { filled[p] = true; for (int i = 0; i < 21; ++i) q[i] = k[i]; }
-        break;
-      }
-      b = p;
+  for (int top = kBodies - 1; top > 0; --top) {
+    if (!(loaded & ~done & bit(top))) continue;  // the chains of its children are done: they have higher numbers
+    const Real* k = w.Kc[top];
+    for (int b = top;;) {  // up to where another stiffness joins
+      add_row(w, b, times(k, {w.ax[b], w.sv[b]}));
+      done |= bit(b);
+      b = kParent[b];
+      if (feeds[b] < 2 && b > 0) continue;
+      Real* sum = w.Kc[b];
+      const bool begun = filled & bit(b);
+      for (int q = 0; q < 21; ++q) sum[q] = begun ? sum[q] + k[q] : k[q];
+      filled |= bit(b);
+      break;
     }
   }
-  if (loaded[0]) {
-    const Real* k = w.Kc[0];
-    const Rot& r = w.rot[0];
-    Real* A = w.H;
-    A[at(0, 0)] += k[15], A[at(1, 1)] += k[16], A[at(2, 2)] += k[17], A[at(1, 0)] += k[18], A[at(2, 0)] += k[19], A[at(2, 1)] += k[20];
-    for (int i = 0; i < 3; ++i) {
-      const Spatial f = stiff(k, {r.column(i), {z, z, z}});
-      A[at(3 + i, 0)] += f.v.x, A[at(3 + i, 1)] += f.v.y, A[at(3 + i, 2)] += f.v.z;
-      for (int l = 0; l <= i; ++l) A[at(3 + i, 3 + l)] += dot(r.column(l), f.w);
-    }
+  if (!loaded) return;
+  const Real *k = w.Kc[0], zero = splat(0);
+  Real* H = w.H;
+  H[at(0, 0)] += k[15], H[at(1, 1)] += k[16], H[at(2, 2)] += k[17], H[at(1, 0)] += k[18], H[at(2, 0)] += k[19], H[at(2, 1)] += k[20];
+  for (int i = 0; i < 3; ++i) {  // the free joint turns about the torso's axes
+    const Spatial f = times(k, {w.rot[0].column(i), {zero, zero, zero}});
+    H[at(3 + i, 0)] += f.v.x, H[at(3 + i, 1)] += f.v.y, H[at(3 + i, 2)] += f.v.z;
+    for (int l = 0; l <= i; ++l) H[at(3 + i, 3 + l)] += dot(w.rot[0].column(l), f.w);
   }
-  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) w.H[at(6 + j, 6 + j)] += w.zone[j][0] ? w.fd[j] : z;
-  for (int k = 0; k < w.nlim; ++k) w.H[at(6 + w.lim[k], 6 + w.lim[k])] += w.lim_act[k] ? w.lim_d[k] : z;
-  for (int i = 0; i < w.npr; ++i) pair_hessian(w, w.pr[i]);
+}
+
+// H = M + J^T D J.
+inline void hessian(const Shared& m, Work& w) {
+  const Real zero = splat(0);
+  if (w.pattern == 1) zero_fill(w.H);
+  else if (w.pattern == 2) for (int i = 0; i < at(kSpeeds, 0); ++i) w.H[i] = zero;
+  copy_tree_fast(w.M, w.H);
+  add_floor(w);
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) w.H[at(6 + j, 6 + j)] += w.zone[j][0] ? w.fd[j] : zero;
+  for (int k = 0; k < w.nlim; ++k) w.H[at(6 + w.lim[k], 6 + w.lim[k])] += w.lim_act[k] ? w.lim_d[k] : zero;
+  for (int i = 0; i < w.npr; ++i) add_pair(w, w.pr[i]);
   if (w.speeds == kAll) {
-    for (int i = at(kSpeeds, 0); i < kEntries; ++i) w.H[i] = z;
+    for (int i = at(kSpeeds, 0); i < kEntries; ++i) w.H[i] = zero;
     for (int k = 0; k < 6; ++k) w.H[at(kSpeeds + k, kSpeeds + k)] = splat(k < 3 ? m.ball.mass : m.ball.inertia);
   }
-  for (const Contact& c : w.more) contact_hessian(w, c);
+  for (const Contact& c : w.more) add_contact(w, c);
 }
 
-inline void slope_point(Real d, Real mu, Real un, Real u1, Real u2, Real dn, Real d1, Real d2, Real al, Real& s1, Real& s2) {
-  const Real z = splat(0);
-  const Real m1 = mu * u1, m2 = mu * u2, e1 = mu * d1, e2 = mu * d2;
-  const Real t0 = dn + e1, t1 = dn - e1, t2 = dn + e2, t3 = dn - e2;
-  const Real j0 = un + m1 + al * t0, j1 = un - m1 + al * t1, j2 = un + m2 + al * t2, j3 = un - m2 + al * t3;
-  const Real q0 = j0 < 0.0 ? t0 : z, q1 = j1 < 0.0 ? t1 : z, q2 = j2 < 0.0 ? t2 : z, q3 = j3 < 0.0 ? t3 : z;
-  s1 += d * (q0 * j0 + q1 * j1 + q2 * j2 + q3 * j3);
-  s2 += d * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3);
-}
-// First and second derivative of the cost at a + al p.
-inline void slope(const Shared& m, const Work& w, Real al, Real g0, Real m0, Real& s1, Real& s2) {
-  s1 = g0 + al * m0, s2 = m0;
-  for (int i = 0; i < w.npt; ++i) {
-    const Point& p = w.pt[i];
-    slope_point(p.d, p.mu, p.un, p.u1, p.u2, p.dn, p.d1, p.d2, al, s1, s2);
-  }
-  for (int i = 0; i < w.npr; ++i) {
-    const Pair& p = w.pr[i];
-    slope_point(p.d, p.mu, p.un, p.u1, p.u2, p.dn, p.d1, p.d2, al, s1, s2);
-  }
-  for (const Contact& p : w.more)
-    for (int k = 1; k < p.dim; ++k) {
-      const Real m1 = p.mu[k - 1] * p.u[k], e1 = p.mu[k - 1] * p.du[k], t0 = p.du[0] + e1, t1 = p.du[0] - e1;
-      const Real j0 = p.u[0] + m1 + al * t0, j1 = p.u[0] - m1 + al * t1, none = splat(0);
-      const Real q0 = j0 < 0.0 ? t0 : none, q1 = j1 < 0.0 ? t1 : none;
-      s1 += p.d * (q0 * j0 + q1 * j1);
-      s2 += p.d * (q0 * q0 + q1 * q1);
-    }
-  for (int k = 0; k < w.nlim; ++k) {
-    const Real dj = w.lim_s[k] * w.p[6 + w.lim[k]], j = w.lim_s[k] * w.a[6 + w.lim[k]] + w.lim_c[k] + al * dj;
-    const Real q = j < 0.0 ? dj : splat(0);
-    s1 += w.lim_d[k] * q * j, s2 += w.lim_d[k] * q * q;
-  }
-  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
-    const Real dj = w.p[6 + j], x = w.a[6 + j] + w.fc[j] + al * dj, f = x * w.fd[j];
-    const Mask quad = abs(f) < m.friction_loss;
-    s1 += (quad ? f : x > 0.0 ? splat(m.friction_loss) : splat(-m.friction_loss)) * dj;
-    s2 += quad ? w.fd[j] * dj * dj : splat(0);
-  }
-}
+// --- H = L^T D L ----------------------------------------------------------------------------------------------------------------------
 
-// J x, into d; or J x - aref, into u.
-inline void along(Work& w, const Real* x, bool direction) {
-  twists(w, x);
-  for (int i = 0; i < w.npt; ++i) {
-    Point& p = w.pt[i];
-    const Vec v = velocity_at(w.tw[p.body], p.r);
-    const Real n = v.z, a = p.tx * v.x + p.ty * v.y, b = p.tx * v.y - p.ty * v.x;
-    if (direction) p.dn = n, p.d1 = a, p.d2 = b;
-    else p.un = n + p.cn, p.u1 = a + p.c1, p.u2 = b + p.c2;
-  }
-  for (int i = 0; i < w.npr; ++i) {
-    Pair& p = w.pr[i];
-    const Vec v = velocity_at(w.tw[p.b], p.r) - velocity_at(w.tw[p.a], p.r);
-    const Real n = dot(p.n, v), a = dot(p.t, v), b = dot(p.s, v);
-    if (direction) p.dn = n, p.d1 = a, p.d2 = b;
-    else p.un = n + p.cn, p.u1 = a + p.c1, p.u2 = b + p.c2;
-  }
-  for (Contact& p : w.more) {
-    const Spatial t = motion_at(w, p.b, p) - motion_at(w, p.a, p);
-    const Real q[6] = {dot(p.n, t.v), dot(p.t, t.v), dot(p.s, t.v), dot(p.n, t.w), dot(p.t, t.w), dot(p.s, t.w)};
-    for (int k = 0; k < p.dim; ++k) {
-      if (direction) p.du[k] = q[k];
-      else p.u[k] = q[k] + p.c[k];
-    }
-  }
-}
-
-constexpr int kMostIterations = 40, kFullSteps = 3, kMostEvaluations = 16;
-constexpr double kTolerance = 1e-12, kSlopeTolerance = 1e-10;
-
-// H = L^T D L. The ball's speeds are eliminated first, over the columns that any lane couples to them.
+// Factorise H in place. The ball's speeds are eliminated first, over the columns that any lane couples to them.
 inline void factor(Work& w) {
   Real *H = w.H, *inv = w.inv;
   for (int k = w.speeds - 1; k >= kSpeeds; --k) {
@@ -382,6 +378,8 @@ inline void factor(Work& w) {
   }
   w.pattern == 0 ? factor_tree(H, inv) : w.pattern == 1 ? factor_arms(H, inv) : factor_dense(H, inv);
 }
+
+// x = H^-1 x.
 inline void solve(const Work& w, Real* x) {
   const Real *H = w.H, *inv = w.inv;
   for (int k = w.speeds - 1; k >= kSpeeds; --k) {
@@ -396,77 +394,113 @@ inline void solve(const Work& w, Real* x) {
   }
 }
 
-// M x, the ball included.
+// y = M x, the ball included.
 inline void multiply(const Shared& m, const Work& w, const Real* x, Real* y) {
   mul_tree(w.M, x, y);
   for (int k = kSpeeds; k < w.speeds; ++k) y[k] = (k < kSpeeds + 3 ? m.ball.mass : m.ball.inertia) * x[k];
 }
 
-// Newton's method from the last substep's accelerations. Full steps first, line searches after three. A lane is done when its
-// gradient vanishes or a full step leaves the active rows as they were; lanes that do not get there are flagged.
+// --- the exact line search ------------------------------------------------------------------------------------------------------------
+
+// First and second derivative of the cost along a + step p: Newton's own terms, then those of the rows that are active there.
+inline void slope(const Shared& m, const Work& w, Real step, Real g0, Real m0, Real& first, Real& second) {
+  const Real zero = splat(0);
+  first = g0 + step * m0, second = m0;
+  const auto row = [&](Real d, Real x, Real dx) {
+    const Real active = x < 0.0 ? dx : zero;
+    first += d * (active * x), second += d * (active * active);
+  };
+  const auto pyramid = [&](const Pyramid& p) {
+    const Real mt = p.mu * p.ut, ms = p.mu * p.us, et = p.mu * p.pt, es = p.mu * p.ps;
+    const Real d[4] = {p.pn + et, p.pn - et, p.pn + es, p.pn - es};
+    row(p.d, p.un + mt + step * d[0], d[0]), row(p.d, p.un - mt + step * d[1], d[1]);
+    row(p.d, p.un + ms + step * d[2], d[2]), row(p.d, p.un - ms + step * d[3], d[3]);
+  };
+  for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
+  for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
+  for (const Contact& c : w.more)
+    for (int k = 1; k < c.dim; ++k) {
+      const Real side = c.mu[k - 1] * c.u[k], dside = c.mu[k - 1] * c.du[k], d0 = c.du[0] + dside, d1 = c.du[0] - dside;
+      row(c.d, c.u[0] + side + step * d0, d0), row(c.d, c.u[0] - side + step * d1, d1);
+    }
+  for (int k = 0; k < w.nlim; ++k) {
+    const Real dx = w.lim_s[k] * w.p[6 + w.lim[k]];
+    row(w.lim_d[k], w.lim_s[k] * w.a[6 + w.lim[k]] + w.lim_c[k] + step * dx, dx);
+  }
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
+    const Real dx = w.p[6 + j], x = w.a[6 + j] + w.fc[j] + step * dx, force = x * w.fd[j];
+    const Mask quadratic = abs(force) < m.friction_loss;
+    first += (quadratic ? force : x > 0.0 ? splat(m.friction_loss) : splat(-m.friction_loss)) * dx;
+    second += quadratic ? w.fd[j] * dx * dx : zero;
+  }
+}
+
+constexpr int kMostIterations = 40, kFullSteps = 2, kMostEvaluations = 16;
+constexpr double kTolerance = 1e-12, kSlopeTolerance = 1e-10;
+
+// The step along p to where the slope vanishes: Newton's method on the piecewise linear slope, bisection where it leaves the bracket.
+inline Real line_search(const Shared& m, const Work& w, Mask done) {
+  Real g0 = splat(0), m0 = splat(0), pp = splat(0);
+  for (int i = 0; i < w.speeds; ++i) g0 += w.p[i] * (w.Ma[i] - w.fs[i]), m0 += w.p[i] * w.Mp[i], pp += w.p[i] * w.p[i];
+  const Real enough = kSlopeTolerance * sqrt(pp) / w.numbers.scale;
+  Real step = splat(1), low = splat(0), high = splat(1e30);
+  for (int e = 0; e < kMostEvaluations; ++e) {
+    Real first, second;
+    slope(m, w, step, g0, m0, first, second);
+    const Mask found = (abs(first) < enough) | done;
+    if (!any(~found)) break;
+    low = select(first < 0.0, max(low, step), low);
+    high = select(first > 0.0, min(high, step), high);
+    Real next = step - first / second;
+    next = select((next <= low) | (next >= high), 0.5 * (low + min(high, 2.0 * low + 1.0)), next);
+    step = select(found, step, next);
+  }
+  return step;
+}
+
+// --- Newton's method ------------------------------------------------------------------------------------------------------------------
+
+// Minimise the cost from the last substep's accelerations and active rows. Each step solves H p = -g and moves to a + p, from the third
+// on to the minimum along p. A lane is done when its gradient vanishes, or when a full step leaves the active rows as they were: then
+// a + p is the minimum. Lanes that do not get there are flagged.
 inline void newton(const Shared& m, const Group& g, Work& w) {
-  const Mask none = Mask{};
   for (int i = 0; i < w.speeds; ++i) w.a[i] = g.warm[i];
   multiply(m, w, w.a, w.Ma);
-  along(w, w.a, false);
-  for (int i = 0; i < w.npt; ++i)
-    for (Mask& active : w.pt[i].active) active = none;
-  for (int i = 0; i < w.npr; ++i)
-    for (Mask& active : w.pr[i].active) active = none;
-  for (Contact& c : w.more)
-    for (Mask& active : c.active) active = none;
-  for (int k = 0; k < w.nlim; ++k) w.lim_act[k] = none;
+  residuals(w, w.a);
   for (int j = 0; j < kJoints; ++j) {
     w.fc[j] = m.friction_b * g.qvel[6 + j];
     w.fd[j] = m.friction_d0 / ((1.0 - m.friction_d0) * w.numbers.joint_weight[j]);
-    w.zone[j][0] = w.zone[j][1] = none;
   }
-  rows(m, w);
+  gradient(m, w, true);
   Mask done = w.flagged;
   for (int& count : w.iterations) count = 0;
-  for (int it = 0; it < kMostIterations; ++it) {
-    Real gg = splat(0);
-    for (int i = 0; i < w.speeds; ++i) gg += w.g[i] * w.g[i];
-    done |= sqrt(gg) * w.numbers.scale < kTolerance;
+  for (int iteration = 0; iteration < kMostIterations; ++iteration) {
+    if (iteration) {  // the first gradient is that of the remembered rows
+      Real gg = splat(0);
+      for (int i = 0; i < w.speeds; ++i) gg += w.g[i] * w.g[i];
+      done |= sqrt(gg) * w.numbers.scale < kTolerance;
+    }
     const unsigned left = bits(~done);
     if (left == 0) break;
     for (int l = 0; l < kLanes; ++l) w.iterations[l] += left >> l & 1u;
+    // p = -H^-1 g
     hessian(m, w);
     factor(w);
     for (int i = 0; i < w.speeds; ++i) w.p[i] = -w.g[i];
     solve(w, w.p);
     multiply(m, w, w.p, w.Mp);
-    along(w, w.p, true);
-    Real g0 = splat(0), m0 = splat(0), pp = splat(0);
-    for (int i = 0; i < w.speeds; ++i) g0 += w.p[i] * (w.Ma[i] - w.fs[i]), m0 += w.p[i] * w.Mp[i], pp += w.p[i] * w.p[i];
-    const Real enough = kSlopeTolerance * sqrt(pp) / w.numbers.scale;
-    Real al = splat(1), lo = splat(0), hi = splat(1e30);
-    for (int e = 0; it >= kFullSteps && e < kMostEvaluations; ++e) {  // Newton's method on the slope, bisection where it leaves the bracket
-      Real s1, s2;
-      slope(m, w, al, g0, m0, s1, s2);
-      const Mask ok = (abs(s1) < enough) | done;
-      if (!any(~ok)) break;
-      lo = select(s1 < 0.0, max(lo, al), lo);
-      hi = select(s1 > 0.0, min(hi, al), hi);
-      Real next = al - s1 / s2;
-      next = select((next <= lo) | (next >= hi), 0.5 * (lo + min(hi, 2.0 * lo + 1.0)), next);
-      al = select(ok, al, next);
-    }
-    const Real step = select(done, splat(0), al);
-    // a lane that is done keeps its numbers, whatever its neighbours' steps are
+    directions(w, w.p);
+    const Real full = iteration < kFullSteps ? splat(1) : line_search(m, w, done);
+    // a += step p, and what depends on it linearly; a lane that is done keeps its numbers, whatever its neighbours' steps are
+    const Real step = select(done, splat(0), full);
     for (int i = 0; i < w.speeds; ++i) w.a[i] = select(done, w.a[i], w.a[i] + step * w.p[i]), w.Ma[i] = select(done, w.Ma[i], w.Ma[i] + step * w.Mp[i]);
-    for (int i = 0; i < w.npt; ++i) {
-      Point& p = w.pt[i];
-      p.un += step * p.dn, p.u1 += step * p.d1, p.u2 += step * p.d2;
-    }
-    for (int i = 0; i < w.npr; ++i) {
-      Pair& p = w.pr[i];
-      p.un += step * p.dn, p.u1 += step * p.d1, p.u2 += step * p.d2;
-    }
-    for (Contact& p : w.more)
-      for (int k = 0; k < p.dim; ++k) p.u[k] += step * p.du[k];
-    const Mask changed = rows(m, w);
-    done |= ~changed & (abs(al - 1.0) < 1e-9);
+    const auto pyramid = [&](Pyramid& p) { p.un += step * p.pn, p.ut += step * p.pt, p.us += step * p.ps; };
+    for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
+    for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
+    for (Contact& c : w.more)
+      for (int k = 0; k < c.dim; ++k) c.u[k] += step * c.du[k];
+    const Mask changed = gradient(m, w, false);
+    done |= ~changed & (abs(full - 1.0) < 1e-9);
   }
   w.flagged |= ~done;
 }

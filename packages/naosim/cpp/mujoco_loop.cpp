@@ -67,16 +67,21 @@ T* pointer(std::uint64_t address) {
   return reinterpret_cast<T*>(static_cast<std::uintptr_t>(address));
 }
 
+// Bytes in a number of a snapshot, which holds whole numbers up to 2^53.
+constexpr int kPacked = 6;
+
 // Where things are in qpos, ctrl and sensordata. Sensors: torso quaternion, position, gyro, accelerometer, J angles, J speeds,
 // force on the left foot, on the right foot; with a ball: whether each part touches it, its place in the camera's frame. Actuators
 // of joint j: motor 3 j, position 3 j + 1, velocity 3 j + 2.
 struct Layout {
   int joints, positions, torso, state, signature;
-  int parts;  // whose contact with the ball is noted; 0 without a ball
+  int parts;     // whose contact with the ball is noted; 0 without a ball
+  int rows = 0;  // of the kernel's solver that are remembered
   int sensors() const { return touching() + (parts ? parts + 3 : 0); }
   int foot_forces() const { return 13 + 2 * joints; }
   int touching() const { return 13 + 2 * joints + 6; }
-  int row() const { return state + sensors() + parts + joints; }
+  int packed() const { return (rows + kPacked - 1) / kPacked; }
+  int row() const { return state + sensors() + parts + packed() + joints; }
 };
 
 struct World {
@@ -126,7 +131,10 @@ class Worlds {
     diverged.assign(n, 0);
     warnings.resize(n);
     *pointer<void (*)(const char*)>(nb::cast<std::uint64_t>(functions["mju_user_warning"])) = note_warning;
-    for (int row = 0; row < size(); ++row) publish(row);
+    for (int row = 0; row < size(); ++row) {
+      publish(row);
+      publish_bodies(&row, 1);
+    }
   }
 
   int size() const { return static_cast<int>(worlds_.size()); }
@@ -139,7 +147,8 @@ class Worlds {
   void step(const double* targets, int first, int count, const std::uint8_t* active) {
     const std::size_t joints = static_cast<std::size_t>(layout_.joints);
     if (kernel_ != nullptr) {
-      pool_.run(chunks(count), [&](int k) { step_chunk(targets, first, count, active, k); });
+      const int size = chunk_size(count);
+      pool_.run((count + size - 1) / size, [&](int k) { step_chunk(targets, first, count, active, k * size, size); });
       return;
     }
     pool_.run(count, [&](int k) {
@@ -154,10 +163,11 @@ class Worlds {
     if (cycle.running) throw std::logic_error("begin: the step before is not finished");
     cycle.running = true;
     cycle.targets.assign(targets, targets + count * joints);
-    cycle.round.count = kernel_ != nullptr ? chunks(count) : count;
-    cycle.round.job = [this, &cycle, first, count, joints](int k) {
+    const int size = kernel_ != nullptr ? chunk_size(count) : 1;
+    cycle.round.count = (count + size - 1) / size;
+    cycle.round.job = [this, &cycle, first, count, joints, size](int k) {
       if (kernel_ != nullptr)
-        step_chunk(cycle.targets.data(), first, count, nullptr, k);
+        step_chunk(cycle.targets.data(), first, count, nullptr, k * size, size);
       else
         step_row(first + k, &cycle.targets[k * joints]);
     };
@@ -171,7 +181,7 @@ class Worlds {
     cycle.running = false;
   }
 
-  // One row of a snapshot: integration state, sensordata, contacts with the ball, pending command.
+  // One row of a snapshot: integration state, sensordata, contacts with the ball, what the kernel remembers, pending command.
   void save(int row, double* out) const {
     const World& world = worlds_[row];
     get_state_(world.model, world.data, out, layout_.signature);
@@ -179,6 +189,11 @@ class Worlds {
     std::memcpy(out, world.sensordata, sizeof(double) * layout_.sensors());
     out += layout_.sensors();
     for (int part = 0; part < layout_.parts; ++part) *out++ = contact(part, row);
+    for (int first = 0; first < layout_.rows; first += kPacked) {
+      double sum = 0.0;
+      for (int k = std::min(first + kPacked, layout_.rows) - 1; k >= first; --k) sum = 256.0 * sum + remembered(row)[k];
+      *out++ = sum;
+    }
     std::memcpy(out, &pending[static_cast<std::size_t>(row) * layout_.joints], sizeof(double) * layout_.joints);
   }
 
@@ -190,16 +205,26 @@ class Worlds {
     for (int s = 0; s < substeps_; ++s) note_contacts(row, s);
     from += layout_.sensors();
     for (int part = 0; part < layout_.parts; ++part) contact(part, row) = *from++;
+    for (int first = 0; first < layout_.rows; first += kPacked) {
+      std::uint64_t sum = *from >= 0.0 && *from < 0x1p48 ? static_cast<std::uint64_t>(*from) : 0;
+      ++from;
+      for (int k = first; k < std::min(first + kPacked, layout_.rows); ++k, sum >>= 8) remembered(row)[k] = static_cast<std::uint8_t>(sum);
+    }
     std::memcpy(&pending[static_cast<std::size_t>(row) * layout_.joints], from, sizeof(double) * layout_.joints);
     warnings[row].clear();
     publish(row);
+    publish_bodies(&row, 1);
   }
 
-  // Publish what a changed state shows; `seen`: the ball in this cycle, whether or not one reports it.
-  void refresh(int row, bool seen) {
+  // Publish what a changed state shows, the ball as if it were seen in this cycle.
+  void refresh(int row) {
     publish(row);
-    if (seen && layout_.parts) publish_ball(row);
+    publish_bodies(&row, 1);
+    if (layout_.parts) publish_ball(row);
   }
+
+  // Forget which rows were active: the state is not the last substep's.
+  void forget(int row) { std::fill_n(remembered(row), layout_.rows, std::uint8_t{0}); }
 
   void set_model(int row, std::uint64_t model) {
     worlds_[row].model = pointer<const void>(model);
@@ -207,29 +232,40 @@ class Worlds {
   }
 
   // Step robots of one kind together, with the kernel's equations instead of mj_step; `isa` empty: the best that runs here. `warm`:
-  // addresses of qacc_warmstart; `first_geom`: of the robot; `ball`: the ball's geom, -1 without one.
-  void use_kernel(const std::string& robot, const std::string& isa, const Doubles& shared, const Addresses& warm, double step, int first_geom, int ball) {
+  // addresses of qacc_warmstart; `first_geom`: of the robot; `ball`: the ball's geom, -1 without one; `moving`: the kernel's numbers
+  // of the bodies whose motion is published.
+  void use_kernel(const std::string& robot, const std::string& isa, const Doubles& shared, const Addresses& warm, double step, int first_geom, int ball,
+                  const std::vector<int>& moving) {
     const Kernel* kernel = naosim::humanoid::find_kernel(robot.c_str(), isa.empty() ? nullptr : isa.c_str());
     require(kernel != nullptr, "isa: expected generic, avx2 or avx512, which this processor must have");
     require(layout_.joints == kernel->topology.bodies - 1 && layout_.torso == (ball < 0 ? 0 : 7), "kernel: of another robot");
     require(shared.size() * sizeof(double) == kernel->shared && warm.size() == worlds_.size(), "kernel: wrong number of numbers");
     library_ = {kinematics_, collision_, step, first_geom, ball};
     shared_.assign(shared.data(), shared.data() + shared.size());
+    require(moving.size() == bodies_.size(), "moving: one number per body is needed");
+    for (int body : moving) require(body >= 0 && body < kernel->topology.bodies + (ball >= 0), "moving: out of range");
+    moving_ = moving;
     varied_.resize(worlds_.size() * kernel->varied / sizeof(double));
+    layout_.rows = static_cast<int>(kernel->rows);
+    remembered_.assign(worlds_.size() * kernel->rows, 0);
     robots_.resize(worlds_.size());
     for (std::size_t k = 0; k < worlds_.size(); ++k) {
       const World& world = worlds_[k];
       double *speeds = world.joint_speeds - 6, *accelerations = pointer<double>(warm.data()[k]), *none = nullptr;
       const bool with_ball = ball >= 0;
-      robots_[k] = {&varied_[k * kernel->varied / sizeof(double)], world.qpos + layout_.torso, speeds, accelerations + (with_ball ? 6 : 0), world.sensordata,
+      robots_[k] = {&varied_[k * kernel->varied / sizeof(double)], 0, &remembered_[k * kernel->rows], world.qpos + layout_.torso, speeds, accelerations + (with_ball ? 6 : 0), world.sensordata,
                     world.ctrl, with_ball ? world.qpos : none, with_ball ? speeds - 6 : none, with_ball ? accelerations : none, world.model, world.data};
     }
     kernel_ = kernel;
   }
 
   void set_numbers(int row, const Doubles& varied) {
+    static std::atomic<std::uint64_t> latest{0};
     require(kernel_ != nullptr && varied.size() * sizeof(double) == kernel_->varied, "numbers: wrong number");
     std::memcpy(&varied_[static_cast<std::size_t>(row) * varied.size()], varied.data(), kernel_->varied);
+    // the same numbers as its neighbour's need not be read again for another robot
+    const bool same = row > 0 && std::memcmp(robots_[row].numbers, robots_[row - 1].numbers, kernel_->varied) == 0;
+    robots_[row].version = same ? robots_[row - 1].version : ++latest;
   }
 
   const char* kernel() const { return kernel_ != nullptr ? kernel_->name : ""; }
@@ -257,14 +293,17 @@ class Worlds {
   };
 
   // Rows that a thread steps together: they regroup before each substep, alike ones in one group.
-  static constexpr int kChunk = 32;
-  static int chunks(int count) { return (count + kChunk - 1) / kChunk; }
+  static constexpr int kMostInChunk = 64;
+  int chunk_size(int count) const {
+    const int lanes = kernel_->lanes, share = (count + pool_.size() - 1) / pool_.size();
+    return std::min(kMostInChunk, (share + lanes - 1) / lanes * lanes);
+  }
 
-  void step_chunk(const double* targets, int first, int count, const std::uint8_t* active, int chunk) {
+  void step_chunk(const double* targets, int first, int count, const std::uint8_t* active, int begin, int most) {
     const std::size_t joints = static_cast<std::size_t>(layout_.joints);
-    naosim::humanoid::Robot* robots[kChunk];
+    naosim::humanoid::Robot* robots[kMostInChunk];
     int size = 0;
-    for (int k = kChunk * chunk; k < std::min(count, kChunk * (chunk + 1)); ++k) {
+    for (int k = begin; k < std::min(count, begin + most); ++k) {
       const int row = first + k;
       if ((active != nullptr && !active[k]) || diverged[row]) continue;
       command(row, targets == nullptr ? nullptr : targets + k * joints);
@@ -272,7 +311,7 @@ class Worlds {
     }
     for (int s = 0; s < substeps_; ++s) {
       std::stable_sort(robots, robots + size, [](const auto* a, const auto* b) { return a->key < b->key; });
-      for (int k = 0; k < size; k += kernel_->lanes) kernel_->substep(shared_.data(), library_, robots + k, std::min(kernel_->lanes, size - k));
+      for (int k = 0; k < size; k += kernel_->lanes) kernel_->substep(shared_.data(), library_, robots + k, std::min(kernel_->lanes, size - k), s == substeps_ - 1);
       for (int k = 0; k < size; ++k) {
         const int row = static_cast<int>(robots[k] - robots_.data());
         collided_ += robots[k]->collided;
@@ -290,10 +329,12 @@ class Worlds {
         note_contacts(row, s);
       }
     }
+    int rows[kMostInChunk];
     for (int k = 0; k < size; ++k) {
-      const int row = static_cast<int>(robots[k] - robots_.data());
-      publish(row);
+      rows[k] = static_cast<int>(robots[k] - robots_.data());
+      publish(rows[k]);
     }
+    publish_bodies(rows, size);
   }
 
   // Set the motors' targets, as late as the server does.
@@ -318,7 +359,11 @@ class Worlds {
     }
     world_warning = nullptr;
     publish(row);
+    publish_bodies(&row, 1);
   }
+
+  std::uint8_t* remembered(int row) { return remembered_.data() + static_cast<std::size_t>(row) * layout_.rows; }
+  const std::uint8_t* remembered(int row) const { return remembered_.data() + static_cast<std::size_t>(row) * layout_.rows; }
 
   double& contact(int part, int row) { return contacts[static_cast<std::size_t>(part) * worlds_.size() + row]; }
   double contact(int part, int row) const { return contacts[static_cast<std::size_t>(part) * worlds_.size() + row]; }
@@ -363,7 +408,6 @@ class Worlds {
     double sum = 0.0;
     for (int k = 0; k < layout_.positions; ++k) sum += worlds_[row].qpos[k];
     diverged[r] = !std::isfinite(sum) || std::fabs(x[0]) + std::fabs(x[1]) + std::fabs(x[2]) > kFarthest;
-    if (!bodies_.empty()) publish_bodies(row);
     if (layout_.parts) {
       double time;
       get_state_(worlds_[row].model, worlds_[row].data, &time, kTime);
@@ -374,18 +418,41 @@ class Worlds {
     }
   }
 
-  // Motion of the named bodies at the end of the step. What mj_step has left in the data is 5 ms older; the next step computes it again.
-  void publish_bodies(int row) {
-    const World& world = worlds_[row];
-    for (Compute compute : {kinematics_, centres_, velocities_}) compute(world.model, world.data);
-    for (std::size_t b = 0; b < bodies_.size(); ++b) {
-      const std::size_t at = b * worlds_.size() + static_cast<std::size_t>(row), body = static_cast<std::size_t>(bodies_[b]);
-      std::memcpy(&body_position[3 * at], world.xpos + 3 * body, 3 * sizeof(double));
-      std::memcpy(&body_rotation[9 * at], world.xmat + 9 * body, 9 * sizeof(double));
-      double motion[6];
-      velocity_of_(world.model, world.data, kBody, bodies_[b], motion, 0);
-      std::memcpy(&body_spin[3 * at], motion, 3 * sizeof(double));
-      std::memcpy(&body_velocity[3 * at], motion + 3, 3 * sizeof(double));
+  // Motion of the named bodies at the end of the step.
+  void publish_bodies(const int* rows, int count) {
+    const auto put = [&](std::size_t body, int row, const double* place, const double* turn, const double* velocity, const double* spin) {
+      const std::size_t at = body * worlds_.size() + static_cast<std::size_t>(row);
+      std::memcpy(&body_position[3 * at], place, 3 * sizeof(double));
+      std::memcpy(&body_rotation[9 * at], turn, 9 * sizeof(double));
+      std::memcpy(&body_velocity[3 * at], velocity, 3 * sizeof(double));
+      std::memcpy(&body_spin[3 * at], spin, 3 * sizeof(double));
+    };
+    const std::size_t bodies = bodies_.size();
+    if (bodies == 0) return;
+    if (kernel_ != nullptr) {
+      constexpr std::size_t width = naosim::humanoid::kMotion;
+      std::vector<double> found(static_cast<std::size_t>(kernel_->lanes) * bodies * width);
+      for (int k = 0; k < count; k += kernel_->lanes) {
+        naosim::humanoid::Robot* robots[8];
+        const int size = std::min(kernel_->lanes, count - k);
+        for (int l = 0; l < size; ++l) robots[l] = &robots_[rows[k + l]];
+        kernel_->motion(shared_.data(), robots, size, moving_.data(), static_cast<int>(bodies), found.data());
+        for (int l = 0; l < size; ++l)
+          for (std::size_t b = 0; b < bodies; ++b) {
+            const double* of = &found[(static_cast<std::size_t>(l) * bodies + b) * width];
+            put(b, rows[k + l], of, of + 3, of + 12, of + 15);
+          }
+      }
+      return;
+    }
+    for (int k = 0; k < count; ++k) {  // what mj_step has left in the data is 5 ms older; the next step computes it again
+      const World& world = worlds_[rows[k]];
+      for (Compute compute : {kinematics_, centres_, velocities_}) compute(world.model, world.data);
+      for (std::size_t b = 0; b < bodies; ++b) {
+        double motion[6];
+        velocity_of_(world.model, world.data, kBody, bodies_[b], motion, 0);
+        put(b, rows[k], world.xpos + 3 * bodies_[b], world.xmat + 9 * bodies_[b], motion + 3, motion);
+      }
     }
   }
 
@@ -412,6 +479,8 @@ class Worlds {
   naosim::humanoid::Library library_;
   std::vector<double> shared_, varied_;  // Shared, and row by row Varied, of humanoid_model.hpp
   std::vector<naosim::humanoid::Robot> robots_;
+  std::vector<std::uint8_t> remembered_;  // row by row, Kernel::rows
+  std::vector<int> moving_;               // the kernel's numbers of bodies_
   std::atomic<std::uint64_t> left_to_mujoco_{0}, collided_{0};  // substeps
   std::vector<int> bodies_;  // whose motion is published
   std::map<int, Cycle> cycles_;  // in the background, by their first row
@@ -496,10 +565,11 @@ NB_MODULE(_mujoco, m) {
              require(from.size() == static_cast<std::size_t>(self.layout().row()), "state: wrong shape");
              self.load(row_of(self, row), from.data());
            })
-      .def("refresh", [](Worlds& self, int row, bool seen) { self.refresh(row_of(self, row), seen); }, nb::arg("row"), nb::arg("seen"))
+      .def("refresh", [](Worlds& self, int row) { self.refresh(row_of(self, row)); })
+      .def("forget", [](Worlds& self, int row) { self.forget(row_of(self, row)); })
       .def("set_model", [](Worlds& self, int row, std::uint64_t model) { self.set_model(row_of(self, row), model); })
       .def("use_kernel", &Worlds::use_kernel, nb::arg("robot"), nb::arg("isa"), nb::arg("shared"), nb::arg("warm"), nb::arg("step"),
-           nb::arg("first_geom"), nb::arg("ball"))
+           nb::arg("first_geom"), nb::arg("ball"), nb::arg("moving"))
       .def("set_numbers", [](Worlds& self, int row, const Doubles& varied) { self.set_numbers(row_of(self, row), varied); })
       .def_prop_ro("kernel", &Worlds::kernel)
       .def_prop_ro("left_to_mujoco", &Worlds::left_to_mujoco)

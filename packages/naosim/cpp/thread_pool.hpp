@@ -36,6 +36,9 @@ struct Round {
 // One thread calls at a time. A job must not throw.
 class ThreadPool {
  public:
+  // Threads that take part, the caller's included.
+  int size() const { return static_cast<int>(helpers_.size()) + 1; }
+
   explicit ThreadPool(int threads) : spins_(static_cast<int>(std::thread::hardware_concurrency()) >= threads) {
     for (int k = 1; k < threads; ++k) helpers_.emplace_back([this] { help(); });
   }

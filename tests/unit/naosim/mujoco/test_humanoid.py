@@ -18,7 +18,7 @@ from naosim.simulator import Scene
 if TYPE_CHECKING:
     from naosim.robots import Robot
 
-N = 24
+N = 12
 PLAIN, BALL, PITCH = Scene(), Scene(ball=True), Scene(ball=True, goals=True)
 GOAL_POST = (27.5, 1.83)  # m
 CASES = [
@@ -64,17 +64,22 @@ def filled(world: MujocoWorld, robot: Robot, n: int = N, threads: int = 1, isa: 
     return batch
 
 
+def exact(world: MujocoWorld) -> tuple[Any, Any]:
+    """Return a model whose solver ends at the minimum, as the kernel's, and data of it."""
+    model = copy.copy(world.model)
+    model.opt.tolerance = 0.0
+    return model, library().MjData(model)
+
+
 def compared(batch: MujocoBatch, worlds: list[MujocoWorld], targets: np.ndarray, steps: int) -> None:
-    """Step the batch, and ``mj_step`` from the same states to the minimum, as the kernel; compare all they leave."""
+    """Step the batch, and ``mj_step`` from the same states; compare all they leave."""
     mujoco = library()
-    exact = {id(world): copy.copy(world.model) for world in worlds}
-    for model in exact.values():
-        model.opt.tolerance = 0.0
+    models = {number: exact(world) for number, world in {id(world): world for world in worlds}.items()}
     before = [(data.time, data.qpos.copy(), data.qvel.copy()) for data in batch.data]
     batch.step(targets)
     for row, (world, (moment, qpos, qvel)) in enumerate(zip(worlds, before, strict=True)):
-        model = exact[id(world)]
-        data, ours = mujoco.MjData(model), batch.data[row]
+        ours, (model, data) = batch.data[row], models[id(world)]
+        mujoco.mj_resetData(model, data)
         data.time, data.qpos[:], data.qvel[:], data.ctrl[:] = moment, qpos, qvel, ours.ctrl
         for _ in range(steps):
             mujoco.mj_step(model, data)
@@ -116,10 +121,43 @@ def test_a_cycle_is_mj_steps() -> None:
     compared(batch, [world] * batch.n, np.array(T1.nominal) + rng.normal(size=(batch.n, 23)) * 0.5, SUBSTEPS)
 
 
+@pytest.mark.parametrize("robot", [T1, K1])
+def test_the_motion_of_bodies_is_mujocos(robot: Robot) -> None:
+    mujoco, world = library(), world_of(robot, engine="fast", scene=Scene(ball=True, bodies=True))
+    batch = filled(world, robot, 10)
+    batch.step(np.tile(robot.nominal, (batch.n, 1)))
+    for row, ours in enumerate(batch.data):
+        data, motion = copy.copy(ours), np.zeros(6)
+        for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            compute(world.model, data)
+        for body, found in zip(world.moving, batch.bodies.values(), strict=True):
+            mujoco.mj_objectVelocity(world.model, data, mujoco.mjtObj.mjOBJ_XBODY, body, motion, 0)
+            for name, value in (
+                ("position", data.xpos[body]),
+                ("rotation", data.xmat[body].reshape(3, 3)),
+                ("velocity", motion[3:]),
+                ("spin", motion[:3]),
+            ):
+                np.testing.assert_allclose(getattr(found, name)[row], value, rtol=0, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize(("robot", "scene"), CASES)
+def test_a_snapshot_continues_with_the_same_bits_in_another_batch(robot: Robot, scene: Scene) -> None:
+    """It contains which rows of the solver were active: the next substep starts from them."""
+    world, targets = world_of(robot, engine="fast", scene=scene), np.tile(robot.nominal, (6, 1))
+    one, other = filled(world, robot, 6), MujocoBatch(world, 6, delay=0, truncate=False)
+    one.step(targets)
+    for row, state in enumerate(one.save()):
+        other.load(row, state)
+    for batch in (one, other):
+        batch.step(targets)
+    np.testing.assert_array_equal(one.save(), other.save())
+
+
 @pytest.mark.parametrize(("robot", "scene"), CASES)
 def test_instruction_sets_threads_and_neighbours_do_not_change_a_bit(robot: Robot, scene: Scene) -> None:
     world, rng = world_of(robot, engine="fast", scene=scene), np.random.default_rng(9)
-    targets = np.array(robot.nominal) + rng.normal(size=(10, N, world.joints)) * 0.3
+    targets = np.array(robot.nominal) + rng.normal(size=(6, N, world.joints)) * 0.3
     source = filled(world, robot)
 
     def run(threads: int, isa: str, rows: list[int]) -> np.ndarray:

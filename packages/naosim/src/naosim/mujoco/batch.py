@@ -99,6 +99,7 @@ class MujocoBatch:
                 world.model.opt.timestep,
                 parts.geoms.start,
                 parts.ball,
+                [parts.number(body) for body in world.moving],
             )
             for row in range(n):
                 self._worlds.set_numbers(row, varied_numbers(world))
@@ -187,7 +188,7 @@ class MujocoBatch:
 
     @property
     def row_size(self) -> int:
-        """Number of values in a world's state: integration state, sensor data and pending command."""
+        """Number of values in a world's state: integration state, sensor data, kernel's memory and pending command."""
         return self._worlds.row_size
 
     def save(self) -> Floats:
@@ -213,10 +214,10 @@ class MujocoBatch:
         data, ball, camera = self.data[row], BALL_JOINT, self.world.camera
         data.qpos[ball : ball + 7] = (*position, 1.0, 0.0, 0.0, 0.0)
         data.qvel[ball : ball + 6] = (*velocity, *spin)
-        self._worlds.refresh(row, False)  # which computes where the camera is
+        self._mujoco.mj_kinematics(self._models[row], data)
         rotation = data.site_xmat[camera].reshape(3, 3)
         data.sensordata[-3:] = rotation.T @ (position - data.site_xpos[camera])
-        self._worlds.refresh(row, True)
+        self._worlds.refresh(row)
 
     def motion(self, rows: Sequence[int]) -> RobotMotion:
         """Return poses and velocities of robots."""
@@ -247,6 +248,7 @@ class MujocoBatch:
         data.qacc_warmstart[first - 6 :] = 0.0
         data.ctrl[1::3] = motion.targets_rad[k]
         mujoco.mj_forward(self._models[row], data)
+        self._worlds.forget(row)
         self._worlds.save(row, state)
         state[-self.world.joints :] = motion.targets_rad[k]
         self._worlds.load(row, state)
@@ -263,6 +265,7 @@ class MujocoBatch:
         data.qvel[:] = data.qacc_warmstart[:] = data.ctrl[:] = 0.0
         data.ctrl[1::3] = targets
         data.sensordata[:] = 0.0
+        self._worlds.forget(row)
         self._worlds.save(row, state)
         state[-world.joints :] = targets
         self._worlds.load(row, state)

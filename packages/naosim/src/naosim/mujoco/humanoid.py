@@ -46,7 +46,12 @@ class Parts:
         self.speeds = slice(world.first_speed - 6, int(model.nv))
         self.hinges = slice(world.first_speed, int(model.nv))
         self.ball = next((geom for geom in range(self.geoms.start) if names[model.geom_bodyid[geom]] == "ball"), -1)
+        self._ball_body = int(model.geom_bodyid[self.ball]) if self.ball >= 0 else -1
         self.still = [geom for geom in range(1, self.geoms.start) if geom != self.ball]
+
+    def number(self, body: int) -> int:
+        """Return the kernel's number of a body of the robot, or of the ball."""
+        return self.bodies.stop - self.bodies.start if body == self._ball_body else body - self.bodies.start
 
 
 def topology_difference(world: MujocoWorld) -> str:
