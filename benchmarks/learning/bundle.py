@@ -21,6 +21,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,8 @@ def main() -> int:
     source.add_argument("--examine", action="store_true", help="examine bundled policies again, and nothing else")
     parser.add_argument("--after", metavar="POLICY", help="bundled policy that the first training started from")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"episodes of the evaluation (default: {EPISODES})")
+    parser.add_argument("--parts", type=lambda text: text.split(","), default=(), help="parts of the examination")
     parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
     options = parser.parse_args()
     if options.refresh:
@@ -84,7 +87,7 @@ def main() -> int:
             checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
             parts += stages(folder.name, read_manifest(checkpoint).spec, read_metrics(folder / "metrics.jsonl"))
         put_in_place(name, checkpoint)
-        write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
+        write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
         return 0
 
     def naoctl(*words: str) -> Any:
@@ -110,7 +113,7 @@ def main() -> int:
         before = sum(part["steps"] * part.get("candidates", 1) for part in own[:-1])
         parts[-1] |= {"steps": manifest.steps - before}
         put_in_place(name, checkpoint)
-    write(name, EvaluationSpec(episodes=EPISODES, seed=EVALUATION_SEED), parts)
+    write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
     return 0
 
 
@@ -204,7 +207,7 @@ def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[d
     return found
 
 
-def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
+def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]], examined: Sequence[str] = ()) -> None:
     """Evaluate a policy whose weights are in place; write its card, its replay and its page."""
     target = BUNDLED / name
     trained = read_manifest(target).stage_spec
@@ -223,7 +226,7 @@ def write(name: str, spec: EvaluationSpec, parts: list[dict[str, Any]]) -> None:
             "training_s": sum(int(one["training_s"]) for one in parts),
             **{key: summary[key] for key in ("episodes", "results", "headline", "tables", "evaluation")},
             "lineage": parts,
-            **examination.examine(target).to_dict(),
+            **examination.examine(target, names=examined).to_dict(),
         }
         report = write_report(work / "report", evaluation=work, title=name).parent
         pictures = PAGES / name

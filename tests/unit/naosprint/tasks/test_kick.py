@@ -131,7 +131,7 @@ def test_the_walker_takes_over_after_the_perceived_kick() -> None:
         environment.step(nothing)
         np.testing.assert_array_equal(environment.world.actions, expected)
     assert task.frozen.tolist() == [True, False]
-    assert not task.command[0].any()
+    assert not task._command[0].any()
 
 
 def test_frozen_actions_teach_the_actor_nothing() -> None:

@@ -9,6 +9,7 @@ from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
 from naosprint.export import booster, nao
+from naosprint.tasks.kick import KickSettings
 
 if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray
@@ -63,6 +64,9 @@ def policy_arrays(policy: NetworkPolicy, manifest: Manifest) -> dict[str, AnyArr
         arrays.update(nao.arrays(robot, manifest.observations))
     elif robot.family == booster.FAMILY:
         arrays.update(booster.arrays(robot, manifest.spec.simulator))
+    task = manifest.stage_spec.task
+    if isinstance(task, KickSettings):
+        arrays.update(booster.kick_arrays(task))
     return arrays
 
 

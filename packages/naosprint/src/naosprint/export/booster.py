@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from naosim.robots.booster import FAMILY
 
+from naosprint.tasks import rolling
+
 if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.robots.booster import BoosterParameters
     from naosim.simulator import SimulatorParameters
 
     from naosprint.arrays import AnyArray
+    from naosprint.tasks.kick import KickSettings
 
-__all__ = ["FAMILY", "arrays", "controller"]
+__all__ = ["FAMILY", "arrays", "controller", "kick_arrays"]
 
 
 def _gains(robot: Robot) -> list[tuple[float, float]]:
@@ -35,6 +38,8 @@ def controller(robot: Robot) -> dict[str, dict[str, float]]:
 def arrays(robot: Robot, simulator: SimulatorParameters) -> dict[str, AnyArray]:
     """Return the arrays that only Booster robots have.
 
+    ``camera_m`` has the places of head yaw, head pitch and camera, each in the frame before it.
+
     ``kp`` and ``kd`` have a row per joint. ``settling_cycles`` is the number of cycles for which a robot holds the
     start pose after a beam.
     """
@@ -44,4 +49,11 @@ def arrays(robot: Robot, simulator: SimulatorParameters) -> dict[str, AnyArray]:
         "kp": np.array(kp),
         "kd": np.array(kd),
         "settling_cycles": np.array(simulator.model_dump()["settle_steps"]),
+        **({} if (camera := robot.camera) is None else {"camera_m": np.array([*vars(camera).values()])}),
     }
+
+
+def kick_arrays(task: KickSettings) -> dict[str, AnyArray]:
+    """Return how to launch a ball so that it stops at a point, and when the walker takes over."""
+    names = ("launch_distances_m", "launch_directions", "launch_speeds", "launch_aims")
+    return {**dict(zip(names, rolling.launches(), strict=True)), "takeover_steps": np.array(task.takeover_steps)}

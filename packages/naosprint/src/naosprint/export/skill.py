@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from naosim.simulator import BALL
 from naospec import EvaluationSpec
 
 from naosprint.export import booster, nao
@@ -67,7 +68,9 @@ TARGETS = {
             "gyro_deg": _perceived("gyro"),
             "angles_deg": _perceived("joint_angles"),
             "speeds_deg": _perceived("joint_speeds"),
+            "ball": _perceived(BALL),
         },
+        {"ball": lambda environment: BALL in environment.world.perceptors},
     ),
     nao.FAMILY: _Target(
         "FCPCodebase/behaviors/custom/Naosprint",
@@ -201,6 +204,8 @@ def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[s
             ):
                 rows[name].append(values[0])
             environment.step(actions)
+            if environment.task.frozen is not None and environment.task.frozen[0]:
+                break  # another policy acts from here on
             if environment.terminated[0] or environment.truncated[0]:
                 break
     finally:
@@ -225,6 +230,10 @@ def _commands(environment: Environment) -> AnyArray | None:
 
 def _begin(environment: Environment) -> dict[str, AnyArray]:
     """Return the arguments of `Runner.begin` for the task's path."""
+    handed_over = getattr(environment.task, "handed_over", None)
+    if handed_over is not None:
+        found: dict[str, AnyArray] = handed_over(0)
+        return found
     if _commands(environment) is not None:
         return {}
     begin = {"heading": np.array(0.0)}

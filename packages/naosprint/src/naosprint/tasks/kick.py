@@ -25,7 +25,7 @@ from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
 from naosprint.tasks.handover import record
 from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
+from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.randomness import uniform
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from naosim.robots import Robot
 
-    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.observations import Observer
 
@@ -371,7 +371,7 @@ class Kick(Task):
         self._min_height = float(settings.min_height_m or 0.0)  # resolve has filled it in
         self._walker = FrozenPolicy(settings.walker)
         self._radius = self.robot.field.ball_radius_m
-        self.command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
+        self._command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
         self._draws: IntArray = np.zeros(n, dtype=np.int64)
         self._target: FloatArray = np.zeros((n, 2))  # direction in the field, distance
         self._aim: FloatArray = np.zeros(n)  # direction in which the ball has to leave
@@ -390,7 +390,7 @@ class Kick(Task):
         self._score: FloatArray = np.zeros(n)
         self._launch: FloatArray = np.zeros((n, 2))  # error of the direction, roll in metres
         self.arrays = {
-            "command": self.command,
+            "command": self._command,
             "draws": self._draws,
             "target": self._target,
             "aim": self._aim,
@@ -428,14 +428,14 @@ class Kick(Task):
         """Return the walker's observations, the ball as it is perceived, and the command."""
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
-            lambda rows: self.command[rows],
+            lambda rows: self._command[rows],
             signs=(1.0, -1.0, -1.0),
             begin=self._look_first,
             update=self._look,
         )
         path = ObservationBlock(
             ("line_offset", "heading_sin", "heading_cos"),
-            lambda rows: np.tile((0.0, 0.0, 1.0), (len(self.command[rows]), 1)),
+            lambda rows: np.tile((0.0, 0.0, 1.0), (len(self._command[rows]), 1)),
             signs=(-1.0, -1.0, 1.0),
         )
         aim = ObservationBlock(
@@ -556,7 +556,7 @@ class Kick(Task):
             axis=1,
         )
         approaching = (self._kicked[rows] < 0) & (self._sightings[rows] > 0)
-        self.command[rows] = np.where(approaching[:, None], command, 0.0)
+        self._command[rows] = np.where(approaching[:, None], command, 0.0)
         self._walks[rows] = self._kicked[rows] >= self.parameters.takeover_steps
 
     # starts
@@ -648,6 +648,16 @@ class Kick(Task):
         self._launch[rows] = 0.0
         for flags in (self._fallen, self._done, self._missed, self._walks):
             flags[rows] = False
+
+    def handed_over(self, row: int) -> dict[str, AnyArray]:
+        """Return what an exported skill is given when its kick begins: target, and the walker's last step."""
+        # the perceived velocity is R^T (position - before) / time, with R of a truncated quaternion
+        inverse = turned(self.world.perceptors["torso_quat"][row : row + 1], np.eye(3))
+        moved = np.linalg.solve(inverse, self._states.velocity[self._state[row]]) * STEP_S
+        position: FloatArray = self.world.perceptors["torso_pos"][row] - moved
+        distance = np.inf if self._power[row] else self._target[row, 1]
+        target = np.array([self._target[row, 0], distance])
+        return {"target": target, "action": self.world.actions[row].copy(), "position": position}
 
     # steps
 

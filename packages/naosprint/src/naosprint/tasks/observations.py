@@ -525,7 +525,7 @@ def _ball(world: World) -> ObservationBlock:
         angles = np.radians(world.perceptors["joint_angles"][seen])
         position, rotation = camera.pose(angles[:, yaw], angles[:, pitch])
         ball = position + np.einsum("kij,kj->ki", rotation, polar)
-        found = world.perceptors["torso_pos"][seen, :2] + _turned(world.perceptors["torso_quat"][seen], ball)[:, :2]
+        found = world.perceptors["torso_pos"][seen, :2] + turned(world.perceptors["torso_quat"][seen], ball)[:, :2]
         known = (age[seen] < _NEVER)[:, None]
         elapsed = np.where(known, np.maximum(age[seen], 1.0)[:, None], 1.0) * STEP_S
         velocity[seen] = np.where(known, (found - place[seen]) / elapsed, 0.0)
@@ -623,7 +623,7 @@ def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
     return np.asarray(np.arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z)))
 
 
-def _turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+def turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return (k, 3) vectors of the torso's frame in the world's, by (k, 4) quaternions w, x, y, z."""
     axis = quaternions[:, 1:]
     across = 2.0 * np.cross(axis, vectors)

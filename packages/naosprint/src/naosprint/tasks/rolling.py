@@ -67,7 +67,7 @@ def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, F
         distance_m: (k,) distances.
         direction: (k,) directions of the points where they stop, radians, counter-clockwise from the field's +x axis.
     """
-    distances, directions, speeds, aims = _launches()
+    distances, directions, speeds, aims = launches()
     axis = np.round(direction / _QUARTER) * _QUARTER
     aside = direction - axis
     row, column = _place(distances, distance_m), _place(directions, np.abs(aside))
@@ -75,7 +75,7 @@ def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, F
 
 
 @cache
-def _launches() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def launches() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return distances and directions of stops, and for each pair of them the speed and direction of the launch."""
     distances, directions = np.linspace(0.2, 14.0, 139), np.radians(np.arange(46.0))
     shape = len(distances), len(directions)

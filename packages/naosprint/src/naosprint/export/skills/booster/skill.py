@@ -10,7 +10,7 @@ FALLEN = 0.6  # of the standing height
 
 
 class Naosprint(Skill):
-    """Run straight ahead, or follow velocities if the policy was trained with task velocity."""
+    """Run straight ahead, follow velocities (task velocity), or kick to a point (task kick)."""
 
     def __init__(self, agent):
         super().__init__(agent)
@@ -18,23 +18,34 @@ class Naosprint(Skill):
         self.effectors = [str(name) for name in self.runner.effector_names]
         self.joints = ["q_" + name.replace("e", "j") for name in self.effectors]
 
-    def execute(self, reset, orientation=None, lane=None, command=None):
+    def execute(self, reset, orientation=None, lane=None, command=None, target=None, ball=None, after=None):
         """Run one cycle; return whether the robot has fallen.
 
         `orientation` is the direction on the team's field in degrees, `lane` a point of the line to keep to, (x, y) in
         metres; by default the robot runs ahead from where it is. `command` is forward and sideways speed in m/s and
         turn rate in rad/s, for a policy that follows them.
+
+        A kick has a `target`, (direction on the team's field in radians, distance in metres or infinity), and needs
+        the `ball` as it is seen in this cycle: (distance in metres, azimuth, elevation in degrees), or None. `after` is
+        the skill whose last step it continues. Once `kicked`, the walking skill has to continue after it, with the
+        command (0, 0, 0).
         """
         robot, position = self.agent.robot, self.agent.world.global_position
         if reset:
-            self.runner.begin(None if orientation is None else np.radians(orientation), lane)
+            last = {} if after is None else {"action": after.runner.action, "position": after.runner.position}
+            self.runner.begin(None if orientation is None else np.radians(orientation), lane, target, **last)
         x, y, z, w = robot.global_orientation_quat
         angles, speeds = (
             [values[name] for name in self.joints] for values in (robot.motor_positions, robot.motor_speeds)
         )
-        observation = self.runner.observe(position, (w, x, y, z), robot.gyroscope, angles, speeds, command)
+        observation = self.runner.observe(position, (w, x, y, z), robot.gyroscope, angles, speeds, command, ball)
         self.move(self.runner.act(observation))
         return bool(position[2] < FALLEN * self.runner.standing_height_m)
+
+    @property
+    def kicked(self):
+        """Whether the ball has been kicked."""
+        return self.runner.kicking.done
 
     def hold(self):
         """Take the pose that runs start from, for one cycle."""
