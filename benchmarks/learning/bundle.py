@@ -68,7 +68,7 @@ def main() -> int:
     source.add_argument("--examine", action="store_true", help="examine bundled policies again, and nothing else")
     parser.add_argument("--after", metavar="POLICY", help="bundled policy that the first training started from")
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
-    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"episodes of the evaluation (default: {EPISODES})")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help=f"of the evaluation (default: {EPISODES})")
     parser.add_argument("--parts", type=lambda text: text.split(","), default=(), help="parts of the examination")
     parser.add_argument("--latest", type=int, default=5, help="latest checkpoints to choose from (default: 5)")
     options = parser.parse_args()
