@@ -17,11 +17,11 @@ from tests import forking
 PROBE = """
 import atexit, json, os, signal, sys
 atexit.register(lambda: print("last"))
+shown = lambda name: open(f"/proc/self/{name}", encoding="utf-8").read().rstrip(chr(0)).split(chr(0))
 status = dict(line.split(":", 1) for line in open("/proc/self/status", encoding="ascii"))
 print(json.dumps({
     "name": __name__, "argv": sys.argv, "path": sys.path[:2], "cwd": os.getcwd(), "input": sys.stdin.read(),
-    "environment": dict(os.environ), "command": open("/proc/self/cmdline", "rb").read().decode().rstrip(chr(0)).split(chr(0)),
-    "shown": sorted(open("/proc/self/environ", "rb").read().decode().rstrip(chr(0)).split(chr(0))),
+    "environment": dict(os.environ), "command": shown("cmdline"), "shown": sorted(shown("environ")),
     "leads": os.getsid(0) == os.getpid(), "parent": os.getppid(), "umask": status["Umask"],
     # without the signals that the C library uses itself
     "signals": [int(status[name], 16) & 0x7FFFFFFF for name in ("SigBlk", "SigIgn", "SigCgt")],
