@@ -375,6 +375,40 @@ def test_replays_and_paths_are_on_the_field_of_the_league(
     assert found["last"] == {30.0: "15 m", 55.0: "20 m"}[length]
 
 
+@pytest.mark.parametrize("size", [1.0, 2.08])
+def test_cameras_show_all_of_a_robot_and_its_head_has_a_neck(page: Browser, size: float) -> None:
+    """A robot that lies in its first frame, with a head of any name."""
+    found = page.module(
+        """
+        const { Recording, Stage } = await import("/ui/js/replay3d.js");
+        const { Descriptions } = await import("/ui/js/descriptions.js");
+        const ground = new Descriptions([], [], await (await fetch("/robots")).json()).field("t1");
+        const size = args[0];
+        const shapes = [["torso", "box", 0.37], ["h1", "sphere", 0.25], ["h2", "sphere", 0.52], ["foot", "box", 0.02]];
+        const recording = new Recording({
+          format: 2, frames: 2, dt_s: 0.02, end: "", failed: false, foot_force_n: [[0, 0], [0, 0]],
+          bodies: shapes.map(([name, shape]) => ({ name, shape, size_m: [0.1, 0.1, 0.1],
+            side: name === "foot" ? "left" : "centre" })),
+          position_m: [shapes.flatMap(() => [0, 0, 0.1]), shapes.flatMap((s) => [0, 0, s[2] * size])],
+          rotation_wxyz: Array(2).fill(shapes.flatMap(() => [1, 0, 0, 0])) }, 0);
+        const host = document.getElementById("main");
+        host.replaceChildren();
+        const stage = new Stage(host, recording, ground);
+        stage.show(1);
+        const from = stage.camera.position.distanceTo(stage.controls.target);
+        const neck = [stage.neck.position.z, stage.neck.scale.y];
+        stage.destroy();
+        return { head: recording.head, size: recording.size, from, neck };
+        """,
+        size,
+    )
+    assert found["head"] == 2
+    assert found["size"] == pytest.approx(size)
+    assert found["from"] == pytest.approx(1.52 * size, rel=0.02)
+    low, high = 0.37 * size + 0.04, 0.52 * size
+    assert found["neck"] == pytest.approx([(low + high) / 2, high - low])
+
+
 def test_what_nobody_describes_is_shown_by_its_name(page: Browser) -> None:
     found = page.module(
         """

@@ -3,6 +3,7 @@
 import * as T from "../vendor/three-0.187.0/three.min.js";
 import { color, onTheme } from "./theme.js";
 
+const NAO_M = 0.5; // from the feet to the head of the robot that the cameras are made for
 const METRES_PER_NEWTON = 0.0018;
 const CONTACT_N = 0.01;
 
@@ -26,8 +27,26 @@ export class Recording {
     this.positions = Float32Array.from(document.position_m.flat());
     this.rotations = Float32Array.from(document.rotation_wxyz.flat());
     this.forces = document.foot_force_n;
-    this.head = bodies.findIndex((b) => /head/i.test(b.name) && b.shape === "sphere");
     this.feet = ["left", "right"].map((side) => this.#lowest(side));
+    this.#measure();
+  }
+
+  /** Find size and head in the frame in which the robot is tallest: it may lie at the start. */
+  #measure() {
+    const own = this.bodies.map((_, i) => i).filter((i) => this.bodies[i].name !== "ball");
+    let most = 0;
+    let heights = [];
+    for (let t = 0; t < this.frames; t++) {
+      const now = own.map((i) => this.pose(t, i).position[2]);
+      const tall = Math.max(...now) - Math.min(...now);
+      if (tall >= most) [most, heights] = [tall, now];
+    }
+    /** Size relative to a NAO. */
+    this.size = (most || NAO_M) / NAO_M;
+    const height = (i) => heights[own.indexOf(i)];
+    const round = own.filter((i) => this.bodies[i].shape === "sphere" && this.bodies[i].side === "centre");
+    /** Its highest sphere in the middle; -1 without one. */
+    this.head = round.reduce((top, i) => (top < 0 || height(i) > height(top) ? i : top), -1);
   }
 
   /** The lowest shape of a side in the first frame, its foot; -1 without shapes. */
@@ -103,8 +122,8 @@ export class Recording {
 }
 
 /**
- * Cameras relative to the robot's course, metres: where from and what is looked at. "field" stands still beside the
- * field.
+ * Cameras relative to the course of a NAO, metres, scaled for other robots: where from and what is looked at. "field"
+ * stands still beside the field.
  */
 const CAMERAS = {
   follow: [
@@ -234,7 +253,8 @@ export class Stage {
     this.sun = new T.DirectionalLight(0xffffff, 1);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(this.sun.shadow.camera, { left: -0.9, right: 0.9, top: 0.9, bottom: -0.9, near: 0.5, far: 8 });
+    const wide = 0.9 * Math.max(1, this.recording.size);
+    Object.assign(this.sun.shadow.camera, { left: -wide, right: wide, top: wide, bottom: -wide, near: 0.5, far: 8 });
     this.sun.shadow.bias = -0.0004;
     this.sun.shadow.normalBias = 0.004;
     this.sun.shadow.radius = 3;
@@ -435,6 +455,13 @@ export class Stage {
       return group;
     };
     if (head >= 0) this.#face(facing(this.parts[head]), bodies[head].size_m[0]);
+    // Some robots have no shape between torso and head.
+    if (head >= 0 && bodies[0]?.shape === "box") {
+      const radius = bodies[head].size_m[0] * 0.4;
+      this.neck = new T.Mesh(new T.CylinderGeometry(radius, radius, 1, 20), this.joint);
+      this.neck.castShadow = true;
+      this.scene.add(this.neck);
+    }
     if (bodies[0]?.shape === "box") {
       const button = new T.Mesh(new T.CylinderGeometry(0.013, 0.013, 0.008, 24), this.glow);
       button.position.set(0, bodies[0].size_m[front] / 2, bodies[0].size_m[2] * 0.18);
@@ -549,7 +576,7 @@ export class Stage {
     } else {
       const up = new T.Vector3(0, 0, 1);
       const [from, to] = CAMERAS[name].map((offset) =>
-        new T.Vector3(...offset).applyAxisAngle(up, this.recording.heading),
+        new T.Vector3(...offset).multiplyScalar(this.recording.size).applyAxisAngle(up, this.recording.heading),
       );
       this.controls.target.copy(this.last).add(to);
       this.camera.position.copy(this.last).add(from);
@@ -582,6 +609,14 @@ export class Stage {
       mesh.position.set(...[0, 1, 2].map((k) => from.position[k] + (to.position[k] - from.position[k]) * mix));
       mesh.quaternion.slerpQuaternions(qa.set(...from.rotation), qb.set(...to.rotation), mix);
     });
+    if (this.neck) {
+      const { position, quaternion } = this.parts[0];
+      const low = new T.Vector3(0, 0, r.bodies[0].size_m[2] * 0.4).applyQuaternion(quaternion).add(position);
+      const along = this.parts[r.head].position.clone().sub(low);
+      this.neck.position.copy(low).addScaledVector(along, 0.5);
+      this.neck.scale.y = along.length();
+      this.neck.quaternion.setFromUnitVectors(new T.Vector3(0, 1, 0), along.normalize());
+    }
     this.arrows.forEach(({ arrow, shaft, tip }, i) => {
       const force = Math.max(0, r.forces[a][i]);
       const foot = this.parts[r.feet[i]];

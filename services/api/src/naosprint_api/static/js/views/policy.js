@@ -72,7 +72,9 @@ function robustness({ robustness: rows, ranges }) {
   if (ranges?.disturbances.length) {
     const title = `Ranges in which at most ${100 * ranges.most_failures} % of ${ranges.episodes} episodes fail`;
     const head = ["Disturbance", "Range"].map((text, i) => heading(text, i > 0));
-    const body = ranges.disturbances.map((each) => line(`${each.disturbance}: ${each.title.toLowerCase()}`, [each.text]));
+    const body = ranges.disturbances.map((each) =>
+      line(`${each.disturbance}: ${each.title.toLowerCase()}`, [each.text]),
+    );
     sections.push([title, table(head, body, { class: "plain", "data-part": "ranges" })]);
   }
   return sections;
