@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Without bytecode each of the tests' thousand processes would compile our packages anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo up test check lint js format types e2e soak world fuzz audit readme docs bench sanitize clean
+.PHONY: help install demo up test check lint js format types e2e soak world fuzz audit readme docs wheels bench sanitize clean
 help:  ## list the targets
 	@grep -hE '^[a-z0-9]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
@@ -82,7 +82,7 @@ audit: $(INSTALLED)  ## known vulnerabilities in Python packages, dev tools and 
 	$(AUDIT)/bin/pip-audit --strict --disable-pip --no-deps -r requirements.txt -r docs/requirements.txt
 	cd services/api && npm audit
 	@if command -v trivy >/dev/null; then \
-	  for image in api worker simserver rcssservermj; do trivy image --exit-code 1 --ignore-unfixed --severity HIGH,CRITICAL naosprint/$$image:0.1.0 || exit 1; done; \
+	  for image in api worker simserver rcssservermj; do trivy image --exit-code 1 --ignore-unfixed --severity HIGH,CRITICAL naosprint/$$image:0.2.0 || exit 1; done; \
 	else echo "The images were NOT scanned: trivy is not installed."; fi
 
 readme:  ## type what the README says into a fresh clone (about 10 minutes)
@@ -90,6 +90,10 @@ readme:  ## type what the README says into a fresh clone (about 10 minutes)
 
 docs: $(INSTALLED)  ## the documentation's site, in build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+wheels: $(INSTALLED)  ## wheels of all packages in dist, for the Python of .venv; `pip install dist/*.whl` needs no checkout
+	rm -rf dist packages/*/build/lib services/*/build/lib
+	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist $(PACKAGES) services/all
 
 bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/naosim bench

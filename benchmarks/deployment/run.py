@@ -223,7 +223,7 @@ def measure_sidecars(project: Project, token: str) -> dict[str, Any]:
     metrics = sql(
         project, f"SELECT values->>'steps_per_s' FROM metrics WHERE job_id = '{job}' ORDER BY step DESC LIMIT 1"
     )
-    image = run(["docker", "image", "inspect", "--format", "{{.Size}}", "naosprint/simserver:0.1.0"]).stdout
+    image = run(["docker", "image", "inspect", "--format", "{{.Size}}", "naosprint/simserver:0.2.0"]).stdout
     return {
         "image_mb": int(image) / MB,
         "submit_to_servers_s": up,

@@ -48,3 +48,20 @@ def test_a_public_class_name_stands_once() -> None:
                 found.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
     twice = {name: paths for name, paths in found.items() if len(paths) > 1}
     assert not twice, twice
+
+
+def test_every_package_has_the_version_of_the_release() -> None:
+    (release,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    found = {}
+    for path in (*ROOT.glob("packages/*/pyproject.toml"), *ROOT.glob("services/*/pyproject.toml")):
+        (found[path],) = re.findall(r'^version = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE)
+    for path in (*ROOT.glob("packages/*/src/*/__init__.py"), *ROOT.glob("services/*/src/*/__init__.py")):
+        for number in re.findall(r'^__version__ = "(.*)"$', path.read_text(encoding="utf-8"), re.MULTILINE):
+            found[path] = number
+    for path in (*ROOT.glob("*.yml"), *ROOT.glob("deploy/**/*.yml"), ROOT / "Makefile", ROOT / ".env.example"):
+        for number in re.findall(r"naosprint/[\w${}]+:(\d[\w.]*)", path.read_text(encoding="utf-8")):
+            found[path, number] = number
+    assert {where: number for where, number in found.items() if number != release} == {}
+    assert len(found) > 15
+    newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert newest is not None and newest[1] == release

@@ -20,4 +20,4 @@ The state of a piece of work is its row in Postgres; a Celery message only wakes
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

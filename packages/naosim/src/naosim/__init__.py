@@ -11,4 +11,4 @@ Importing the package, the robots or the interface loads no simulator.
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
