@@ -526,7 +526,10 @@ def find_migrations() -> Path:
     named = os.environ.get("NAOSPRINT_MIGRATIONS")
     spec = importlib.util.find_spec("naojobs")
     if spec is None or spec.origin is None:
-        raise StackError("The service is not installed", fix="Install it: pip install naosprint-all, or `make install` in a checkout.")
+        raise StackError(
+            "The service is not installed",
+            fix="Install it: pip install naosprint-all, or `make install` in a checkout.",
+        )
     folder = Path(named) if named else Path(spec.origin).with_name("migrations")
     if (folder / "env.py").is_file():
         return folder.resolve()
