@@ -94,6 +94,7 @@ docs: $(INSTALLED)  ## the documentation's site, in build/site
 wheels: $(INSTALLED)  ## wheels of all packages in dist, for the Python of .venv; `pip install dist/*.whl` needs no checkout
 	rm -rf dist packages/*/build/lib services/*/build/lib
 	$(BIN)/python -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist $(PACKAGES) services/all
+	rm -rf packages/*/build/lib packages/*/build/bdist* services/*/build
 
 bench: $(INSTALLED)  ## the engine beside libode (needs libode-dev)
 	$(BIN)/naosim bench
