@@ -56,7 +56,7 @@ def states() -> HandOver:
 
 
 def recorded(n: int, seed: int = 0) -> HandOver:
-    simulator = MujocoSimulator(T1, n, FAST)
+    simulator = MujocoSimulator(T1, n)  # the engine of evaluations, whose bits do not depend on n
     settings = VelocitySettings(name="velocity", forward_min_mps=0.5, forward_max_mps=1.0, stand_fraction=0.0)
     return record(simulator, FrozenPolicy("t1-run"), Velocity, settings, 16, seed)
 
