@@ -32,14 +32,15 @@ os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import matplotlib as mpl
 import naopolicies
-from naospec import EvaluationSpec, TrainingSpec, plugins, recipes
-from naosprint import evaluate
+from naospec import EvaluationSpec, TrainingSpec, recipes
+from naosprint import evaluate, tasks
 from naosprint.analysis import examination, figures
 from naosprint.analysis.report import read_metrics, write_report
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
 from naosprint.rl.candidates import reward_per_step
 from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read_manifest
 from naosprint.rl.columns import columns
+from naosprint.rl.plan import plan
 
 ROOT = Path(__file__).parents[2]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
@@ -174,18 +175,20 @@ def choose(naoctl: Any, job: dict[str, Any], work: Path, latest: int) -> Path:
 def stages(job: str, spec: TrainingSpec, rows: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Describe each stage of a job of the lineage, or the whole job if it has none."""
     found, steps, time_s = [], 0.0, 0.0
-    for number, candidates in enumerate(spec.stage_candidates, start=1):
+    for number in range(1, len(spec.stage_specs) + 1):
+        segments = [segment for segment in plan(spec) if segment.stage == number - 1]
+        candidates = len(segments)
         trained = [row for row in rows if row.get("stage", 1.0) == number]
         if not trained:
             break
         runs = [[row for row in trained if row.get("candidate", 1.0) == k] for k in range(1, candidates + 1)]
         best = max(range(candidates), key=lambda k: reward_per_step(runs[k][-1]) if candidates > 1 else 0.0)
-        mine, stage = runs[best], spec.candidate_spec(number - 1, best)
+        mine, stage = runs[best], segments[best].spec
         begin = steps + best * stage.planned_steps
         # a long training's rows are thinned, so the last of a stage may be missing
         ended = rows[-1].get("stage", 1.0) > number
         shown = mine[:: max(1, len(mine) // CURVE_POINTS)]
-        names = ("step", *stage.task_class.presentation.listed)
+        names = ("step", *tasks.get(stage.task.name).presentation.listed)
         complete = [row for row in shown if all(name in row for name in names)]
         curve = {name: [round(row[name] - (begin if name == "step" else 0.0), 4) for row in complete] for name in names}
         found.append(
@@ -268,7 +271,7 @@ def learning_curves(spec: TrainingSpec, card: dict[str, Any]) -> Any:
             row = dict(zip(part["curve"], values, strict=True))
             rows.append({**row, "step": steps + row["step"], "stage": float(number)})
         steps += part["steps"]
-    presentation = spec.task_class.presentation
+    presentation = tasks.get(spec.task.name).presentation
     results = {name: one["value"] for name, one in by_name(card).items() if one["value"] is not None}
     metrics = {metric.name: metric for metric in columns(spec)}
     return figures.learning_curves(rows, presentation.charts, metrics, presentation.references, (steps, results))
@@ -300,7 +303,7 @@ def page(card: dict[str, Any]) -> str:
     lines += ["", f"![learning curves]({name}/learning-curve.png)", ""]
     for title, (header, *rows) in examination.rows(card):
         lines += [f"## {title}", "", *(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)), ""]
-    repeats = plugins.load(plugins.TASKS, card["task"]).presentation.repeats
+    repeats = tasks.get(card["task"]).presentation.repeats
     lines += ["## Gait" if repeats else "## Motion in pictures", ""]
     lines += [f"![{picture}]({name}/{picture}.png)\n" for picture in pictures_of(card) if picture != "frames"]
     lines += [

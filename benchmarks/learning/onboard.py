@@ -24,12 +24,14 @@ from typing import TYPE_CHECKING, Any
 
 import naopolicies
 import numpy as np
+from naosim import robots
 from naosim.launchers import ProcessLauncher
 from naosim.robots.nao import model_of
 from naosim.simspark import _core, protocol
 from naosim.simspark.control import motor_speeds
 from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D, SERVER_SCRIPT
 from naosim.simulator import STEP_S, Simulator, Truth
+from naosprint import tasks
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.sprint import (
@@ -204,7 +206,7 @@ def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[Float
     """
     policy, manifest = load_policy(checkpoint)
     spec = manifest.stage_spec
-    robot = spec.robot_description
+    robot = robots.configured(spec.robot)
     if not any(each.name == "vision" for each in robot.perceptors):
         raise ValueError(f"robot.onboard_sensing: {checkpoint} was trained without it")
     paths = []
@@ -212,7 +214,7 @@ def play(checkpoint: Path, episodes: int, seed: int, program: str) -> list[Float
         log = Path(scratch) / "game.log"
         launched = replace(RCSSSERVER3D, files={"trainer.rb": SCRIPT.replace("{log}", str(log))})
         player = Player(robot, ProcessLauncher(launched, (program,)))
-        environment = Environment(player, spec.task_class, spec.task, seed)
+        environment = Environment(player, tasks.get(spec.task.name), spec.task, seed)
         try:
             environment.load_starts(environment.task.starts(episodes, seed, spec.task.start_noise_deg))
             for episode in range(episodes):

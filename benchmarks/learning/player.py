@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 import naopolicies
 import numpy as np
+from naosim import robots
 from naosim.launchers import ProcessLauncher, ServerProgram
 from naosim.mujoco.program import RCSSSERVERMJ
 from naosim.mujoco.shapes import body_poses
@@ -95,7 +96,7 @@ def main() -> int:
 
 def replay_of(cycles: np.lib.npyio.NpzFile, spec: TrainingSpec) -> Replay:
     """Return what the agent recorded as a replay, from the cycle on in which the robot stands at its start."""
-    robot = spec.robot_description
+    robot = robots.configured(spec.robot)
     rotations = cycles["rotations"]
     quaternions = np.empty((len(rotations), 4))
     for quaternion, rotation in zip(quaternions, rotations, strict=True):

@@ -29,15 +29,16 @@ from naosprint.threads import quiet_openmp, set_learner_threads
 quiet_openmp()
 
 import numpy as np  # noqa: E402
-from naospec import EvaluationSpec, TrainingSpec, plugins  # noqa: E402
+from naospec import EvaluationSpec, TrainingSpec  # noqa: E402
 from naospec.flat import nest  # noqa: E402
-from naosprint import evaluate, train  # noqa: E402
+from naosprint import evaluate, tasks, train  # noqa: E402
 from naosprint.analysis import figures  # noqa: E402
 from naosprint.analysis.report import read_metrics  # noqa: E402
 from naosprint.analysis.results import by_name  # noqa: E402
 from naosprint.console import listed_text  # noqa: E402
 from naosprint.rl.checkpoint import read_manifest  # noqa: E402
 from naosprint.rl.columns import columns  # noqa: E402
+from naosprint.rl.learner import learner_kind  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
 
@@ -101,7 +102,7 @@ def spec_of(**settings: Any) -> TrainingSpec:
 
 
 DEFAULT = spec_of()
-TASK = DEFAULT.task_class
+TASK = tasks.get(DEFAULT.task.name)
 METRICS = {metric.name: metric for metric in columns(DEFAULT)}
 
 
@@ -177,7 +178,7 @@ def digest(folder: Path, spec: TrainingSpec, *, steps: int) -> dict[str, Any]:
     for checkpoint in sorted(folder.glob("step-*")):
         at = read_manifest(checkpoint).steps
         if 0 < at < steps:
-            episodes = CURVE_EPISODES[spec.robot_description.family]
+            episodes = CURVE_EPISODES[spec.family]
             curve.append({"step": at, **_short(evaluated(checkpoint, episodes))})
     final_checkpoint = max(
         (path for path in folder.glob("step-*") if read_manifest(path).steps <= steps + spec.rollout_steps),
@@ -296,7 +297,7 @@ def throughput(workdir: Path, robot: str | None = None) -> dict[str, Any]:
     set_learner_threads(spec.runtime.learner_threads)
     environment, n_starts = open_training_environment(spec)
     env = TrainingEnvironment.from_spec(spec, environment, n_starts)
-    ppo = plugins.load(plugins.LEARNERS, "ppo").open(spec, env)
+    ppo = learner_kind("ppo").open(spec, env)
     ppo.begin()
     ppo.collect()
     rng = np.random.default_rng(0)
@@ -355,7 +356,7 @@ def threads(workdir: Path) -> dict[str, Any]:
         set_learner_threads(1)
         environment, n_starts = open_training_environment(spec)
         env = TrainingEnvironment.from_spec(spec, environment, n_starts)
-        learners[count] = plugins.load(plugins.LEARNERS, "ppo").open(spec, env)
+        learners[count] = learner_kind("ppo").open(spec, env)
         learners[count].begin()
 
     def collected(count: int) -> int:

@@ -28,7 +28,8 @@ quiet_openmp()
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
-from naospec import TrainingSpec, plugins  # noqa: E402
+from naospec import TrainingSpec  # noqa: E402
+from naosprint.rl.learner import learner_kind  # noqa: E402
 from naosprint.rl.networks import actor_of, critic_of, linear_layers  # noqa: E402
 from naosprint.rl.rollout import TrainingEnvironment  # noqa: E402
 from naosprint.tasks.environment import open_training_environment  # noqa: E402
@@ -47,9 +48,7 @@ SETTINGS: dict[str, Any] = {"simulator_threads": 2, "learner_threads": 2}
 def opened(spec: TrainingSpec) -> PPO:
     """Return a learner with a rollout."""
     environment, n_starts = open_training_environment(spec)
-    ppo: PPO = plugins.load(plugins.LEARNERS, "ppo").open(
-        spec, TrainingEnvironment.from_spec(spec, environment, n_starts)
-    )
+    ppo: PPO = learner_kind("ppo").open(spec, TrainingEnvironment.from_spec(spec, environment, n_starts))
     ppo.begin()
     ppo.collect()
     return ppo

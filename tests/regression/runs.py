@@ -75,6 +75,7 @@ def evaluations() -> dict[str, Any]:
     """Evaluate each bundled policy on the task that it was trained for."""
     import naopolicies
     from naospec import EvaluationSpec
+    from naosprint import tasks
     from naosprint.analysis.evaluation import evaluate
     from naosprint.rl.policy import load_policy
 
@@ -82,7 +83,7 @@ def evaluations() -> dict[str, Any]:
     for name in naopolicies.names():
         folder = naopolicies.folder(name)
         trained = load_policy(folder)[1].spec
-        sprint = "distance_m" in [metric.name for metric in trained.task_class.metrics]
+        sprint = "distance_m" in [metric.name for metric in tasks.get(trained.task.name).metrics]
         spec = EvaluationSpec(task=trained.task.name, episodes=EPISODES if sprint else FEW_EPISODES, seed=0)
         evaluation = evaluate(folder, spec)
         summary = (recorded_form if sprint else plain_form)(evaluation.summary)

@@ -28,7 +28,7 @@ class RunBackwardsSettings(TaskSettings):
     )
 
 
-class RunBackwards(Task):
+class RunBackwards(Task[RunBackwardsSettings]):
     """Run backwards from the middle of the field."""
 
     name = "run-backwards"

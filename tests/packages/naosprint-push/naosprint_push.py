@@ -21,7 +21,7 @@ class PushBallSettings(TaskSettings):
     episode_steps: int = Field(default=250, ge=10, le=10_000, title="Episode length", description="Steps.")
 
 
-class PushBall(Task):
+class PushBall(Task[PushBallSettings]):
     """Push a ball forward that lies before one of the feet."""
 
     name = "push-ball"

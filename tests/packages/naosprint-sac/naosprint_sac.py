@@ -31,7 +31,7 @@ class SACLearner(Learner):
     """Soft actor-critic whose observations are standardized by the moments of the random steps."""
 
     def __init__(self, spec, environment):
-        self.seed, self.settings, self.environment = spec.seed, spec.algorithm, environment
+        self.seed, self.settings, self.environment = spec.seed, SACSettings.of(spec.algorithm), environment
         self.steps = self.updates = 0
         width, n_actions = environment.n_observations, environment.n_actions
         self.model = model = stable_baselines3.SAC(

@@ -35,7 +35,7 @@ class StrollSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     """Fall height, penalties, pushes, noise and delays."""
 
 
-class Stroll(Task):
+class Stroll(Task[StrollSettings]):
     """Walk a metre ahead."""
 
     name = "stroll"

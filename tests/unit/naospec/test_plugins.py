@@ -39,10 +39,10 @@ def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
         plugins, "entry_points", lambda group: [*real(group=group), *(e for e in extra if e.group == group)]
     )
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
     yield extra
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
 
 
 def entry(name: str, value: str) -> EntryPoint:
@@ -126,10 +126,14 @@ def test_settings_must_be_a_section(offered: list[EntryPoint]) -> None:
 TOYS = """
 from __future__ import annotations
 
-from naosim import robots
-from naosim.simulator import SimulatorKind
-from naosprint.rl.learner import LearnerKind
+from naosim import kinds, robots
+from naosim.simulator import Simulator, SimulatorKind
+from naospec import TaskSettings, TrainingSpec, plugins
+from naosprint import tasks
+from naosprint.arrays import IntArray
+from naosprint.rl.learner import LearnerKind, learner_kind
 from naosprint.tasks import Task
+from naosprint.tasks.environment import Environment
 
 
 class Swim(Task):
@@ -198,7 +202,7 @@ def test_a_wrong_return_is_refused(offered: list[EntryPoint], tmp_path: Path, mo
 
 
 def test_a_type_checker_sees_a_wrong_plugin(tmp_path: Path) -> None:
-    """Overrides with another signature or return, and a learner that lacks a method."""
+    """Overrides with another signature or return, a learner that lacks a method, settings and plug-ins used wrongly."""
     (tmp_path / "naotoys.py").write_text(
         f"""{TOYS}
 
@@ -218,6 +222,28 @@ class Missing(LearnerKind):
 
 KIND = Missing()
 robots.get("nao-0").fall_height_m
+
+
+class SwimSettings(TaskSettings):
+    depth_m: float = 2.0
+
+
+class Dive(Task[SwimSettings]):
+    def begin(self, rows: IntArray) -> None:
+        self.arrays["depth"][rows] = self.parameters.depth_cm
+
+
+def use(spec: TrainingSpec, simulator: Simulator) -> None:
+    spec.task.depth_m
+    SwimSettings.of(spec.task).depth_m + 1.0
+    spec.algorithm.learning_rate
+    robots.configured(spec.robot).joint
+    tasks.get(spec.task.name).presentations
+    kinds.get(spec.simulator.name).open(spec.robot, 1, spec.simulator)
+    learner_kind(spec.algorithm.name).load(spec)
+    plugins.load(plugins.ROBOTS, "t1").supports
+    Environment(simulator, Missing, spec.task)
+    Environment(simulator, Dive, spec.simulator)
 """,
         encoding="utf-8",
     )
@@ -234,5 +260,15 @@ robots.get("nao-0").fall_height_m
         'Signature of "ended" incompatible with supertype "naosprint.tasks.base.Task"',
         'Cannot instantiate abstract class "Missing" with abstract attributes "load_policy" and "open"',
         '"Robot" has no attribute "fall_height_m"',
+        '"SwimSettings" has no attribute "depth_cm"; maybe "depth_m"?',
+        '"TaskSettings" has no attribute "depth_m"',
+        '"LearnerSettings" has no attribute "learning_rate"',
+        '"Robot" has no attribute "joint"; maybe "joints"?',
+        '"type[Task[TaskSettings]]" has no attribute "presentations"',
+        'Argument 1 to "open" of "SimulatorKind" has incompatible type "Section"; expected "Robot"',
+        '"LearnerKind" has no attribute "load"',
+        '"RobotContract" has no attribute "supports"',
+        'Argument 2 to "Environment" has incompatible type "type[Missing]"; expected "type[Task[TaskSettings]]"',
+        'Argument 3 to "Environment" has incompatible type "SimulatorSettings"; expected "TaskSettings"',
     ):
         assert error in done.stdout, done.stdout + done.stderr

@@ -6,6 +6,7 @@ import naopolicies
 import pytest
 from naosim import robots
 from naospec import EvaluationSpec, TrainingSpec, plugins, presets, recipes
+from naosprint.rl.plan import plan
 from naosprint.tasks.robot_defaults import robot_defaults
 
 
@@ -62,10 +63,11 @@ def test_recipes_of_bundled_policies_are_their_lineage(name: str) -> None:
     lineage = naopolicies.card(name)["lineage"][-len(spec.stage_specs) :]
     assert len(lineage) == len(spec.stage_specs)
     for number, past in enumerate(lineage):
-        seeds = [spec.candidate_spec(number, k).seed for k in range(spec.stage_candidates[number])]
-        stage = spec.candidate_spec(number, seeds.index(past["seed"]))
+        candidates = [segment.spec for segment in plan(spec) if segment.stage == number]
+        seeds = [candidate.seed for candidate in candidates]
+        stage = candidates[seeds.index(past["seed"])]
         assert past.get("candidates", 1) == len(seeds)
-        height = robot_defaults(stage.robot_description).erect_height_m
+        height = robot_defaults(robots.configured(stage.robot)).erect_height_m
         assert (getattr(stage.task, "min_height_m", None) == height) == past["task"].endswith("-erect")
         assert (stage.robot.name, stage.algorithm.preset, stage.seed) == (past["robot"], past["preset"], past["seed"])
         # the last jobs of two lineages were not trained to their end

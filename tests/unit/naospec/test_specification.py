@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from naosim import robots
-from naospec import EvaluationSpec, TrainingSpec, needs, plugins, presets, validation_words
+from naospec import EvaluationSpec, TrainingSpec, plugins, presets, validation_words
 from naospec.flat import MOVED, nest, settings
 from naospec.sections import variants
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -176,13 +176,12 @@ def test_specification_is_frozen() -> None:
 def test_planned_steps_are_whole_rollouts() -> None:
     """Total steps are rounded up to whole rollouts, those of each stage by themselves."""
     spec = spec_of(total_steps=200_000)
-    assert (spec.rollout_steps, spec.planned_steps, spec.stage_ends) == (8_192, 25 * 8_192, (25 * 8_192,))
+    assert (spec.rollout_steps, spec.planned_steps) == (8_192, 25 * 8_192)
     staged = TrainingSpec.model_validate(
         {"stages": [{"steps": 10_000}, {"steps": 10_000, "algorithm": {"n_steps": 128}}]}
     )
     assert staged.total_steps == 20_000
-    assert staged.stage_ends == (2 * 8_192, 2 * 8_192 + 16_384)
-    assert staged.planned_steps == staged.stage_ends[-1]
+    assert staged.planned_steps == 2 * 8_192 + 16_384
 
 
 def test_stages_override_algorithm_and_task() -> None:
@@ -307,16 +306,6 @@ def test_nest_puts_values_in_their_sections() -> None:
     for name in ("colour", "weather.rain", "task.a.b"):
         with pytest.raises(KeyError, match=name):
             nest({name: 1})
-
-
-def test_needs_are_what_a_worker_must_have() -> None:
-    assert needs(spec_of(task="sprint2", robot="nao-3")) == {
-        "task": "sprint2",
-        "task_version": 1,
-        "robot": "nao-3",
-        "simulator": "embedded",
-        "algorithm": "ppo",
-    }
 
 
 def test_evaluations_run_the_trainings_task_or_another() -> None:

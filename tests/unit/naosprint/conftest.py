@@ -57,7 +57,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
 
     def clear() -> None:
         plugins._entries.cache_clear()
-        plugins.load.cache_clear()
+        plugins._load.cache_clear()
 
     def offer(name: str, more: Mapping[str, Mapping[str, str]] = MappingProxyType({})) -> None:
         folder = Path(__file__).parents[2] / "packages" / name

@@ -30,7 +30,7 @@ def test_a_variant_is_trained_evaluated_and_exported(robot: str, usual: str, tmp
     spec = TrainingSpec.model_validate(
         {"robot": robot, "algorithm": settings, "total_steps": 128, "runtime": {"learner_threads": 1}}
     )
-    own, theirs = spec.robot_description, robots.get(usual)
+    own, theirs = robots.configured(spec.robot), robots.get(usual)
     assert (own.nominal != theirs.nominal).any()
     assert robot_defaults(own) == robot_defaults(theirs)
     result = train(spec, workdir=tmp_path / "run", reporter=recorder)
@@ -46,7 +46,7 @@ def test_a_variant_is_trained_evaluated_and_exported(robot: str, usual: str, tmp
 
 def test_the_gains_of_a_variant_are_those_of_its_settings() -> None:
     for name, kp in (("t1", 120.0), ("t1-crouched", 100.0)):
-        described = TrainingSpec.model_validate({"robot": name}).robot_description
+        described = robots.configured(TrainingSpec.model_validate({"robot": name}).robot)
         assert described.parameters.gains("left_knee_pitch")[0] == kp
 
 

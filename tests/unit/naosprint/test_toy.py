@@ -97,10 +97,10 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         plugins, "entry_points", lambda group: [*real(group=group), *(e for e in extra if e.group == group)]
     )
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
     yield
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
 
 
 def crawl_spec(total_steps: int = 32_768) -> TrainingSpec:
@@ -183,7 +183,7 @@ def test_a_number_that_is_not_finite_is_named_once_and_ends_nothing(
 
 
 def test_candidates_are_compared_by_finite_rewards() -> None:
-    candidates = Candidates(2)
+    candidates = Candidates()
     candidates.add({"reward": np.nan, "episode_length": 10.0}, {"a": np.zeros(1)})
     candidates.add({"reward": -5.0, "episode_length": 10.0}, {"a": np.ones(1)})
     assert candidates.best is not None

@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import pytest
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Requests
+from naojobs.leases import Requests
 from naojobs.models import WorkKind
 from naojobs.states import WorkState
 from naosprint_worker.child import TrainingProcess

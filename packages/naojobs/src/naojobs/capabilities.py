@@ -28,7 +28,7 @@ class Requirements:
     @classmethod
     def of_training(cls, spec: TrainingSpec) -> Requirements:
         """Return the requirements of a training."""
-        return cls(spec.task.name, spec.task.version, spec.robot.name, spec.simulator.name, spec.algorithm.name)
+        return cls(spec.task.name, spec.task_version, spec.robot.name, spec.simulator.name, spec.algorithm.name)
 
     @classmethod
     def of_evaluation(cls, spec: EvaluationSpec, job: Job) -> Requirements:
@@ -99,10 +99,8 @@ def waiting_reasons(session: Session, work: Iterable[Work], workers: Sequence[Wo
 def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
     if not workers:
         return "no worker is running"
-    if any(work.queue in worker.queues and _capabilities(worker).meets(work) for worker in workers):
+    if any(_capabilities(worker).meets(work) for worker in workers):
         return None
-    if not any(work.queue in worker.queues for worker in workers):
-        return f"no worker serves queue {work.queue!r}"
     if not any(work.simulator in worker.simulators for worker in workers):
         return f"no worker has simulator {work.simulator!r}"
     if not any(work.robot in worker.robots for worker in workers):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from naosim.launchers import most_servers
 from naosim.simulator import (
@@ -20,10 +20,11 @@ from naosim.simulator import (
     Scene,
     Simulator,
     SimulatorKind,
-    SimulatorParameters,
 )
 
 if TYPE_CHECKING:
+    from naospec import SimulatorSettings
+
     from naosim.robots import Robot
 
 FAMILIES: Mapping[str, str] = {
@@ -49,8 +50,7 @@ def get(name: str) -> SimulatorKind:
     """
     from naospec import plugins
 
-    kind: SimulatorKind = plugins.load(plugins.SIMULATORS, name)
-    return kind
+    return cast("SimulatorKind", plugins.load(plugins.SIMULATORS, name))
 
 
 class _FamilyKind(SimulatorKind):
@@ -71,7 +71,7 @@ class _FamilyKind(SimulatorKind):
         """Return what the family's simulator can do with the robot."""
         return self._of(robot).abilities(robot)
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings that the family's simulator takes."""
         return self._of(robot).parameters(robot)
 
@@ -79,7 +79,7 @@ class _FamilyKind(SimulatorKind):
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:

@@ -12,11 +12,11 @@ from abc import ABC, abstractmethod
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from naospec.plugins import SIMULATORS, Plugin
-from naospec.sections import Section
+from naospec.specification import SimulatorSettings
 from numpy.typing import NDArray
 
 from naosim.robots.description import PerceptorDescription, Shape
@@ -50,14 +50,6 @@ class ServerLostError(RuntimeError):
 
 class ServersUnavailableError(ServerLostError):
     """Loss of a server while nothing answers that could start another one."""
-
-
-class SimulatorParameters(Section):
-    """Base of a simulator's settings that change what it computes; they are part of a training's specification."""
-
-    def for_evaluation(self) -> Self:
-        """Return the settings with which policies that were trained with these are evaluated."""
-        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -582,17 +574,17 @@ class SimulatorKind(ABC, Plugin):
         if refusal:
             raise ValueError(refusal)
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings that it takes for this robot."""
         del robot
-        return SimulatorParameters
+        return SimulatorSettings
 
     @abstractmethod
     def open(
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:

@@ -11,7 +11,7 @@ or :data:`DEMONSTRATIONS`. A task lists in its ``needs`` what it needs with any 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
@@ -20,6 +20,7 @@ from naospec import plugins
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
+    from naospec.contracts import RobotContract, SimulatorContract, TaskContract
     from naospec.sections import Section
 
 DEMONSTRATIONS = "demonstrations"
@@ -37,18 +38,32 @@ def need_of(setting: FieldInfo) -> str | None:
     return str(extra["needs"]) if isinstance(extra, dict) and "needs" in extra else None
 
 
-def provided(group: str, plugin: Any, robot: Any) -> frozenset[str]:
-    """Return what a robot, simulator or task provides in a specification with this robot."""
+def provided(group: str, name: str, robot: RobotContract) -> frozenset[str]:
+    """Return what the robot, simulator or task of this name provides in a specification with this robot."""
     if group == plugins.ROBOTS:
-        return frozenset(perceptor(each.name) for each in plugin.perceptors)
+        return _by_robot(plugins.load(plugins.ROBOTS, name))
     if group == plugins.SIMULATORS:
-        return frozenset(str(each) for each in plugin.abilities(robot)) if plugin.supports(robot) else frozenset()
+        return _by_simulator(plugins.load(plugins.SIMULATORS, name), robot)
     if group == plugins.TASKS:
-        return frozenset({DEMONSTRATIONS}) if plugin.demonstrates(robot) else frozenset()
+        return _by_task(plugins.load(plugins.TASKS, name), robot)
     return frozenset()
 
 
-def lacking(robot: Any, simulator: Any, task: Any, sections: dict[str, Section]) -> Iterator[InitErrorDetails]:
+def _by_robot(robot: RobotContract) -> frozenset[str]:
+    return frozenset(perceptor(each.name) for each in robot.perceptors)
+
+
+def _by_simulator(simulator: SimulatorContract, robot: RobotContract) -> frozenset[str]:
+    return frozenset(map(str, simulator.abilities(robot))) if simulator.supports(robot) else frozenset()
+
+
+def _by_task(task: TaskContract, robot: RobotContract) -> frozenset[str]:
+    return frozenset({DEMONSTRATIONS}) if task.demonstrates(robot) else frozenset()
+
+
+def lacking(
+    robot: RobotContract, simulator: SimulatorContract, task: TaskContract, sections: dict[str, Section]
+) -> Iterator[InitErrorDetails]:
     """Yield an error for everything that the task, or a setting of ``sections``, needs and nothing provides."""
     there = _of(robot, simulator, task)
     for need in sorted(map(str, task.needs)):
@@ -61,13 +76,18 @@ def lacking(robot: Any, simulator: Any, task: Any, sections: dict[str, Section])
                 yield _error((place, name), value, required, robot, simulator, task, "leave it out")
 
 
-def _of(robot: Any, simulator: Any, task: Any) -> frozenset[str]:
-    parts = ((plugins.ROBOTS, robot), (plugins.SIMULATORS, simulator), (plugins.TASKS, task))
-    return frozenset().union(*(provided(group, plugin, robot) for group, plugin in parts))
+def _of(robot: RobotContract, simulator: SimulatorContract, task: TaskContract) -> frozenset[str]:
+    return _by_robot(robot) | _by_simulator(simulator, robot) | _by_task(task, robot)
 
 
 def _error(
-    place: tuple[str, ...], value: Any, need: str, robot: Any, simulator: Any, task: Any, remedy: str
+    place: tuple[str, ...],
+    value: object,
+    need: str,
+    robot: RobotContract,
+    simulator: SimulatorContract,
+    task: TaskContract,
+    remedy: str,
 ) -> InitErrorDetails:
     """Return the error of a value that needs what is not there, with the robots and simulators that have it."""
     possible = [

@@ -9,26 +9,41 @@ A package offers one by an entry point in its metadata, whose name is the name t
 from __future__ import annotations
 
 import inspect
+import logging
 import threading
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from types import UnionType
-from typing import Any, ClassVar, get_origin, get_type_hints
+from typing import Any, ClassVar, Generic, TypeVar, get_origin, get_type_hints
 
-ROBOTS = "naosim.robots"
-SIMULATORS = "naosim.simulators"
-TASKS = "naosprint.tasks"
-LEARNERS = "naosprint.learners"
-ROBOT_DEFAULTS = "naosprint.robots"
+from naospec.contracts import LearnerContract, RobotContract, SimulatorContract, TaskContract
 
-_BASES = {
+Found = TypeVar("Found", covariant=True)
+
+
+class Group(str, Generic[Found]):
+    """Name of an entry-point group, with the type of what it offers."""
+
+    __slots__ = ()
+
+
+ROBOTS = Group[RobotContract]("naosim.robots")
+SIMULATORS = Group[SimulatorContract]("naosim.simulators")
+TASKS = Group[TaskContract]("naosprint.tasks")
+LEARNERS = Group[LearnerContract]("naosprint.learners")
+ROBOT_DEFAULTS = Group[Callable[[Any], object]]("naosprint.robots")
+
+_BASES: dict[str, str] = {
     ROBOTS: "naosim.robots.Robot",
     SIMULATORS: "naosim.simulator.SimulatorKind",
     TASKS: "naosprint.tasks.Task",
     LEARNERS: "naosprint.rl.learner.LearnerKind",
 }
-_NOUNS = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
+_NOUNS: dict[str, str] = {ROBOTS: "robot", SIMULATORS: "simulator", TASKS: "task", LEARNERS: "algorithm"}
 
+
+_log = logging.getLogger(__name__)
 
 # Python refuses an import where threads import modules that need each other. Reentrant: plug-ins load others.
 _LOADING = threading.RLock()
@@ -70,8 +85,7 @@ def names(group: str) -> tuple[str, ...]:
     return tuple(sorted(_entries(group)))
 
 
-@cache
-def load(group: str, name: str) -> Any:
+def load(group: Group[Found], name: str) -> Found:
     """Return what a group offers under ``name``.
 
     Raises:
@@ -79,6 +93,21 @@ def load(group: str, name: str) -> Any:
         BrokenPluginError: if it cannot be imported, or is not what the group expects; the message names package, class
             and method.
     """
+    found: Found = _load(group, name)
+    return found
+
+
+def usable(group: Group[Found]) -> Iterator[tuple[str, Found]]:
+    """Yield what a group offers by name; what cannot be loaded is logged and left out."""
+    for name in names(group):
+        try:
+            yield name, load(group, name)
+        except BrokenPluginError as error:
+            _log.warning("left out: %s", error)
+
+
+@cache
+def _load(group: str, name: str) -> Any:
     entry = _entries(group).get(name)
     if entry is None:
         raise UnknownPluginError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, SerializationInfo, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic.json_schema import JsonSchemaValue
     from pydantic_core import CoreSchema
+
+    from naospec.contracts import RobotContract, SimulatorContract, TaskContract
 
 
 PLAIN_NAME = "^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
@@ -47,13 +49,24 @@ class Section(BaseModel):
     name: str = Field(default="", title="Name", description="Which plug-in the section configures.")
 
     @classmethod
+    def of(cls, section: Section) -> Self:
+        """Return a specification's section as these settings: ``KickSettings.of(spec.task)``.
+
+        Raises:
+            TypeError: if it has the settings of another plug-in.
+        """
+        if not isinstance(section, cls):
+            raise TypeError(f"{section.name}: expected {cls.__name__}, got {type(section).__name__}")
+        return section
+
+    @classmethod
     def replacement(cls, name: str, value: object) -> str:
         """Return what replaces a setting that an older version had, with its value; empty if it had none."""
         del name, value
         return ""
 
 
-def section_models(group: str, name: str, robot: Any = None) -> type[Section]:
+def section_models(group: str, name: str, robot: RobotContract | None = None) -> type[Section]:
     """Return the settings model of one plug-in.
 
     Args:
@@ -64,13 +77,17 @@ def section_models(group: str, name: str, robot: Any = None) -> type[Section]:
     Raises:
         UnknownPluginError: if there is no such plug-in.
     """
-    plugin = plugins.load(group, name)
+    model: type[BaseModel]
     if group == plugins.ROBOTS:
-        model = type(plugin.parameters)
+        model = type(plugins.load(plugins.ROBOTS, name).parameters)
     elif group == plugins.SIMULATORS:
-        model = plugin.parameters(robot)
+        if robot is None:
+            raise ValueError(f"robot: the settings of simulator {name} depend on it; pass one")
+        model = plugins.load(plugins.SIMULATORS, name).parameters(robot)
+    elif group == plugins.TASKS:
+        model = plugins.load(plugins.TASKS, name).Parameters
     else:
-        model = plugin.Parameters
+        model = plugins.load(plugins.LEARNERS, name).Parameters
     if not issubclass(model, Section):
         raise plugins.BrokenPluginError(f"{group}: {name}: its settings must subclass naospec.Section")
     return model
@@ -82,7 +99,9 @@ def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]
         if group not in (plugins.SIMULATORS, plugins.TASKS):
             yield name, section_models(group, name), ()
             continue
-        plugin = plugins.load(group, name)
+        plugin: SimulatorContract | TaskContract = (
+            plugins.load(plugins.SIMULATORS, name) if group == plugins.SIMULATORS else plugins.load(plugins.TASKS, name)
+        )
         by_model: dict[type[Section], list[str]] = {}
         for robot_name in plugins.names(plugins.ROBOTS):
             robot = plugins.load(plugins.ROBOTS, robot_name)
@@ -94,8 +113,7 @@ def variants(group: str) -> Iterator[tuple[str, type[Section], tuple[str, ...]]]
 
 def _provided(group: str, name: str, robots: Iterable[str]) -> dict[str, list[str]]:
     """Return what a plug-in provides, by robot."""
-    plugin = plugins.load(group, name)
-    by_robot = {robot: provided(group, plugin, plugins.load(plugins.ROBOTS, robot)) for robot in robots}
+    by_robot = {robot: provided(group, name, plugins.load(plugins.ROBOTS, robot)) for robot in robots}
     return {robot: sorted(there) for robot, there in by_robot.items() if there}
 
 
@@ -138,8 +156,9 @@ def _require_known(values: Mapping[str, Any], model: type[Section], owner: str) 
 class PluginSection:
     """Annotation of a field that contains a section whose model its ``name`` decides: its validation and schema."""
 
-    def __init__(self, group: str) -> None:
+    def __init__(self, group: str, base: type[Section]) -> None:
         self.group = group
+        self.base = base
 
     def validate(self, value: Any, info: ValidationInfo) -> Any:
         """Return the section that a name or mapping stands for."""
@@ -159,17 +178,25 @@ class PluginSection:
         if self.group == plugins.SIMULATORS:
             section = (info.data or {}).get("robot")
             if section is None:
-                return Section(name=name)  # the robot's own error is enough
+                return self.base(name=name)  # the robot's own error is enough
             robot = plugins.load(plugins.ROBOTS, section.name)
-            kind = plugins.load(self.group, name)
+            kind = plugins.load(plugins.SIMULATORS, name)
             if not kind.supports(robot):
-                possible = [n for n in plugins.names(self.group) if plugins.load(self.group, n).supports(robot)]
+                possible = [
+                    other
+                    for other in plugins.names(self.group)
+                    if plugins.load(plugins.SIMULATORS, other).supports(robot)
+                ]
                 raise PydanticCustomError(
                     "simulator_robot",
                     "'{name}' cannot run robot '{robot}': choose one of {names}",
                     {"name": name, "robot": robot.name, "names": ", ".join(possible)},
                 )
         model = section_models(self.group, name, robot)
+        if not issubclass(model, self.base):
+            raise plugins.BrokenPluginError(
+                f"{self.group}: {name}: its settings must subclass naospec.{self.base.__name__}"
+            )
         _require_known(value, model, name if robot is None else f"{name} with robot {robot.name}")
         return model.model_validate(dict(value))
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -15,17 +14,17 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from naospec import formats, plugins, presets
 from naospec.abilities import lacking
 from naospec.flat import GROUPS, MOVED
-from naospec.sections import PluginSection, Section, as_mapping
+from naospec.sections import PluginSection, Section, as_mapping, section_models
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from naospec.contracts import RobotContract, TaskContract
 
 DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
 """Names of the sections that a specification omits."""
 
 DEFAULT_PRESET = "fast"
-
-_CANDIDATE_SEED_STEP = 1000
 
 
 class TaskSettings(Section):
@@ -75,6 +74,14 @@ class TaskSettings(Section):
 
     def for_evaluation(self) -> Self:
         """Return the settings for episodes of evaluations; the same by default."""
+        return self
+
+
+class SimulatorSettings(Section):
+    """Settings that change what a simulator computes; a simulator adds its own for each family of robots."""
+
+    def for_evaluation(self) -> Self:
+        """Return the settings with which policies that were trained with these are evaluated."""
         return self
 
 
@@ -221,28 +228,33 @@ class TrainingSpec(_Specification):
     plug-in alone: ``TrainingSpec(robot="t1")``.
     """
 
-    task: Annotated[Any, PluginSection(plugins.TASKS)] = Field(
+    if TYPE_CHECKING:
+
+        def __init__(self, **settings: object) -> None:
+            """Accept sections as names, mappings or settings; validation decides."""
+
+    task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings)] = Field(
         default=None,
         validate_default=True,
         title="Task",
         description="What to learn.",
         json_schema_extra={"default": {"name": DEFAULTS["task"]}},
     )
-    robot: Annotated[Any, PluginSection(plugins.ROBOTS)] = Field(
+    robot: Annotated[Section, PluginSection(plugins.ROBOTS, Section)] = Field(
         default=None,
         validate_default=True,
         title="Robot",
         description="The robot.",
         json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
     )
-    simulator: Annotated[Any, PluginSection(plugins.SIMULATORS)] = Field(
+    simulator: Annotated[SimulatorSettings, PluginSection(plugins.SIMULATORS, SimulatorSettings)] = Field(
         default=None,
         validate_default=True,
         title="Simulator",
         description="Where the robot runs.",
         json_schema_extra={"default": {"name": DEFAULTS["simulator"]}},
     )
-    algorithm: Annotated[Any, PluginSection(plugins.LEARNERS)] = Field(
+    algorithm: Annotated[LearnerSettings, PluginSection(plugins.LEARNERS, LearnerSettings)] = Field(
         default=None,
         validate_default=True,
         title="Algorithm",
@@ -288,20 +300,22 @@ class TrainingSpec(_Specification):
         for section, name in DEFAULTS.items():
             value = as_mapping(filled.get(section) if filled.get(section) is not None else {})
             filled[section] = {"name": name, **value} if isinstance(value, dict) else value
-        robot = _plugin(plugins.ROBOTS, filled["robot"])
+        robot = _name(plugins.ROBOTS, filled["robot"])
+        family = None if robot is None else plugins.load(plugins.ROBOTS, robot).family
         algorithm = filled["algorithm"]
         preset = algorithm.get("preset", DEFAULT_PRESET) if isinstance(algorithm, dict) else None
         if isinstance(preset, str) and preset in presets.names():
             for section in presets.SECTIONS:
-                plugin = _plugin(GROUPS[section], filled[section])
+                plugin = _name(GROUPS[section], filled[section])
                 if plugin is None:
                     continue
-                values = presets.values(preset, section, getattr(robot, "family", None))
-                offered = {name: value for name, value in values.items() if name in plugin.Parameters.model_fields}
+                fields = section_models(GROUPS[section], plugin).model_fields
+                values = presets.values(preset, section, family)
+                offered = {name: value for name, value in values.items() if name in fields}
                 filled[section] = {**offered, **filled[section]}
-        task = _plugin(plugins.TASKS, filled["task"])
+        task = _name(plugins.TASKS, filled["task"])
         if task is not None and filled["task"].get("version") is None:
-            filled["task"] = {**filled["task"], "version": task.version}
+            filled["task"] = {**filled["task"], "version": plugins.load(plugins.TASKS, task).version}
         stages = filled.get("stages")
         # what is no list of stages is left to the field's own validation
         known = isinstance(stages, list | tuple) and all(isinstance(stage, dict | Stage) for stage in stages)
@@ -314,7 +328,7 @@ class TrainingSpec(_Specification):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        robot, task = self.robot_description, self.task_class
+        robot, task = self._robot, self._task
         if self.task.version != task.version:
             raise PydanticCustomError(
                 "task_version",
@@ -350,20 +364,29 @@ class TrainingSpec(_Specification):
         return self
 
     @cached_property
-    def robot_description(self) -> Any:
-        """The ``naosim.robots.Robot`` that the section ``robot`` names, with its settings."""
-        robot = plugins.load(plugins.ROBOTS, self.robot.name)
-        return robot.with_parameters(self.robot.model_dump())
+    def _robot(self) -> RobotContract:
+        """The robot that the section ``robot`` names, with its settings."""
+        return plugins.load(plugins.ROBOTS, self.robot.name).with_parameters(self.robot.model_dump())
 
     @property
-    def task_class(self) -> Any:
-        """The subclass of ``naosprint.tasks.Task`` that the section ``task`` names."""
+    def _task(self) -> TaskContract:
+        """The task that the section ``task`` names."""
         return plugins.load(plugins.TASKS, self.task.name)
+
+    @property
+    def task_version(self) -> int:
+        """Version of the task."""
+        return self._task.version  # validation has compared it with the section's
+
+    @property
+    def family(self) -> str:
+        """Family of the robot."""
+        return self._robot.family
 
     @property
     def rollout_steps(self) -> int:
         """Samples of one rollout: environments times steps of each."""
-        return int(self.algorithm.rollout_steps)
+        return self.algorithm.rollout_steps
 
     @cached_property
     def stage_specs(self) -> tuple[TrainingSpec, ...]:
@@ -401,27 +424,8 @@ class TrainingSpec(_Specification):
         """Steps that the training takes: those of each stage and candidate rounded up to whole rollouts."""
         if not self.stages:
             return -(-self.total_steps // self.rollout_steps) * self.rollout_steps
-        return self.stage_ends[-1]
-
-    @property
-    def stage_ends(self) -> tuple[int, ...]:
-        """Steps at which each stage ends."""
         steps = (spec.planned_steps for spec in self.stage_specs)
-        return tuple(accumulate(count * number for count, number in zip(steps, self.stage_candidates, strict=True)))
-
-    @property
-    def stage_candidates(self) -> tuple[int, ...]:
-        """Number of candidates of each stage."""
-        return tuple(stage.candidates for stage in self.stages) or (1,)
-
-    def candidate_spec(self, stage: int, candidate: int) -> TrainingSpec:
-        """Return the specification of one candidate of a stage; both are counted from 0.
-
-        The first candidate has the stage's seed; each further one adds 1,000.
-        """
-        spec = self.stage_specs[stage]
-        seed = (spec.seed + _CANDIDATE_SEED_STEP * candidate) % 2**31
-        return spec if candidate == 0 else spec.model_copy(update={"seed": seed})
+        return sum(count * stage.candidates for count, stage in zip(steps, self.stages, strict=True))
 
     def overrides(self) -> dict[str, Any]:
         """Return the settings that differ from the preset, by path: ``algorithm.learning_rate``.
@@ -429,7 +433,7 @@ class TrainingSpec(_Specification):
         What a learner offers beyond the preset is compared with its default.
         """
         found: dict[str, Any] = {}
-        family = self.robot_description.family
+        family = self.family
         for section in presets.SECTIONS:
             values = presets.values(self.algorithm.preset, section, family)
             if section == "algorithm":
@@ -450,12 +454,12 @@ class TrainingSpec(_Specification):
         """
         content = self.model_dump(mode="json", exclude_defaults=False)
         changed = self.overrides()
-        family = self.robot_description.family
+        family = self.family
         for section in presets.SECTIONS:
             for name in presets.values(self.algorithm.preset, section, family):
                 if f"{section}.{name}" not in changed:
                     content[section].pop(name, None)
-        bare = self.task_class.resolve(type(self.task)(name=self.task.name), self.robot_description)
+        bare = self._task.resolve(type(self.task)(name=self.task.name), self._robot)
         for section, default in (
             ("task", bare),
             *((name, type(getattr(self, name))()) for name in GROUPS if name != "task"),
@@ -474,11 +478,16 @@ class TrainingSpec(_Specification):
 class EvaluationSpec(_Specification):
     """Specification of an evaluation of a policy."""
 
+    if TYPE_CHECKING:
+
+        def __init__(self, **settings: object) -> None:
+            """Accept sections as names, mappings or settings; validation decides."""
+
     episodes: int = Field(default=1000, ge=1, le=1_000_000, title="Episodes", description="Episodes to run.")
     seed: int = Field(
         default=0, ge=0, le=2**31 - 1, title="Seed", description="Seed of the starts and of the bootstrap intervals."
     )
-    task: Annotated[Any, PluginSection(plugins.TASKS)] | None = Field(
+    task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings)] | None = Field(
         default=None,
         title="Task",
         description="Task to run, with its settings; left out: the training's.",
@@ -575,23 +584,10 @@ def _of_this_format(kind: formats.Kind, data: dict[str, Any]) -> dict[str, Any]:
     return formats.current(kind, data) if "format" in data else dict(data)
 
 
-def needs(spec: TrainingSpec) -> dict[str, Any]:
-    """Return what a worker must have installed to run a training: task, its version, robot, simulator, algorithm."""
-    return {
-        "task": spec.task.name,
-        "task_version": spec.task.version,
-        "robot": spec.robot.name,
-        "simulator": spec.simulator.name,
-        "algorithm": spec.algorithm.name,
-    }
-
-
-def _plugin(group: str, section: Any) -> Any:
-    """Return the plug-in that a section names, or None if validation will fail."""
+def _name(group: str, section: Any) -> str | None:
+    """Return the name of the plug-in that a section names, or None if validation will fail."""
     name = section.get("name") if isinstance(section, dict) else None
-    if not isinstance(name, str) or name not in plugins.names(group):
-        return None
-    return plugins.load(group, name)
+    return name if isinstance(name, str) and name in plugins.names(group) else None
 
 
 def _refuse_flat_form(title: str, data: dict[str, Any]) -> None:

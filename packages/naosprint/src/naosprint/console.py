@@ -9,6 +9,7 @@ from naospec.files import named_errors
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from naosprint import tasks
 from naosprint.rl.columns import columns
 from naosprint.tasks.metrics import format_value
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 def listed_text(spec: TrainingSpec, row: Mapping[str, float]) -> list[str]:
     """Return the metrics of a row that the task shows first: ``["distance 27.95 m", "falls 0.4 %"]``."""
     known = {metric.name: metric for metric in columns(spec)}
-    listed = [known[name] for name in spec.task_class.presentation.listed if name in row]
+    listed = [known[name] for name in tasks.get(spec.task.name).presentation.listed if name in row]
     return [f"{metric.title.lower()} {format_value(metric, row[metric.name])}" for metric in listed]
 
 

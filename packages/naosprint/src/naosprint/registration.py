@@ -6,6 +6,8 @@ import logging
 
 from naospec import plugins
 
+from naosprint import tasks
+
 logger = logging.getLogger(__name__)
 
 NAMESPACE = "naosprint"
@@ -32,7 +34,7 @@ def register_envs() -> None:
     wanted = {DEFAULT_ID: DEFAULTS["task"]}
     for name in plugins.names(plugins.TASKS):
         try:
-            wanted[env_id(name, plugins.load(plugins.TASKS, name).version)] = name
+            wanted[env_id(name, tasks.get(name).version)] = name
         except plugins.BrokenPluginError as error:
             logger.debug("not registered: %s", error)
     for identity, name in wanted.items():

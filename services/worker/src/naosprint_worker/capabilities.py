@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
-from typing import Any
 
 from naojobs.capabilities import Capabilities
 from naospec import plugins
@@ -18,20 +17,11 @@ logger = logging.getLogger(__name__)
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return installed tasks and algorithms, simulators that the settings allow, and robots that one of them runs."""
     return Capabilities(
-        tasks={name: int(task.version) for name, task in _loaded(plugins.TASKS)},
+        tasks={name: task.version for name, task in plugins.usable(plugins.TASKS)},
         robots=list(_robots(settings)),
         simulators=list(settings.worker_queues),
-        algorithms=[name for name, _ in _loaded(plugins.LEARNERS)],
+        algorithms=[name for name, _ in plugins.usable(plugins.LEARNERS)],
     )
-
-
-def _loaded(group: str) -> Iterator[tuple[str, Any]]:
-    """Yield what a group offers with its name; what cannot be loaded is left out."""
-    for name in plugins.names(group):
-        try:
-            yield name, plugins.load(group, name)
-        except plugins.BrokenPluginError as error:
-            logger.warning("left out: %s", error)
 
 
 def _robots(settings: WorkerSettings) -> Iterator[str]:

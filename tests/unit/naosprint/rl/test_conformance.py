@@ -35,10 +35,10 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         plugins, "entry_points", lambda group: [*real(group=group), *([entry] if group == entry.group else [])]
     )
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
     yield
     plugins._entries.cache_clear()
-    plugins.load.cache_clear()
+    plugins._load.cache_clear()
     sys.modules.pop("naosprint_sac", None)
 
 

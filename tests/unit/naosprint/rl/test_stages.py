@@ -11,6 +11,7 @@ import pytest
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
 from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
+from naosprint.rl.plan import plan
 from naosprint.rl.reporter import NullReporter
 
 from ..checkpoints import assert_same  # noqa: TID252 - a module of these tests
@@ -168,7 +169,16 @@ def alone(make_spec: Make, tmp_path: Path) -> dict[str, Path]:
 def test_the_best_candidate_continues(make_spec: Make, tmp_path: Path, recorder: Any, alone: dict[str, Path]) -> None:
     """Each candidate is a training of its own from the same policy; the next stage starts from the best one's."""
     spec = candidates(make_spec)
-    assert (spec.total_steps, spec.planned_steps, spec.stage_ends) == (3840, 3840, (512, 3584, 3840))
+    assert (spec.total_steps, spec.planned_steps) == (3840, 3840)
+    segments = plan(spec)
+    assert [(each.stage, each.candidate, each.end) for each in segments] == [
+        (0, 0, 512),
+        (1, 0, 1536),
+        (1, 1, 2560),
+        (1, 2, 3584),
+        (2, 0, 3840),
+    ]
+    assert [each.title for each in segments[1:3]] == [f", stage 2 of 3, candidate {k} of 3" for k in (1, 2)]
     result = train(spec, workdir=tmp_path / "whole", reporter=recorder)
     assert result.steps == 3840
     rows = [row for row in recorder.rows if row["stage"] == 2]

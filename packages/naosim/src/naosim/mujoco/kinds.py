@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from naospec import SimulatorSettings
 from pydantic import Field
 
 from naosim.launchers import most_servers, require_servers
@@ -16,7 +17,6 @@ from naosim.simulator import (
     Scene,
     Simulator,
     SimulatorKind,
-    SimulatorParameters,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ Engine = Literal["fast", "mujoco"]
 """What steps the embedded worlds: the engine of trainings, or MuJoCo as the server does."""
 
 
-class BoosterEmbeddedParameters(SimulatorParameters):
+class BoosterEmbeddedParameters(SimulatorSettings):
     """Settings of Booster robots in MuJoCo worlds of this process."""
 
     engine: Engine = Field(
@@ -92,7 +92,7 @@ class BoosterEmbeddedKind(SimulatorKind):
         del robot
         return frozenset(Ability)
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings."""
         del robot
         return BoosterEmbeddedParameters
@@ -101,7 +101,7 @@ class BoosterEmbeddedKind(SimulatorKind):
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:
@@ -124,7 +124,7 @@ class BoosterEmbeddedKind(SimulatorKind):
         return missing_packages()
 
 
-class BoosterServerParameters(SimulatorParameters):
+class BoosterServerParameters(SimulatorSettings):
     """Settings of Booster robots on servers."""
 
     settle_steps: int = _SETTLE_STEPS
@@ -154,7 +154,7 @@ class BoosterServerKind(SimulatorKind):
         del robot
         return frozenset({Ability.TORQUES})
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings."""
         del robot
         return BoosterServerParameters
@@ -163,7 +163,7 @@ class BoosterServerKind(SimulatorKind):
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, cast
+
 from naosim.robots.description import (
     JointDescription,
     PerceptorDescription,
@@ -11,6 +13,9 @@ from naosim.robots.description import (
     Side,
 )
 
+if TYPE_CHECKING:
+    from naospec import Section
+
 __all__ = [
     "JointDescription",
     "PerceptorDescription",
@@ -18,6 +23,7 @@ __all__ = [
     "RobotParameters",
     "Shape",
     "Side",
+    "configured",
     "get",
     "names",
 ]
@@ -39,5 +45,9 @@ def get(name: str) -> Robot:
     """
     from naospec import plugins
 
-    robot: Robot = plugins.load(plugins.ROBOTS, name)
-    return robot
+    return cast("Robot", plugins.load(plugins.ROBOTS, name))
+
+
+def configured(section: Section) -> Robot:
+    """Return the robot that a specification's section names, with its settings."""
+    return get(section.name).with_parameters(section.model_dump())

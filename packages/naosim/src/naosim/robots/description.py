@@ -176,6 +176,18 @@ class Robot(Plugin):
         parameters = type(self.parameters).model_validate(dict(values))
         return replace(self, parameters=parameters, **parameters.description(self))
 
+    def describe(self) -> dict[str, Any]:
+        """Return a description of the robot for user interfaces, as a JSON object."""
+        return {
+            "name": self.name,
+            "family": self.family,
+            "title": self.title,
+            "joints": list(self.joint_names),
+            "standing_height_m": self.standing_height_m,
+            "front_axis": self.front_axis,
+            "field": {**dataclasses.asdict(self.field), "lines": self.field.lines()},
+        }
+
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Names of all joints in order."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from naospec import SimulatorSettings
 from pydantic import Field
 
 from naosim.launchers import missing_program, most_servers, require_servers
@@ -14,7 +15,6 @@ from naosim.simulator import (
     Scene,
     Simulator,
     SimulatorKind,
-    SimulatorParameters,
 )
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def _refusal(robot: Robot, scene: Scene) -> str:
     )
 
 
-class NaoEmbeddedParameters(SimulatorParameters):
+class NaoEmbeddedParameters(SimulatorSettings):
     """Settings of NAOs in the embedded engine."""
 
     sensor_digits: Literal[2, 3] | None = Field(
@@ -44,7 +44,7 @@ class NaoEmbeddedParameters(SimulatorParameters):
     )
 
 
-class NaoServerParameters(SimulatorParameters):
+class NaoServerParameters(SimulatorSettings):
     """Settings of NAOs on servers."""
 
     sensor_digits: Literal[2, 3] = Field(
@@ -68,7 +68,7 @@ class NaoEmbeddedKind(SimulatorKind):
         """Return that these worlds have no ball, if the scene needs more than a plain one."""
         return _refusal(robot, scene)
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings."""
         del robot
         return NaoEmbeddedParameters
@@ -77,7 +77,7 @@ class NaoEmbeddedKind(SimulatorKind):
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:
@@ -107,7 +107,7 @@ class NaoServerKind(SimulatorKind):
         """Return that these worlds have no ball, if the scene needs more than a plain one."""
         return _refusal(robot, scene)
 
-    def parameters(self, robot: Robot) -> type[SimulatorParameters]:
+    def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings."""
         del robot
         return NaoServerParameters
@@ -116,7 +116,7 @@ class NaoServerKind(SimulatorKind):
         self,
         robot: Robot,
         n: int,
-        parameters: SimulatorParameters,
+        parameters: SimulatorSettings,
         options: RuntimeOptions = DEFAULT_OPTIONS,
         scene: Scene = PLAIN,
     ) -> Simulator:

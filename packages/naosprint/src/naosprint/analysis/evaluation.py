@@ -12,10 +12,12 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from naosim import kinds
 from naosim.simulator import STEP_S
-from naospec import formats, plugins
+from naospec import formats
 from naospec.json_text import json_text
 
+from naosprint import tasks
 from naosprint.analysis.replay import Replay
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
@@ -148,7 +150,7 @@ def evaluate(
     policy, manifest = load_policy(checkpoint)
     setting = spec.applied_to(manifest.stage_spec)
     n = min(spec.n_envs, spec.episodes)
-    most = plugins.load(plugins.SIMULATORS, setting.simulator.name).max_robots()
+    most = kinds.get(setting.simulator.name).max_robots()
     environment = open_environment(setting, n if most is None else min(n, most), threads=threads, seed=spec.seed)
     try:
         _require_fit(environment, manifest.observations)
@@ -165,7 +167,7 @@ def evaluate(
     episodes = recorder.episodes()
     statistics = Statistics(spec.confidence, spec.bootstrap_resamples, spec.seed)
     results, tables = environment.task.summarize(episodes, statistics)
-    task = setting.task_class
+    task = tasks.get(setting.task.name)
     summary = {
         "format": FORMAT,
         "checkpoint": {"step": manifest.steps, "spec_sha256": manifest.spec_sha256},
@@ -319,19 +321,19 @@ def _replay(recorder: _Recorder, episodes: Episodes, spec: TrainingSpec) -> Repl
 
     def rank(number: int) -> tuple[float, int]:
         x, height = episodes.x[number], episodes.height[number]
-        reached = x[-1] - x[0] if spec.task_class.presentation.repeats else height[-1]
+        reached = x[-1] - x[0] if tasks.get(spec.task.name).presentation.repeats else height[-1]
         return round(float(reached), 1), -len(x)  # episodes that ended alike differ in their lengths
 
     median = sorted(range(recorder.shown), key=rank)[recorder.shown // 2]
     reached = [end for end in recorder.environment.task.ends if episodes.ends[end.name][median]]
     return Replay(
-        robot=spec.robot_description,
+        robot=recorder.environment.simulator.robot,
         positions=np.array(recorder.bodies[median])[:, :, :3].astype(np.float32),
         rotations=np.array(recorder.bodies[median])[:, :, 3:7].astype(np.float32),
         foot_forces=episodes.feet[median].astype(np.float32),
         end=reached[0].title if reached else "",
         failed=any(end.failure for end in reached),
-        objects=recorder.environment.simulator.shapes[len(spec.robot_description.shapes) :],
+        objects=recorder.environment.simulator.shapes[len(recorder.environment.simulator.robot.shapes) :],
     )
 
 

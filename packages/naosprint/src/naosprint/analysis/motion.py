@@ -41,7 +41,7 @@ def motion(checkpoint: Path, threads: int = 2) -> dict[str, dict[str, float]]:
     simulator does not report forces and contacts have no peaks.
     """
     policy, manifest = load_policy(checkpoint)
-    if manifest.stage_spec.robot_description.family != FAMILY:
+    if manifest.stage_spec.family != FAMILY:
         return {}
     # contacts are read from MuJoCo's data, which the fast engine does not fill
     spec = EvaluationSpec().applied_to(manifest.stage_spec)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from naosim import robots
 from naosim.npz import read_npz
 from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
@@ -24,6 +25,7 @@ from naospec.json_text import json_text
 from naospec.sections import require_plain_names
 from pydantic import ValidationError
 
+from naosprint import tasks
 from naosprint.analysis import figures
 from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay, load_replay
@@ -137,8 +139,8 @@ def write_report(
             details=_details(summary, spec, rows),
             plots=[(plot, drawings[plot.name]) for plot in plots],
             film=_data_url(directory / "run.mp4", "video/mp4") if film else None,
-            film_caption=film_caption(replay, repeats=spec.task_class.presentation.repeats),
-            references=[reference.title for reference in spec.task_class.presentation.references],
+            film_caption=film_caption(replay, repeats=tasks.get(spec.task.name).presentation.repeats),
+            references=[reference.title for reference in tasks.get(spec.task.name).presentation.references],
         ),
         encoding="utf-8",
     )
@@ -195,7 +197,7 @@ def _episodes_spec(summary: Mapping[str, Any]) -> TrainingSpec:
 
 def _window(samples: int, spec: TrainingSpec) -> tuple[int, int]:
     """Return the half-open range of steps that shows the motion: the middle of a run, the beginning of others."""
-    if not spec.task_class.presentation.repeats:
+    if not tasks.get(spec.task.name).presentation.repeats:
         return 0, min(GIF_STEPS, samples)
     begin = max(0, (samples - WINDOW_STEPS) // 2)
     return begin, min(begin + WINDOW_STEPS, samples)
@@ -208,7 +210,7 @@ def _plots(
     replay: Replay,
     rows: Sequence[Mapping[str, float]],
 ) -> list[_Plot]:
-    presentation = spec.task_class.presentation
+    presentation = tasks.get(spec.task.name).presentation
     references, confidence = presentation.references, summary["evaluation"]["confidence"]
     found = []
     charts = (*presentation.charts[: figures.MAX_CHARTS - 1], _REWARD)
@@ -248,7 +250,7 @@ def _plots(
         found.append(_Plot("gait", "Gait", caption, figure))
     if paths["joint_angles"].size:
         first, last = _window(len(paths["joint_angles"]), spec)
-        figure = figures.joint_angles(paths["joint_angles"][first:last], spec.robot_description, first)
+        figure = figures.joint_angles(paths["joint_angles"][first:last], robots.configured(spec.robot), first)
         caption = "The joints that move most, as policies see them: equal angles on both sides are a symmetric posture."
         found.append(_Plot("joints", "Joint angles", caption, figure))
     return found

@@ -60,7 +60,7 @@ def export_policy(
             "naosprint.rl.policy.NetworkPolicy can be exported"
         )
     if formats is None:
-        family = manifest.stage_spec.robot_description.family
+        family = manifest.stage_spec.family
         formats = [name for name in FORMATS if name != "skill" or family in TARGETS]
     if "onnx" in formats:
         try:

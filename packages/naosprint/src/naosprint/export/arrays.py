@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
@@ -32,7 +33,7 @@ def policy_arrays(policy: NetworkPolicy, manifest: Manifest) -> dict[str, AnyArr
     ``joint_view`` (A, J) turns joint angles into those of the policy. :mod:`naosprint.export.nao` and
     :mod:`naosprint.export.booster` add what their servers need.
     """
-    robot = manifest.stage_spec.robot_description
+    robot = robots.configured(manifest.stage_spec.robot)
     actuation = Actuation(robot)
     view = np.zeros((actuation.n_actions, actuation.n_joints))
     view[np.arange(actuation.n_actions), actuation.index] = actuation.sign

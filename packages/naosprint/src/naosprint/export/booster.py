@@ -12,7 +12,7 @@ from naosprint.tasks import rolling
 if TYPE_CHECKING:
     from naosim.robots import Robot
     from naosim.robots.booster import BoosterParameters
-    from naosim.simulator import SimulatorParameters
+    from naospec import SimulatorSettings
 
     from naosprint.arrays import AnyArray
     from naosprint.tasks.kick import KickSettings
@@ -35,7 +35,7 @@ def controller(robot: Robot) -> dict[str, dict[str, float]]:
     }
 
 
-def arrays(robot: Robot, simulator: SimulatorParameters) -> dict[str, AnyArray]:
+def arrays(robot: Robot, simulator: SimulatorSettings) -> dict[str, AnyArray]:
     """Return the arrays that only Booster robots have.
 
     ``camera_m`` has the places of head yaw, head pitch and camera, each in the frame before it.

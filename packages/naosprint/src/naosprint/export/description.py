@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import STEP_S
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 def describe(policy: NetworkPolicy, manifest: Manifest) -> dict[str, Any]:
     """Return the content of ``policy.json``: angles in degrees in the policy convention."""
-    robot = manifest.stage_spec.robot_description
+    robot = robots.configured(manifest.stage_spec.robot)
     actuation = Actuation(robot)
     low, zero, high = (
         np.degrees(actuation.targets(np.full((1, actuation.n_actions), action))[0, actuation.index] * actuation.sign)

@@ -100,7 +100,7 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name
     Raises:
         ValueError: if there is no team code for the robot, or the policy observes what the skill cannot compute.
     """
-    family = manifest.stage_spec.robot_description.family
+    family = manifest.stage_spec.family
     if family not in TARGETS:
         raise ValueError(f"format skill: no team code for robots of family {family}; use another format")
     target = TARGETS[family]

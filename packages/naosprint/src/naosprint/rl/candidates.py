@@ -25,22 +25,15 @@ class Candidates:
     """What the remaining candidates of a stage need from those before them.
 
     Attributes:
-        count: number of candidates.
         start: policy that each starts from, as in a checkpoint; None: random weights.
         rewards: mean reward per step of each trained candidate.
         best: policy of the best of these.
     """
 
-    def __init__(self, count: int) -> None:
-        self.count = count
+    def __init__(self) -> None:
         self.start: Mapping[str, AnyArray] | None = None
         self.best: Mapping[str, AnyArray] | None = None
         self.rewards: list[float] = []
-
-    @property
-    def complete(self) -> bool:
-        """Whether all are trained; a single one is not compared with others."""
-        return self.count == 1 or len(self.rewards) == self.count
 
     def add(self, means: Mapping[str, float], policy: Mapping[str, AnyArray]) -> None:
         """Add a trained candidate.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from naospec import plugins
-
+from naosprint import tasks
+from naosprint.rl.learner import learner_kind
 from naosprint.tasks.base import EPISODE_METRICS
 from naosprint.tasks.metrics import Metric
 
@@ -64,6 +64,6 @@ ENGINES: tuple[Metric, ...] = tuple(
 
 def columns(spec: TrainingSpec) -> tuple[Metric, ...]:
     """Return the columns of a training's metrics, in order."""
-    learner = plugins.load(plugins.LEARNERS, spec.algorithm.name)
-    live = [metric for metric in spec.task_class.metrics if metric.live]
-    return (*PROGRESS, *EPISODE_METRICS, *live, *learner.metrics, *ENGINES, *PACE)
+    kind = learner_kind(spec.algorithm.name)
+    live = [metric for metric in tasks.get(spec.task.name).metrics if metric.live]
+    return (*PROGRESS, *EPISODE_METRICS, *live, *kind.metrics, *ENGINES, *PACE)

@@ -21,10 +21,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from naospec import TrainingSpec, plugins
+from naospec import TrainingSpec
 
 from naosprint.arrays import AnyArray
-from naosprint.rl.learner import Learner, LearnerKind
+from naosprint.rl.learner import Learner, LearnerKind, learner_kind
 from naosprint.rl.policy import Policy
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_training_environment
@@ -199,7 +199,7 @@ class _Training:
 
 
 def _kind(spec: TrainingSpec) -> LearnerKind:
-    kind: LearnerKind = plugins.load(plugins.LEARNERS, spec.algorithm.name)
+    kind = learner_kind(spec.algorithm.name)
     return kind
 
 

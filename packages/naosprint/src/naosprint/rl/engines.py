@@ -12,8 +12,7 @@ from naosprint.tasks.environment import open_environment
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from naosim.simulator import SimulatorParameters
-    from naospec import TrainingSpec
+    from naospec import SimulatorSettings, TrainingSpec
 
     from naosprint.rl.policy import Policy
 
@@ -57,7 +56,7 @@ class EngineComparison:
         self._spent_s += self._expected_s
         return means
 
-    def _reward(self, policy: Policy, simulator: SimulatorParameters) -> float:
+    def _reward(self, policy: Policy, simulator: SimulatorSettings) -> float:
         """Return the mean reward per step of the first ``STEPS`` steps of ``ROBOTS`` episodes."""
         spec = self._spec.model_copy(update={"simulator": simulator})
         environment = open_environment(spec, ROBOTS, threads=spec.runtime.simulator_threads)

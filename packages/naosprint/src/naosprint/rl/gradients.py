@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import Float32Array
     from naosprint.mirror import Mirror
+    from naosprint.rl.settings import PPOSettings
     from naosprint.rl.symmetry import Symmetry
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
@@ -65,7 +66,7 @@ class KernelGradients:
     def __init__(
         self,
         policy: ActorCriticPolicy,
-        settings: Any,
+        settings: PPOSettings,
         symmetry: Symmetry | None = None,
         kernel: str = "",
         seen: int | None = None,

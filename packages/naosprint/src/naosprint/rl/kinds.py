@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from naosprint.rl.learner import Learner, LearnerKind
 from naosprint.rl.settings import CHARTS, METRICS, PPOSettings
@@ -32,7 +32,7 @@ class PPOKind(LearnerKind):
         from naosprint.rl.imitation import ImitatingPPO  # loads PyTorch
         from naosprint.rl.ppo import PPO
 
-        return (ImitatingPPO if spec.algorithm.imitation_steps else PPO)(spec, environment)
+        return (ImitatingPPO if PPOSettings.of(spec.algorithm).imitation_steps else PPO)(spec, environment)
 
     def load_policy(
         self,
@@ -45,7 +45,7 @@ class PPOKind(LearnerKind):
         """Return the actor with the observations' statistics."""
         from naosprint.rl.policy import actor_of  # loads compiled code
 
-        return actor_of(state, cast("PPOSettings", settings), len(observations), len(actions))
+        return actor_of(state, PPOSettings.of(settings), len(observations), len(actions))
 
 
 PPO = PPOKind()

@@ -7,8 +7,9 @@ entry-point group ``naosprint.learners``.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
+from naospec import plugins
 from naospec.plugins import LEARNERS, Plugin
 
 if TYPE_CHECKING:
@@ -180,3 +181,13 @@ class LearnerKind(ABC, Plugin):
             "metrics": [asdict(metric) for metric in self.metrics],
             "charts": [asdict(chart) for chart in self.charts],
         }
+
+
+def learner_kind(name: str) -> LearnerKind:
+    """Return the algorithm of this name.
+
+    Raises:
+        naospec.plugins.UnknownPluginError: if no package offers it; the message lists the available ones.
+        naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a LearnerKind of that name.
+    """
+    return cast("LearnerKind", plugins.load(plugins.LEARNERS, name))

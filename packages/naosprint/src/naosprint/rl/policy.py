@@ -9,11 +9,12 @@ from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
+from naosim import robots
 from naosim.robots.actuation import Actuation
-from naospec import plugins
 
 from naosprint.rl.checkpoint import MANIFEST, POLICY, CheckpointError, Manifest, read_file, read_manifest
 from naosprint.rl.forward import Forward
+from naosprint.rl.learner import learner_kind
 from naosprint.rl.normalization import EPSILON
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from naosprint.arrays import AnyArray, Float32Array, FloatArray
-    from naosprint.rl.learner import LearnerKind
     from naosprint.rl.settings import PPOSettings
     from naosprint.tasks.randomness import Normals
 
@@ -117,14 +117,14 @@ def load_policy(directory: Path) -> tuple[Policy, Manifest]:
     manifest = read_manifest(directory)
     arrays = read_file(directory, manifest, POLICY)
     settings = manifest.stage_spec.algorithm
-    kind: LearnerKind = plugins.load(plugins.LEARNERS, settings.name)
+    kind = learner_kind(settings.name)
     try:
         policy = kind.load_policy(arrays, settings, observations=manifest.observations, actions=manifest.actions)
     except KeyError as error:
         raise CheckpointError(f"{directory / POLICY}: array {error.args[0]!r} is missing") from None
     except ValueError as error:
         raise CheckpointError(f"{directory / POLICY}: {error}") from error
-    robot = manifest.stage_spec.robot_description
+    robot = robots.configured(manifest.stage_spec.robot)
     if manifest.actions != Actuation(robot).names:
         raise CheckpointError(f"{directory / MANIFEST}: actions: not the joints of robot {robot.name}")
     return policy, manifest

@@ -27,6 +27,7 @@ from naosprint.rl.gradients import KernelGradients, Samples, gaussian_entropy
 from naosprint.rl.learner import Learner, TrainingDivergedError
 from naosprint.rl.networks import TorchForward, actor_of, blind, critic_of, linear_layers
 from naosprint.rl.normalization import STATISTICS, Normalizer
+from naosprint.rl.settings import PPOSettings
 from naosprint.rl.symmetry import Symmetry, tie_weights
 from naosprint.rl.warm_start import adapt, with_critic
 
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, BoolArray, Float32Array
     from naosprint.rl.rollout import TrainingEnvironment
-    from naosprint.rl.settings import PPOSettings
 
 _HALF_LOG_TWO_PI = 0.5 * math.log(2.0 * math.pi)
 _ADAM = ("step", "exp_avg", "exp_avg_sq")
@@ -174,7 +174,7 @@ class PPO(Learner):
     own_state = ("generator", "episode_starts", "normalizer.returns")
 
     def __init__(self, spec: TrainingSpec, environment: TrainingEnvironment) -> None:
-        settings = spec.algorithm
+        settings = PPOSettings.of(spec.algorithm)
         self.spec = spec
         self.settings = settings
         self.environment = environment
@@ -502,7 +502,7 @@ def _build_policy(spec: TrainingSpec, environment: TrainingEnvironment) -> tuple
 
     Also return the mirrors of the networks if their weights are tied.
     """
-    settings = spec.algorithm
+    settings = PPOSettings.of(spec.algorithm)
     symmetry: Symmetry | None = None
     # without touching the process's generators
     with torch.random.fork_rng(devices=[]):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from naosim.simulator import ServerLostError
-from naospec import plugins
 
+from naosprint import tasks
 from naosprint.rl.candidates import Candidates
 from naosprint.rl.checkpoint import (
     CANDIDATES,
@@ -26,7 +26,8 @@ from naosprint.rl.checkpoint import (
     save_checkpoint,
 )
 from naosprint.rl.engines import EngineComparison
-from naosprint.rl.learner import TrainingDivergedError
+from naosprint.rl.learner import TrainingDivergedError, learner_kind
+from naosprint.rl.plan import Segment, plan, position
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.reporter import NullReporter
 from naosprint.rl.rollout import TrainingEnvironment
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from naospec import TrainingSpec
 
     from naosprint.arrays import AnyArray
-    from naosprint.rl.learner import LearnerKind
     from naosprint.rl.policy import Policy
     from naosprint.rl.reporter import Reporter
     from naosprint.tasks.environment import Environment
@@ -122,97 +122,60 @@ def train(
     """
     if resume is not None and initial_policy is not None:
         raise ValueError("resume and initial_policy exclude each other: a resumed training has its own policy")
-    if processes.size > 1 and not plugins.load(plugins.LEARNERS, spec.algorithm.name).several_processes:
+    if processes.size > 1 and not learner_kind(spec.algorithm.name).several_processes:
         raise ValueError(f"algorithm: {spec.algorithm.name} trains in one process only")
     if processes.rank > 0:
         reporter = NullReporter()
     set_learner_threads(spec.runtime.learner_threads)
-    stage, progress = 0, _Progress()
-    candidates = Candidates(spec.stage_candidates[stage])
+    segments, index, progress, candidates = plan(spec), 0, _Progress(), Candidates()
     if resume is not None:
         manifest = read_manifest(resume)
         _require_same_training(resume, manifest.spec, spec)
-        stage = manifest.stage
-        if stage >= len(spec.stage_specs):
+        if manifest.stage > segments[-1].stage:
             raise CheckpointError(
-                f"{resume}: the checkpoint is of stage {stage + 1}, the specification has {len(spec.stage_specs)}"
+                f"{resume}: the checkpoint is of stage {manifest.stage + 1}, the specification has "
+                f"{segments[-1].stage + 1}"
             )
-        candidates = Candidates(spec.stage_candidates[stage])
         if CANDIDATES in manifest.files:
             candidates.load_state(read_file(resume, manifest, CANDIDATES))
-        trained = len(candidates.rewards)
-        if manifest.steps >= spec.stage_ends[stage] and stage + 1 < len(spec.stage_specs):
-            # the stage is complete: the next one starts from its policy
-            stage, resume, initial_policy = stage + 1, None, resume
-            candidates = Candidates(spec.stage_candidates[stage])
+        index, begins = position(segments, manifest.stage, len(candidates.rewards), manifest.steps)
+        if begins:
             progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
-        elif 0 < trained < candidates.count and manifest.steps == _first_step(spec, stage, trained):
-            # a candidate is complete: the next one starts
-            resume = None
-            progress = _Progress(manifest.steps, manifest.updates, manifest.episodes, manifest.training_s)
-    while True:
-        result = _train_candidate(
-            spec,
-            stage,
-            candidates,
-            progress,
-            workdir,
-            reporter,
-            resume,
-            initial_policy,
-            stop,
-            min_checkpoint_s,
-            processes,
-        )
-        resume = initial_policy = None
+            resume, initial_policy = None, resume if segments[index].candidate == 0 else None
+    for segment in segments[index:]:
+        if segment.candidate == 0 and resume is None:
+            candidates = Candidates()
+        environment, n_starts = open_training_environment(processes.share(segment.spec))
+        try:
+            session = _Session(
+                spec,
+                segment,
+                candidates,
+                progress,
+                environment,
+                n_starts,
+                workdir,
+                reporter,
+                min_checkpoint_s,
+                processes,
+            )
+            session.start(resume, initial_policy)
+            result = session.run(stop)
+        finally:
+            environment.close()
         if result.status == "stopped":
-            return result
-        if candidates.complete:
-            stage, initial_policy = stage + 1, result.checkpoint
-            if stage == len(spec.stage_specs):
-                return result
-            candidates = Candidates(spec.stage_candidates[stage])
-
-
-def _train_candidate(
-    spec: TrainingSpec,
-    stage: int,
-    candidates: Candidates,
-    progress: _Progress,
-    workdir: Path,
-    reporter: Reporter,
-    resume: Path | None,
-    initial_policy: Path | None,
-    stop: Callable[[], bool],
-    min_checkpoint_s: float,
-    processes: Processes,
-) -> TrainResult:
-    number = min(len(candidates.rewards), candidates.count - 1)
-    inner, n_starts = open_training_environment(processes.share(spec.candidate_spec(stage, number)))
-    try:
-        session = _Session(
-            spec, stage, candidates, progress, inner, n_starts, workdir, reporter, min_checkpoint_s, processes
-        )
-        if resume is not None:
-            session.resume(resume)
-        else:
-            if initial_policy is not None:
-                session.warm_start(initial_policy)
-            elif candidates.start is not None:
-                session.learner.load_policy_state(candidates.start)
-            session.learner.begin()
-        return session.run(stop)
-    finally:
-        inner.close()
+            break
+        resume, initial_policy = None, result.checkpoint if segment.is_last_candidate else None
+    return result
 
 
 class _Session:
-    """One stage of a training, or one of its candidates: rollouts, updates, reports and checkpoints."""
+    """One segment of a training: rollouts, updates, reports and checkpoints."""
 
     def __init__(
         self,
         whole: TrainingSpec,
-        stage: int,
+        segment: Segment,
         candidates: Candidates,
         progress: _Progress,
         environment: Environment,
@@ -225,17 +188,14 @@ class _Session:
         self.whole = whole
         self.processes = processes
         self.candidates = candidates
-        self.candidate = min(len(candidates.rewards), candidates.count - 1)
-        self.spec = spec = whole.candidate_spec(stage, self.candidate)
-        self.stage = stage
+        self.segment = segment
+        self.spec = spec = segment.spec
         self.progress = progress
-        self.first_step = _first_step(whole, stage, self.candidate)
+        self.first_step = segment.first_step
         self.environment = TrainingEnvironment.from_spec(processes.share(spec), environment, n_starts, processes)
-        kind: LearnerKind = plugins.load(plugins.LEARNERS, spec.algorithm.name)
+        kind, task = learner_kind(spec.algorithm.name), tasks.get(spec.task.name)
         self.learner = kind.open(spec, self.environment)
-        self._listed = [
-            metric for metric in spec.task_class.metrics if metric.name in spec.task_class.presentation.listed
-        ]
+        self._listed = [metric for metric in task.metrics if metric.name in task.presentation.listed]
         self._workdir = workdir
         self._reporter = reporter
         self._min_checkpoint_s = min_checkpoint_s
@@ -244,7 +204,7 @@ class _Session:
         self._saved_at = -inf
         self._earlier = _Progress(progress.steps, progress.updates, progress.episodes)
         self._episodes_elsewhere = 0  # in the other processes
-        # the last checkpoint of the stage or candidate before is also the state in which this one begins
+        # the last checkpoint of the segment before is also the state in which this one begins
         border = self.first_step > 0 and (workdir / _name(self.first_step)).exists()
         self._saved_step: int | None = self.first_step if border else None
         self.environment.on_loss = self._report_loss
@@ -259,10 +219,21 @@ class _Session:
         """Episodes of all stages so far."""
         return self._earlier.episodes + self.environment.window.episodes + self._episodes_elsewhere
 
+    def start(self, resume: Path | None, initial_policy: Path | None) -> None:
+        """Begin the first episodes, or continue: from a checkpoint of the segment, or from another policy."""
+        if resume is not None:
+            self.resume(resume)
+            return
+        if initial_policy is not None:
+            self.warm_start(initial_policy)
+        elif self.candidates.start is not None:
+            self.learner.load_policy_state(self.candidates.start)
+        self.learner.begin()
+
     def run(self, stop: Callable[[], bool]) -> TrainResult:
-        """Train until the stage's steps are taken or ``stop`` returns true."""
+        """Train until the segment's steps are taken or ``stop`` returns true."""
         spec, learner, progress = self.spec, self.learner, self.progress
-        end = self.first_step + spec.planned_steps
+        end = self.segment.end
         checkpoint = self._workdir / _name(self.steps)
         self._log(self._title())
         self._trained_before_s = progress.training_s
@@ -304,7 +275,7 @@ class _Session:
                 due = self.steps // interval > saved // interval and now >= self._saved_at + self._min_checkpoint_s
                 due = self.processes.any(due and self.processes.rank == 0) or self.steps >= end
                 means = self._report({**metrics, **(self._compared() if due else {})}, pace)
-                if self.steps >= end and self.candidates.count > 1:
+                if self.steps >= end and self.segment.candidates > 1:
                     self._compare(means)
                 if due:
                     checkpoint = self._save(self._state())
@@ -317,7 +288,7 @@ class _Session:
         return TrainResult("finished", self.steps, checkpoint)
 
     def resume(self, directory: Path) -> None:
-        """Continue from the checkpoint in ``directory``, which belongs to this stage."""
+        """Continue from the checkpoint in ``directory``, which belongs to this segment."""
         manifest = read_manifest(directory)
         policy = read_file(directory, manifest, POLICY)
         learner: dict[str, AnyArray] = read_file(directory, manifest, LEARNER)
@@ -393,7 +364,7 @@ class _Session:
             raise CheckpointError(f"{directory}: {error}") from error
         require_like(directory / POLICY, policy, self.learner.policy_state())
         self.learner.load_policy_state(policy)
-        if self.candidates.count > 1:
+        if self.segment.candidates > 1:
             self.candidates.start = policy
         self._log(f"started from the policy of {directory.name} at {manifest.steps:,} steps")
 
@@ -402,7 +373,7 @@ class _Session:
         if self.processes.rank > 0:
             return {}
         algorithm, environment = self.spec.algorithm, self.environment.environment
-        kind: LearnerKind = plugins.load(plugins.LEARNERS, algorithm.name)
+        kind = learner_kind(algorithm.name)
 
         def policy() -> Policy:
             observations, actions = environment.observer.names, environment.actuation.names
@@ -413,24 +384,22 @@ class _Session:
 
     def _compare(self, means: Mapping[str, float]) -> None:
         """Add this candidate to those that are trained; after the last one, continue with the best."""
-        candidates = self.candidates
+        candidates, segment = self.candidates, self.segment
         candidates.add(means, self.learner.policy_state())
         rewards = candidates.rewards
-        self._log(f"candidate {self.candidate + 1} of {candidates.count}: mean reward per step {rewards[-1]:.4g}")
-        if candidates.complete:
+        self._log(f"candidate {segment.candidate + 1} of {segment.candidates}: mean reward per step {rewards[-1]:.4g}")
+        if segment.is_last_candidate:
             assert candidates.best is not None
             self.learner.load_policy_state(candidates.best)
-            self._log(f"candidate {int(np.argmax(rewards)) + 1} is the best of {candidates.count}")
+            self._log(f"candidate {int(np.argmax(rewards)) + 1} is the best of {segment.candidates}")
 
     def _title(self) -> str:
         spec = self.spec
-        stages = f", stage {self.stage + 1} of {len(self.whole.stages)}" if self.whole.stages else ""
-        if self.candidates.count > 1:
-            stages += f", candidate {self.candidate + 1} of {self.candidates.count}"
         return (
             f"training {spec.task.name}, robot {spec.robot.name}, simulator {spec.simulator.name}, "
-            f"{spec.algorithm.name} with preset {spec.algorithm.preset}{stages}: {spec.algorithm.n_envs} environments "
-            f"x {spec.algorithm.n_steps} steps an update, to {self.first_step + spec.planned_steps:,} steps"
+            f"{spec.algorithm.name} with preset {spec.algorithm.preset}{self.segment.title}: "
+            f"{spec.algorithm.n_envs} environments x {spec.algorithm.n_steps} steps an update, "
+            f"to {self.segment.end:,} steps"
         )
 
     def _log(self, message: str) -> None:
@@ -457,7 +426,7 @@ class _Session:
     def _state(self) -> TrainingState:
         environment = self.environment.state()
         return TrainingState(
-            stage=self.stage,
+            stage=self.segment.stage,
             steps=self.steps,
             updates=self._earlier.updates + self.learner.updates,
             episodes=self.episodes,
@@ -467,7 +436,7 @@ class _Session:
             policy=self.learner.policy_state(),
             learner=self.learner.state(),
             environment=environment if "environment.simulator" in environment else None,
-            candidates=self.candidates.state() if self.candidates.count > 1 else None,
+            candidates=self.candidates.state() if self.segment.candidates > 1 else None,
         )
 
     def _save(self, state: TrainingState) -> Path:
@@ -504,8 +473,7 @@ class _Session:
             "step": float(self.steps),
             "time_s": self.progress.training_s,
             "episodes": float(self.episodes),
-            **({"stage": float(self.stage + 1)} if self.whole.stages else {}),
-            **({"candidate": float(self.candidate + 1)} if self.candidates.count > 1 else {}),
+            **self.segment.labels,
             **means,
             **metrics,
             **pace,
@@ -530,12 +498,6 @@ class _Session:
                 self.progress.left_out.add(name)
                 message = f"metric {name} is {value!r} at {self.steps:,} steps: such values are left out from here on"
                 self._reporter.log("warning", message)
-
-
-def _first_step(spec: TrainingSpec, stage: int, candidate: int) -> int:
-    """Return the steps of the training before one candidate of a stage, both counted from 0."""
-    begins = 0 if stage == 0 else spec.stage_ends[stage - 1]
-    return begins + candidate * spec.stage_specs[stage].planned_steps
 
 
 def _name(steps: int) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from naosprint.rl.settings import PPOSettings
+
 if TYPE_CHECKING:
     from naospec import TrainingSpec
 
@@ -21,33 +23,35 @@ def remaining(spec: TrainingSpec, steps: int) -> float:
 
 def learning_rate(spec: TrainingSpec, steps: int) -> float:
     """Return the learning rate after a number of steps, before it is adapted."""
-    rate = float(spec.algorithm.learning_rate)
-    return rate * max(remaining(spec, steps), 0.0) if spec.algorithm.learning_rate_schedule == "linear" else rate
+    settings = PPOSettings.of(spec.algorithm)
+    rate = settings.learning_rate
+    return rate * max(remaining(spec, steps), 0.0) if settings.learning_rate_schedule == "linear" else rate
 
 
 def discount(spec: TrainingSpec, steps: int) -> float:
     """Return the discount factor after a number of steps."""
-    settings = spec.algorithm
+    settings = PPOSettings.of(spec.algorithm)
     if settings.final_gamma is None or steps < settings.gamma_steps:
-        return float(settings.gamma)
-    return float(settings.final_gamma)
+        return settings.gamma
+    return settings.final_gamma
 
 
 def log_std(spec: TrainingSpec, steps: int) -> float:
     """Return the log-std of the actions after a number of steps, if it is not learned."""
-    settings = spec.algorithm
-    first = float(settings.initial_log_std)
-    final = first if settings.final_log_std is None else float(settings.final_log_std)
+    settings = PPOSettings.of(spec.algorithm)
+    first = settings.initial_log_std
+    final = first if settings.final_log_std is None else settings.final_log_std
     share = steps / (settings.log_std_steps or spec.planned_steps)
     return first + (final - first) * min(1.0, share)
 
 
 def target_kl(spec: TrainingSpec, steps: int) -> float | None:
     """Return the target KL divergence after a number of steps; None if there is none."""
-    first, final = spec.algorithm.target_kl, spec.algorithm.target_kl_final
+    settings = PPOSettings.of(spec.algorithm)
+    first, final = settings.target_kl, settings.target_kl_final
     if first is None or final is None:
-        return None if first is None else float(first)
-    return float(final + (first - final) * max(0.0, remaining(spec, steps)))
+        return first
+    return final + (first - final) * max(0.0, remaining(spec, steps))
 
 
 def jumps(before: TrainingSpec, after: TrainingSpec, steps: int) -> list[str]:
@@ -73,5 +77,5 @@ def adapted_factor(spec: TrainingSpec, factor: float, kl: float, target: float |
         factor /= RATE_FACTOR
     elif kl < target / 1.5:
         factor *= RATE_FACTOR
-    rate = spec.algorithm.learning_rate
+    rate = PPOSettings.of(spec.algorithm).learning_rate
     return float(min(max(factor, RATE_RANGE[0] / rate), RATE_RANGE[1] / rate))

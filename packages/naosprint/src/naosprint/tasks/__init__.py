@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from naospec import TaskSettings
 
-from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
+from naosprint.tasks.base import End, RewardTerm, Task, World, get, names, seconds
 from naosprint.tasks.compiled import Operation, columns
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.episodes import Episodes, Statistics
@@ -54,7 +54,9 @@ __all__ = [
     "blocks",
     "columns",
     "draw_start_poses",
+    "get",
     "motions",
+    "names",
     "normal",
     "penalties",
     "robot_defaults",

@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast
 
 import numpy as np
 from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
-from naospec import TaskSettings
+from naospec import TaskSettings, plugins
 from naospec.plugins import TASKS, Plugin
+from typing_extensions import TypeVar
 
 from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
 from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.measurements import Measurement
     from naosprint.tasks.observations import ObservationBlock, Observer
+
+
+Settings = TypeVar("Settings", bound=TaskSettings, default=TaskSettings, covariant=True)
+"""Settings of a task, which type checkers then know: ``class Kick(Task[KickSettings])``."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +174,7 @@ class World:
         return np.asarray(np.arctan2(rotation[:, 1, front], rotation[:, 0, front]))
 
 
-class Task(Plugin):
+class Task(Plugin, Generic[Settings]):
     """A task for n robots.
 
     Subclasses declare the class attributes and override the methods that differ. What a task stores for each robot
@@ -233,7 +238,7 @@ class Task(Plugin):
         return cls.demonstration is not Task.demonstration
 
     @classmethod
-    def resolve(cls, parameters: Any, robot: Robot) -> Any:
+    def resolve(cls, parameters: Settings, robot: Robot) -> Settings:  # type: ignore[misc] # a task gets its own
         """Return the settings with those that depend on the robot filled in.
 
         Raises:
@@ -249,7 +254,7 @@ class Task(Plugin):
 
     # for environments
 
-    def __init__(self, parameters: Any, world: World, seed: int = 0) -> None:
+    def __init__(self, parameters: Settings, world: World, seed: int = 0) -> None:
         self.parameters = parameters
         self.seed = seed
         self.world = world
@@ -355,6 +360,21 @@ class Task(Plugin):
             "ends": [asdict(end) for end in cls.ends],
             **asdict(cls.presentation),
         }
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all tasks that installed packages offer, sorted."""
+    return plugins.names(plugins.TASKS)
+
+
+def get(name: str) -> type[Task]:
+    """Return the task of this name.
+
+    Raises:
+        naospec.plugins.UnknownPluginError: if no package offers it; the message lists the available ones.
+        naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a subclass of :class:`Task` of that name.
+    """
+    return cast("type[Task]", plugins.load(plugins.TASKS, name))
 
 
 EPISODE_METRICS: tuple[Metric, ...] = (

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from naosprint import _compiled
     from naosprint.arrays import AnyArray
 
 
@@ -33,7 +34,7 @@ class Operation:
     numbers: Mapping[str, Sequence[float]] = field(default_factory=dict)
     function: int = 0
 
-    def build(self) -> Any:
+    def build(self) -> _compiled.Operation:
         """Return the object that computes it.
 
         Raises:

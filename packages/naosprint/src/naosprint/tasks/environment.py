@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim import kinds, robots
 from naosim.simulator import RuntimeOptions
-from naospec import plugins
 from naospec.sections import require_plain_names
 
-from naosprint.tasks.base import Task, World
+from naosprint.tasks.base import RewardTerm, Task, World, get
 from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
 from naosprint.tasks.observations import Observer
 
@@ -18,9 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from naosim.simulator import Simulator, Starts
-    from naospec import TrainingSpec
+    from naospec import TaskSettings, TrainingSpec
 
+    from naosprint._compiled import Operation, Step
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
+    from naosprint.tasks.measurements import Measurement
+    from naosprint.tasks.observations import ObservationBlock
 
 SHORT_EPISODE_STEPS = 100
 """Steps after which short episodes are truncated: by then a robot runs."""
@@ -61,7 +64,7 @@ class Environment:
         self,
         simulator: Simulator,
         task_class: type[Task],
-        parameters: Any,
+        parameters: TaskSettings,
         seed: int = 0,
         *,
         compiled: bool = True,
@@ -96,17 +99,22 @@ class Environment:
         self._program = self._compile() if compiled else None
         self.compiled = self._program is not None
 
-    def _compile(self) -> Any:
+    def _compile(self) -> Step | None:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
         task, actuation = self.task, self.actuation
         methods = ("begin", "advance", "ended", "take_over")
         own = any(getattr(type(task), name) is not getattr(Task, name) for name in methods)
-        parts: tuple[Any, ...] = (*task.measurements, *self.observer.blocks, *self._terms)
+        parts: tuple[Measurement | ObservationBlock | RewardTerm, ...] = (
+            *task.measurements,
+            *self.observer.blocks,
+            *self._terms,
+        )
         if own or not self.simulator.stable_arrays or any(part.operation is None for part in parts):
             return None
         from naosprint import _compiled
 
-        def built(part: Any) -> Any:
+        def built(part: Measurement | ObservationBlock | RewardTerm) -> Operation:
+            assert part.operation is not None  # checked above
             return part.operation.build()
 
         names = ("rewards", "terminated", "truncated", "failed", "lost", "short")
@@ -358,13 +366,13 @@ def open_environment(
         ValueError: if this machine cannot run this number of robots; the message states what to change.
         FileNotFoundError: if a simulator's program is missing.
     """
-    kind = plugins.load(plugins.SIMULATORS, spec.simulator.name)
+    kind, task = kinds.get(spec.simulator.name), get(spec.task.name)
     options = RuntimeOptions(
         threads=threads, standby_servers=standby_servers, max_server_failures=spec.runtime.max_server_failures
     )
-    simulator = kind.open(spec.robot_description, n, spec.simulator, options, spec.task_class.scene)
+    simulator = kind.open(robots.configured(spec.robot), n, spec.simulator, options, task.scene)
     try:
-        return Environment(simulator, spec.task_class, spec.task, spec.seed if seed is None else seed, critic=critic)
+        return Environment(simulator, task, spec.task, spec.seed if seed is None else seed, critic=critic)
     except BaseException:
         simulator.close()
         raise

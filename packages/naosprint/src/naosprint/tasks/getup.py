@@ -142,7 +142,7 @@ def side_of(rotation: FloatArray) -> IntArray:
     return np.asarray(sides, dtype=np.int64)
 
 
-class GetUp(Task):
+class GetUp(Task[GetUpSettings]):
     """Stand up from lying on the front, the back, or a side, and stay up."""
 
     name = "getup"

@@ -181,7 +181,7 @@ class SprintSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     )
 
 
-class Sprint(Task):
+class Sprint(Task[SprintSettings]):
     """Run forward from standing."""
 
     Parameters = SprintSettings

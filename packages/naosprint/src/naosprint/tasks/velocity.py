@@ -231,7 +231,7 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
         return self
 
 
-class Velocity(Task):
+class Velocity(Task[VelocitySettings]):
     """Follow a commanded velocity.
 
     The command is a forward and a sideways speed in m/s, relative to the commanded heading, and a turn rate in rad/s,

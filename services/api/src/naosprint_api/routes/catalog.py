@@ -5,9 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import logging
-from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -19,8 +16,6 @@ from naosprint_api.dependencies import CountedRoute
 from naosprint_api.schemas import JobCreate
 
 router = APIRouter(tags=["catalog"], route_class=CountedRoute)
-
-_log = logging.getLogger(__name__)
 
 
 class MetricPublic(BaseModel):
@@ -194,7 +189,7 @@ def list_tasks() -> list[TaskPublic]:
     """List the installed tasks with their metrics and settings."""
     return [
         TaskPublic.model_validate({**task.describe(), "parameters": task.Parameters.model_json_schema()})
-        for task in _installed(plugins.TASKS)
+        for _, task in plugins.usable(plugins.TASKS)
     ]
 
 
@@ -203,7 +198,7 @@ def list_algorithms() -> list[AlgorithmPublic]:
     """List the installed learning algorithms with their metrics and settings."""
     return [
         AlgorithmPublic.model_validate({**kind.describe(), "parameters": kind.Parameters.model_json_schema()})
-        for kind in _installed(plugins.LEARNERS)
+        for _, kind in plugins.usable(plugins.LEARNERS)
     ]
 
 
@@ -211,17 +206,8 @@ def list_algorithms() -> list[AlgorithmPublic]:
 def list_robots() -> list[RobotPublic]:
     """List the installed robots with their settings."""
     return [
-        RobotPublic(
-            name=robot.name,
-            family=robot.family,
-            title=robot.title,
-            joints=list(robot.joint_names),
-            standing_height_m=robot.standing_height_m,
-            front_axis=robot.front_axis,
-            field=FieldPublic.model_validate({**asdict(robot.field), "lines": robot.field.lines()}),
-            parameters=type(robot.parameters).model_json_schema(),
-        )
-        for robot in _installed(plugins.ROBOTS)
+        RobotPublic.model_validate({**robot.describe(), "parameters": type(robot.parameters).model_json_schema()})
+        for _, robot in plugins.usable(plugins.ROBOTS)
     ]
 
 
@@ -239,7 +225,7 @@ def list_simulators() -> list[SimulatorPublic]:
                 if name == kind.name
             ],
         )
-        for kind in _installed(plugins.SIMULATORS)
+        for _, kind in plugins.usable(plugins.SIMULATORS)
     ]
 
 
@@ -256,12 +242,3 @@ def list_presets() -> list[PresetPublic]:
 def list_recipes() -> list[RecipePublic]:
     """List the recipes: tested jobs."""
     return [RecipePublic(name=name, summary=recipes.summary(name), job=recipes.job(name)) for name in recipes.names()]
-
-
-def _installed(group: str) -> Iterator[Any]:
-    """Yield the plug-ins of a group; one that cannot be loaded is left out."""
-    for name in plugins.names(group):
-        try:
-            yield plugins.load(group, name)
-        except plugins.BrokenPluginError as error:
-            _log.warning("left out of the catalog: %s", error)
