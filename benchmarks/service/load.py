@@ -25,8 +25,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import httpx
-from naojobs import lifecycle, records
-from naojobs.lifecycle import Lease
+from naojobs import leases, outcomes, records
+from naojobs.capabilities import Capabilities
+from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naospec.json_text import json_text
@@ -91,7 +92,7 @@ def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading
         row = {name: step / 7 for name in ("reward", "distance_m", "speed_mps", "policy_loss", "value_loss", "entropy")}
         records.append_metrics(sessions, lease, [{"step": step, **row}])
         records.append_logs(sessions, lease, [records.LogLine("info", f"step {step}")])
-    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
     return step // 32_768
 
 
@@ -119,9 +120,10 @@ def main() -> int:
             jobs.append(load.request(clients[number % len(clients)], "submit", "POST", "/jobs", json=body).json()["id"])
         submit_s = time.perf_counter() - started
 
-        claim = lifecycle.claim(sessions, Job, jobs[0], "load")
+        can = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
+        claim = leases.claim_next(sessions, "load", models=[Job], capabilities=can)
         assert claim is not None
-        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+        outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
         before_mb = process.memory_info().rss / 1e6
         # In a process of their own: 50 readers and the clients would delay each other.
         readers = stack.enter_context(ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")))

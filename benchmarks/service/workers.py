@@ -34,11 +34,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
-from naojobs import lifecycle, records, registry
+from naojobs import leases, outcomes, records, registry
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions, make_engine, make_sessions
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Job, MetricsRecord
 from naojobs.records import Batch, LogLine, MetricsRow
 from naojobs.states import WorkState
@@ -121,13 +121,13 @@ class Stub:
     def _heartbeat(self) -> bool:
         lease = self._lease
         if lease is not None:
-            lifecycle.heartbeat(self._sessions, lease, lease_s=self._rates.lease_s)
+            leases.heartbeat(self._sessions, lease, lease_s=self._rates.lease_s)
         return lease is not None
 
     def _look(self) -> bool:
         lease = self._lease
         if lease is not None:
-            lifecycle.read_requests(self._sessions, lease)
+            leases.read_requests(self._sessions, lease)
         return lease is not None
 
     def _reap(self) -> bool:
@@ -137,7 +137,7 @@ class Stub:
     def _claim(self) -> bool:
         if self._lease is not None:
             return False
-        claim = lifecycle.claim_next(
+        claim = leases.claim_next(
             self._sessions,
             self._name,
             queues=["embedded"],
@@ -145,8 +145,8 @@ class Stub:
             lease_s=self._rates.lease_s,
         )
         if claim is not None:
-            lifecycle.transition(self._sessions, claim.lease, WorkState.RUNNING)
-            lifecycle.begin(self._sessions, claim.lease, step=0)
+            outcomes.transition(self._sessions, claim.lease, WorkState.RUNNING)
+            outcomes.begin(self._sessions, claim.lease, step=0)
             self._rows = 0
             self._ends_at = time.monotonic() + random.expovariate(1 / self._rates.job_s)
             self._lease = claim.lease
@@ -164,7 +164,7 @@ class Stub:
         self._outcome.rows += count
         if time.monotonic() >= self._ends_at:
             self._lease = None  # no further call for this job
-            lifecycle.transition(self._sessions, lease, WorkState.SUCCEEDED)
+            outcomes.transition(self._sessions, lease, WorkState.SUCCEEDED)
             self._outcome.ended[lease.id] = self._rows
         return True
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from fastapi.testclient import TestClient
-from naojobs import lifecycle, records, registry, submission
+from naojobs import leases, outcomes, records, registry, submission
 from naojobs.capabilities import Capabilities
 from naojobs.database import make_engine, make_sessions, upgrade
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.records import LogLine
 from naojobs.states import WorkState
@@ -93,7 +93,7 @@ PATHS = (
 def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) -> dict[str, str]:
     """Write the jobs and their rows; return identifiers by name."""
     has = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
-    registry.beat(sessions, "worker-1", host="host", pid=1, queues=["embedded"], capabilities=has, version="1")
+    registry.beat(sessions, "worker-1", host="host", pid=1, capabilities=has, version="1")
     evaluated = EvaluationSpec.model_validate(EVALUATION)
     request = JobRequest(_spec(SPEC), evaluated, name="first", tags=["regression", "a=b"], priority=7)
     lease = _run(sessions, request)
@@ -104,7 +104,7 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
     key = checkpoint_key(lease.job_id, 24576, lease.attempt)
     manifest = store.put_directory(key, folder).model_dump()
     checkpoint = records.record_checkpoint(sessions, lease, step=24576, key=key, manifest=manifest)
-    lifecycle.transition(sessions, lease, WorkState.EVALUATING)
+    outcomes.transition(sessions, lease, WorkState.EVALUATING)
     evaluation = records.record_evaluation(
         sessions,
         lease,
@@ -114,10 +114,10 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
         key=key,
         manifest=manifest,
     )
-    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
     waiting = submission.request_evaluation(sessions, lease.job_id)
     failed = _run(sessions, JobRequest(_spec(FAILED_SPEC)))
-    lifecycle.transition(sessions, failed, WorkState.FAILED, error="the training process ended with exit status 1")
+    outcomes.transition(sessions, failed, WorkState.FAILED, error="the training process ended with exit status 1")
     child = JobRequest(_spec(QUEUED_SPEC), EvaluationSpec(), parent_job_id=lease.job_id)
     queued, _ = submission.submit(sessions, child, owner="alice")
     return {
@@ -136,10 +136,12 @@ def _spec(settings: dict[str, Any]) -> TrainingSpec:
 
 def _run(sessions: sessionmaker[Session], request: JobRequest) -> Lease:
     job, _ = submission.submit(sessions, request, owner="alice")
-    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
+    can = Capabilities({job.task: job.task_version}, [job.robot], [job.simulator], [job.algorithm])
+    claim = leases.claim_next(sessions, "worker-1", models=[Job], capabilities=can)
     assert claim is not None
-    lifecycle.begin(sessions, claim.lease, step=0)
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    assert claim.lease.id == job.id
+    outcomes.begin(sessions, claim.lease, step=0)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 

@@ -12,14 +12,16 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, submission
-from naojobs.lifecycle import Lease
+from naojobs import outcomes, records, submission
+from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, checkpoint_key
 from naojobs.submission import JobRequest
 from naosprint_api.recent import KEEP_S
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 
 @dataclass(frozen=True)
@@ -79,10 +81,10 @@ def run_job(sessions: sessionmaker[Session]) -> Callable[..., Lease]:
 
     def run(owner: str = "alice", **fields: Any) -> Lease:
         job, _ = submission.submit(sessions, JobRequest(**fields), owner=owner)
-        claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
+        claim = claim_work(sessions, Job, job.id, "worker-1")
         assert claim is not None
-        lifecycle.begin(sessions, claim.lease, step=0)
-        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+        outcomes.begin(sessions, claim.lease, step=0)
+        outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
         return claim.lease
 
     return run

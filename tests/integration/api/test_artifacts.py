@@ -14,14 +14,16 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, submission
-from naojobs.lifecycle import Lease
+from naojobs import leases, outcomes, records, submission
+from naojobs.leases import Lease
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec
 from naosprint.tasks.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 CONTENT = {
     "checkpoint.json": b'{"format": 1}',
@@ -196,10 +198,10 @@ def test_an_evaluation_from_request_to_report(
     assert (evaluation["state"], evaluation["checkpoint_id"], evaluation["files"]) == ("queued", checkpoint, [])
     assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
 
-    claim = lifecycle.claim(sessions, Evaluation, evaluation["id"], "w")
+    claim = claim_work(sessions, Evaluation, evaluation["id"], "w")
     assert claim is not None
     assert claim.spec == EvaluationSpec(episodes=10)
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     key = f"jobs/{lease.job_id}/evaluations/{evaluation['id']}-1"
     entry = store.put_bytes(f"{key}/report.html", b"<html>")
     records.record_result(
@@ -208,7 +210,7 @@ def test_an_evaluation_from_request_to_report(
     unsettled = client.get(f"/evaluations/{evaluation['id']}").json()
     assert (unsettled["state"], unsettled["summary"], unsettled["files"]) == ("running", None, [])
     assert client.get(f"/evaluations/{evaluation['id']}/archive").status_code == 404
-    lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, claim.lease, WorkState.SUCCEEDED)
     done = client.get(f"/evaluations/{evaluation['id']}").json()
     assert (done["state"], done["summary"]) == ("succeeded", {"speed_mps": {"mean": 1.5}})
     report = client.get(done["files"][0]["url"])
@@ -261,7 +263,7 @@ def test_a_jobs_result_is_its_newest_evaluation_with_the_most_episodes(
     }  # fmt: skip
     (listed,) = client.get("/jobs", params={"q": lease.job_id}).json()["items"]
     assert listed["result"] == result
-    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
     with follow(client, f"{path}/stream", only=["state"]) as messages:
         assert next(message.data for message in messages if message.event == "state")["result"] == result
 
@@ -291,7 +293,7 @@ def test_deleting_a_job_deletes_its_files(
     client: httpx.Client, lease: Lease, checkpoint: str, store: ArtifactStore, sessions: sessionmaker[Session]
 ) -> None:
     assert store.list(f"jobs/{lease.job_id}")
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
     assert client.delete(f"/jobs/{lease.job_id}").status_code == 204
     # Files are deleted after the answer.
     deadline = time.monotonic() + 10
@@ -312,17 +314,17 @@ def test_an_evaluation_is_cancelled_by_its_owner(
     assert waiting["time_limit_s"] == 60
     assert make_client("mallory", "submit").post(f"/evaluations/{waiting['id']}/cancel").status_code == 404
     assert client.post(f"/evaluations/{waiting['id']}/cancel").json()["state"] == "cancelled"
-    claim = lifecycle.claim(sessions, Evaluation, running["id"], "worker-1")
+    claim = claim_work(sessions, Evaluation, running["id"], "worker-1")
     assert claim is not None
     asked = client.post(f"/evaluations/{running['id']}/cancel").json()
     assert (asked["state"], asked["cancel_requested"], asked["worker"]) == ("starting", True, "worker-1")
-    assert lifecycle.heartbeat(sessions, claim.lease).cancel
-    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="too late")
+    assert leases.heartbeat(sessions, claim.lease).cancel
+    outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="too late")
     assert client.get(f"/evaluations/{running['id']}").json()["state"] == "cancelled"
     failing = client.post(f"/jobs/{lease.job_id}/evaluations", json=body).json()
-    claim = lifecycle.claim(sessions, Evaluation, failing["id"], "worker-1")
+    claim = claim_work(sessions, Evaluation, failing["id"], "worker-1")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="broken")
+    outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="broken")
     refused = client.post(f"/evaluations/{failing['id']}/cancel")
     assert refused.status_code == 409
     assert "has already failed" in refused.json()["detail"]

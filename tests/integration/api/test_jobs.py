@@ -8,9 +8,9 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, registry
+from naojobs import leases, outcomes, records, registry
 from naojobs.capabilities import Capabilities
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 
@@ -320,9 +320,9 @@ def test_a_running_job_is_asked_to_stop(
     problem(client.post(f"/jobs/{lease.job_id}/resume"), 409)
     cancelled = client.post(f"/jobs/{lease.job_id}/cancel").json()
     assert (cancelled["state"], cancelled["cancel_requested"]) == ("pausing", True)
-    requests = lifecycle.heartbeat(sessions, lease)
+    requests = leases.heartbeat(sessions, lease)
     assert (requests.state, requests.cancel) == (WorkState.PAUSING, True)
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
     assert client.get(f"/jobs/{lease.job_id}").json()["state"] == "cancelled"
 
 
@@ -382,7 +382,7 @@ def test_workers_show_only_ones_own_jobs(
 ) -> None:
     lease = run_job()
     capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
-    registry.beat(sessions, "worker-1", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
+    registry.beat(sessions, "worker-1", host="h", pid=1, capabilities=capabilities, version="1")
     for who, sees in ((client, True), (admin, True), (make_client("mallory", "read"), False)):
         (worker,) = who.get("/workers").json()["items"]
         assert (worker["id"], worker["alive"]) == ("worker-1", True)
@@ -395,15 +395,15 @@ def test_a_stalled_job_is_shown_and_counted(
     client: httpx.Client, admin: httpx.Client, sessions: sessionmaker[Session], run_job: Callable[..., Lease]
 ) -> None:
     lease = run_job()
-    lifecycle.report_stall(sessions, lease, 400.0)
+    outcomes.report_stall(sessions, lease, 400.0)
     shown = client.get(f"/jobs/{lease.job_id}").json()
     assert shown["stalled_since"] is not None
     assert "naosprint_stalled 1.0" in admin.get("/metrics").text
     assert "stalled" in [event["kind"] for event in client.get(f"/jobs/{lease.job_id}/events").json()["items"]]
-    lifecycle.report_stall(sessions, lease, None)
+    outcomes.report_stall(sessions, lease, None)
     assert client.get(f"/jobs/{lease.job_id}").json()["stalled_since"] is None
-    lifecycle.report_stall(sessions, lease, 400.0)
-    lifecycle.transition(sessions, lease, WorkState.FAILED, error="x")
+    outcomes.report_stall(sessions, lease, 400.0)
+    outcomes.transition(sessions, lease, WorkState.FAILED, error="x")
     text = admin.get("/metrics").text
     assert "naosprint_stalled 0.0" in text
     assert "naosprint_jobs_failed_recently 1.0" in text
@@ -420,7 +420,7 @@ def test_a_queued_job_tells_why_no_worker_can_take_it(
 
     assert soon(lambda: reason() == "no worker is running")
     capabilities = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
-    registry.beat(sessions, "w", host="h", pid=1, queues=["embedded"], capabilities=capabilities, version="1")
+    registry.beat(sessions, "w", host="h", pid=1, capabilities=capabilities, version="1")
     assert soon(lambda: reason() == "no worker has task 'sprint2' version 1")
     (listed,) = [job for job in client.get("/jobs").json()["items"] if job["id"] == job_id]
     assert listed["waiting_reason"] == "no worker has task 'sprint2' version 1"

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from naojobs import registry
 from naojobs.capabilities import Capabilities
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.tokens import Scope, create_token
 from naosprint_api.app import create_app
 from naosprint_api.service import Service
@@ -31,7 +31,6 @@ def filled(sessions: sessionmaker[Session]) -> None:
             f"host-{number}:1:a",
             host="host",
             pid=number,
-            queues=["embedded"],
             capabilities=Capabilities({}, [], [], ["ppo"]),
             version="1",
         )

@@ -10,8 +10,8 @@ from typing import Any
 import httpx
 import naopolicies
 import pytest
-from naojobs import lifecycle, records
-from naojobs.lifecycle import Lease
+from naojobs import outcomes, records
+from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Job
 from naojobs.records import MetricsRow
 from naojobs.retention import Retention, prune_checkpoints
@@ -20,6 +20,8 @@ from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec, TrainingSpec
 from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 Sessions = sessionmaker[Session]
 
@@ -252,7 +254,7 @@ def test_neither_retention_nor_deletion_takes_a_registered_checkpoint(
     with sessions.begin() as session:
         left = session.scalars(select(Checkpoint.step).where(Checkpoint.job_id == lease.job_id)).all()
     assert sorted(left) == [201, 401]
-    lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
     refused = client.delete(f"/jobs/{lease.job_id}")
     assert (refused.status_code, f"delete {name}@1 first" in refused.json()["detail"]) == (409, True)
     assert client.delete(f"/policies/{name}").status_code == 204
@@ -275,13 +277,13 @@ def test_a_training_starts_from_a_policy_by_name(
         lease.job_id,
         first,
     )
-    claim = lifecycle.claim(sessions, Job, job["id"], "w")
+    claim = claim_work(sessions, Job, job["id"], "w")
     assert claim is not None
     assert claim.initial_policy is not None
     assert (claim.initial_policy.id, claim.bundled_policy) == (first, None)
     bundled = submit("sprint", spec=naopolicies.spec("sprint")).json()
     assert (bundled["parent_policy"], bundled["parent_job_id"]) == ("sprint", None)
-    claim = lifecycle.claim(sessions, Job, bundled["id"], "w")
+    claim = claim_work(sessions, Job, bundled["id"], "w")
     assert claim is not None
     assert (claim.initial_policy, claim.bundled_policy) == (None, "sprint")
     for reference, part in (("nothing", "no policy 'nothing'"), (f"{name}@9", "no version '9'")):

@@ -14,7 +14,7 @@ import naopolicies
 import pytest
 from naoctl.cli import main
 from naojobs import records
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint.rl.checkpoint import verify_checkpoint
 from sqlalchemy.orm import Session, sessionmaker

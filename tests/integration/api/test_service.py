@@ -20,8 +20,8 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records
-from naojobs.lifecycle import Lease
+from naojobs import outcomes, records
+from naojobs.leases import Lease
 from naojobs.models import Event, Job, Log, MetricsRecord, Token
 from naojobs.records import LogLine
 from naojobs.states import WorkState
@@ -536,7 +536,7 @@ def test_events_follow_the_retry_of_a_lost_job(
 ) -> None:
     lease = run_job(max_attempts=1)
     records.append_logs(sessions, lease, [records.LogLine("error", "boom")])
-    lifecycle.lose(sessions, lease, "the trainer ended with exit code 1")
+    outcomes.lose(sessions, lease, "the trainer ended with exit code 1")
     job = client.get(f"/jobs/{lease.job_id}").json()
     assert job["state"] == "failed"
     assert "exit code 1" in job["error"]

@@ -10,13 +10,15 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, submission
-from naojobs.lifecycle import Lease
+from naojobs import outcomes, records, submission
+from naojobs.leases import Lease
 from naojobs.models import Evaluation, Log, Token
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 
 def submit(client: httpx.Client, **body: Any) -> str:
@@ -106,13 +108,13 @@ def finished_report(
     lease = run_job()
     save_checkpoint(lease, 512, {"checkpoint.json": b"{}"})
     row = submission.request_evaluation(sessions, lease.job_id)
-    claim = lifecycle.claim(sessions, Evaluation, row.id, "w")
+    claim = claim_work(sessions, Evaluation, row.id, "w")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     key = f"jobs/{lease.job_id}/evaluations/{row.id}-1"
     files = [store.put_bytes(f"{key}/report.html", b"<p>results</p>").model_dump()]
     records.record_result(sessions, claim.lease, summary={}, key=key, manifest={"files": files})
-    lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, claim.lease, WorkState.SUCCEEDED)
     return row.id
 
 

@@ -13,14 +13,17 @@ from typing import Any
 import httpx
 import psycopg
 import pytest
-from naojobs import lifecycle, records
-from naojobs.lifecycle import Lease
+from naojobs import outcomes, records
+from naojobs.database import notify
+from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naojobs.tokens import Scope, create_token, revoke
 from naosprint_api import broadcast
 from sqlalchemy import text
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 Sessions = sessionmaker[Session]
 
@@ -40,8 +43,8 @@ def test_a_follower_sees_a_job_live_until_it_ends(
         records.append_logs(sessions, lease, [records.LogLine("info", "two\nlines \N{SNOWMAN}")])
         line = next(messages)
         assert (line.event, line.data["message"]) == ("log", "two\nlines \N{SNOWMAN}")
-        lifecycle.transition(sessions, lease, WorkState.EVALUATING)
-        lifecycle.transition(sessions, lease, WorkState.SUCCEEDED)
+        outcomes.transition(sessions, lease, WorkState.EVALUATING)
+        outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
         rest = list(messages)
     kinds = [message.event for message in rest]
     assert kinds.count("event") == 2
@@ -69,7 +72,7 @@ def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(
     total = 1200  # more than two batches
     records.append_metrics(sessions, lease, [{"step": step} for step in range(1, total + 1)])
     records.append_logs(sessions, lease, [records.LogLine("info", f"{n}") for n in range(700)])
-    lifecycle.transition(sessions, lease, WorkState.FAILED, error="gone")
+    outcomes.transition(sessions, lease, WorkState.FAILED, error="gone")
 
     seen = []
     last_id = None
@@ -104,10 +107,10 @@ def test_a_resumed_job_sends_its_steps_again(
     with follow(client, f"/jobs/{lease.job_id}/stream", only=["metrics", "event"], events_after=10**9) as messages:
         records.append_metrics(sessions, lease, [{"step": step} for step in (10, 20)])
         assert [m.data["step"] for m in islice(messages, 2)] == [10, 20]
-        lifecycle.lose(sessions, lease, "the trainer died")
-        claim = lifecycle.claim(sessions, Job, lease.job_id, "worker-2")
+        outcomes.lose(sessions, lease, "the trainer died")
+        claim = claim_work(sessions, Job, lease.job_id, "worker-2")
         assert claim is not None
-        lifecycle.begin(sessions, claim.lease, step=10, resumed_from="x")
+        outcomes.begin(sessions, claim.lease, step=10, resumed_from="x")
         records.append_metrics(sessions, claim.lease, [{"step": 20}])
         again = next(messages)
         assert (again.data["step"], again.data["attempt"]) == (20, 2)
@@ -120,8 +123,8 @@ def test_a_stream_of_a_deleted_job_ends(
     with follow(client, f"/jobs/{job}/stream", only="state") as messages:
         assert next(messages).data["state"] == "queued"
         with sessions.begin() as session:
-            session.delete(session.get_one(lifecycle.Job, job))
-            lifecycle.notify(session, job)
+            session.delete(session.get_one(Job, job))
+            notify(session, job)
         assert [(m.event, m.data) for m in messages] == [("gone", {"id": job})]
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, studies, submission, webhooks
+from naojobs import leases, outcomes, records, requests, studies, submission, webhooks
 from naojobs.errors import ConflictError
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Delivery, Evaluation, Job, Webhook
 from naojobs.states import WorkState
 from naojobs.studies import StudyRequest
@@ -146,7 +146,7 @@ def until_next(sessions: Sessions) -> float:
 
 
 def end_job(sessions: Sessions, lease: Lease, state: WorkState = WorkState.SUCCEEDED, **details: Any) -> None:
-    lifecycle.transition(sessions, lease, state, **details)
+    outcomes.transition(sessions, lease, state, **details)
 
 
 def test_every_kind_of_change_is_reported(
@@ -154,10 +154,10 @@ def test_every_kind_of_change_is_reported(
 ) -> None:
     subscribe()
     lease = run_job(name="runner", tags=["lab"])
-    lifecycle.report_stall(sessions, lease, 300.0)
-    lifecycle.report_stall(sessions, lease, None)
+    outcomes.report_stall(sessions, lease, 300.0)
+    outcomes.report_stall(sessions, lease, None)
     checkpoint = save_checkpoint(lease, 8192, {"policy.npz": b"x"})
-    lifecycle.transition(sessions, lease, WorkState.EVALUATING)
+    outcomes.transition(sessions, lease, WorkState.EVALUATING)
     summary = {"episodes": 2, "results": [{"name": "speed", "value": 3.5}, {"name": "height", "value": None}]}
     records.record_evaluation(
         sessions,
@@ -170,7 +170,7 @@ def test_every_kind_of_change_is_reported(
     )
     end_job(sessions, lease)
     requested = submission.request_evaluation(sessions, lease.job_id)
-    lifecycle.request_cancel(sessions, Evaluation, requested.id)
+    requests.request_cancel(sessions, Evaluation, requested.id)
     search = SearchSpec.model_validate({"space": {"gamma": {"type": "float", "low": 0.9, "high": 0.99}}})
     study, _ = studies.submit_study(sessions, StudyRequest(JobRequest(), search, "best"), owner="alice")
     studies.cancel_study(sessions, study.id)
@@ -195,7 +195,7 @@ def test_only_the_owner_and_only_chosen_types_are_sent(
     subscribe(events=[MessageType.STUDY_FINISHED])
     chosen = subscribe(events=[MessageType.JOB_ENDED])
     lease = run_job()
-    lifecycle.report_stall(sessions, lease, 300.0)
+    outcomes.report_stall(sessions, lease, 300.0)
     end_job(sessions, lease, WorkState.FAILED, error="out of memory")
     (delivery,) = outbox(sessions)
     assert (delivery.webhook_id, delivery.data["error"]) == (chosen.id, "out of memory")
@@ -207,7 +207,7 @@ def test_a_change_that_is_rolled_back_is_not_reported(
     subscribe()
     lease = run_job()
     with pytest.raises(ConflictError), sessions.begin() as session:
-        lifecycle._settle(session, lifecycle.hold(session, lease), WorkState.SUCCEEDED)
+        outcomes._settle(session, leases.hold(session, lease), WorkState.SUCCEEDED)
         assert session.query(Delivery).count() == 1
         raise ConflictError("the transaction fails")
     assert outbox(sessions) == []

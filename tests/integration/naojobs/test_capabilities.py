@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from naojobs import lifecycle, records, registry, submission
+from naojobs import leases, records, registry, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
-from naojobs.lifecycle import Claim
+from naojobs.leases import Claim
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naojobs.submission import JobRequest
@@ -18,10 +19,11 @@ from naospec.flat import nest
 from sqlalchemy import delete, update
 from sqlalchemy.orm import Session, sessionmaker
 
+from tests.integration.attempts import claim_work
+
 Sessions = sessionmaker[Session]
 
 ALL = Capabilities({"sprint1": 1, "sprint2": 1}, ["nao-0", "nao-1"], ["embedded", "server"], ["ppo"])
-QUEUES = ("embedded", "server")
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +45,7 @@ def submit(sessions: Sessions) -> Callable[..., str]:
 
 
 def claim_next(sessions: Sessions, capabilities: Capabilities = ALL, **options: Any) -> Claim | None:
-    return lifecycle.claim_next(sessions, "w", **{"queues": QUEUES, "capabilities": capabilities, **options})
+    return leases.claim_next(sessions, "w", **{"capabilities": capabilities, **options})
 
 
 def claimed(sessions: Sessions, capabilities: Capabilities = ALL, **options: Any) -> str | None:
@@ -66,7 +68,7 @@ def test_a_worker_that_lacks_something_leaves_the_job_to_others(
     sessions: Sessions, submit: Callable[..., str], less: Capabilities
 ) -> None:
     job_id = submit(task="sprint2", robot="nao-1")
-    assert lifecycle.claim(sessions, Job, job_id, "w", capabilities=less) is None
+    assert claim_work(sessions, Job, job_id, "w", capabilities=less) is None
     assert claimed(sessions, less) is None
     other = submit(task="sprint1") if "sprint1" in less.tasks and "nao-0" in less.robots else None
     assert claimed(sessions, less) == other
@@ -83,16 +85,16 @@ def test_a_job_of_another_task_version_waits_for_a_worker_that_has_it(
     assert claimed(sessions, Capabilities({"sprint1": 2}, ["nao-0"], ["embedded"], ["ppo"])) == job_id
 
 
-def test_work_is_claimed_by_priority_and_waiting_time_in_the_queues_of_a_worker(
+def test_work_is_claimed_by_priority_and_waiting_time_in_the_simulators_of_a_worker(
     sessions: Sessions, submit: Callable[..., str]
 ) -> None:
     low, first, second, urgent = submit(1), submit(), submit(), submit(9, simulator="server")
-    assert claimed(sessions, queues=["embedded"]) == first
+    assert claimed(sessions, replace(ALL, simulators=["embedded"])) == first
     assert [claimed(sessions) for _ in range(4)] == [urgent, second, low, None]
 
 
 def test_evaluations_are_claimed_beside_jobs(sessions: Sessions, submit: Callable[..., str]) -> None:
-    trained = lifecycle.claim(sessions, Job, submit(), "w")
+    trained = claim_work(sessions, Job, submit(), "w")
     assert trained is not None
     records.record_checkpoint(sessions, trained.lease, step=1, key=trained.lease.id, manifest={"files": []})
     waiting = submit()
@@ -129,13 +131,11 @@ def test_the_reason_for_waiting_names_what_no_worker_has(sessions: Sessions, sub
                 job_id
             )
 
-    def beat(worker: str, *capabilities: Any, queues: tuple[str, ...] = ("server",)) -> None:
+    def beat(worker: str, *capabilities: Any) -> None:
         has = Capabilities(*capabilities[:3], capabilities[3] if len(capabilities) > 3 else ["ppo"])
-        registry.beat(sessions, worker, host="h", pid=1, queues=queues, capabilities=has, version="1")
+        registry.beat(sessions, worker, host="h", pid=1, capabilities=has, version="1")
 
     assert reason() == "no worker is running"
-    beat("a", {"sprint1": 1}, ["nao-0"], ["embedded"], queues=("embedded",))
-    assert reason() == "no worker serves queue 'server'"
     beat("a", {"sprint1": 1}, ["nao-0"], ["embedded"])
     assert reason() == "no worker has simulator 'server'"
     beat("a", {"sprint1": 1}, ["nao-0"], ["server"])

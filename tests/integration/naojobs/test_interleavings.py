@@ -13,12 +13,12 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from naojobs import lifecycle, records, submission
+from naojobs import leases, outcomes, records, requests, submission
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
 from naojobs.history import states_of, violations
-from naojobs.lifecycle import JobClaim
+from naojobs.leases import JobClaim
 from naojobs.models import Evaluation, Event, Job
 from naojobs.settings import ServiceSettings
 from naojobs.states import LEASED, WorkState
@@ -30,6 +30,8 @@ from naosprint_worker.runs import Run
 from naosprint_worker.settings import WorkerSettings
 from naosprint_worker.supervisor import Ending, Intent
 from sqlalchemy import func, select, text, update
+
+from tests.integration.attempts import claim_work
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
@@ -71,22 +73,22 @@ class Attempt:
 
     @property
     def _state(self) -> WorkState:
-        return lifecycle.read_requests(self._context.sessions, self.lease).state
+        return leases.read_requests(self._context.sessions, self.lease).state
 
     def do(self, action: str, random: Random) -> None:
         """Do the next step of an attempt, where its state allows it. Raises LeaseLostError."""
         sessions, state = self._context.sessions, self._state
         if action == "run" and state in (WorkState.STARTING, WorkState.PAUSING):
             with contextlib.suppress(ConflictError):  # a pause was requested first
-                lifecycle.transition(sessions, self.lease, WorkState.RUNNING)
+                outcomes.transition(sessions, self.lease, WorkState.RUNNING)
         elif action == "evaluate" and state in (WorkState.RUNNING, WorkState.PAUSING):
-            lifecycle.transition(sessions, self.lease, WorkState.EVALUATING)
+            outcomes.transition(sessions, self.lease, WorkState.EVALUATING)
         elif action == "checkpoint":
             step = next(self._steps)
             key = f"jobs/{self.lease.job_id}/checkpoints/{step}"
             records.record_checkpoint(sessions, self.lease, step=step, key=key, manifest={"files": []})
         elif action == "look":
-            requests = lifecycle.read_requests(sessions, self.lease)
+            requests = leases.read_requests(sessions, self.lease)
             if requests.cancel:
                 self.intent = max(self.intent, Intent.CANCEL)
             elif requests.state is WorkState.PAUSING:
@@ -116,11 +118,11 @@ class World:
     def request(self, name: str) -> bool:
         """Do what a user asks for; return whether it was acknowledged."""
         calls: dict[str, Callable[[], object]] = {
-            "cancel": lambda: lifecycle.request_cancel(self.sessions, Job, self.job_id),
-            "pause": lambda: lifecycle.request_pause(self.sessions, self.job_id),
-            "resume": lambda: lifecycle.resume(self.sessions, self.job_id),
-            "retry": lambda: lifecycle.retry(self.sessions, self.job_id),
-            "delete": lambda: lifecycle.delete(self.sessions, self.job_id),
+            "cancel": lambda: requests.request_cancel(self.sessions, Job, self.job_id),
+            "pause": lambda: requests.request_pause(self.sessions, self.job_id),
+            "resume": lambda: requests.resume(self.sessions, self.job_id),
+            "retry": lambda: requests.retry(self.sessions, self.job_id),
+            "delete": lambda: requests.delete(self.sessions, self.job_id),
         }
         try:
             calls[name]()
@@ -131,7 +133,7 @@ class World:
     def claim(self) -> Attempt | None:
         with self.sessions.begin() as session:  # a delay after an outage is of no interest here
             session.execute(update(Job).where(Job.id == self.job_id).values(not_before=None))
-        claim = lifecycle.claim(self.sessions, Job, self.job_id, self._context.worker_id)
+        claim = claim_work(self.sessions, Job, self.job_id, self._context.worker_id)
         return None if claim is None else Attempt(self._context, claim, self._steps)
 
     def expire(self) -> None:
@@ -139,7 +141,7 @@ class World:
         with self.sessions.begin() as session:
             leased = (Job.id == self.job_id, Job.lease_owner.is_not(None))
             session.execute(update(Job).where(*leased).values(lease_expires_at=text("'epoch'")))
-        lifecycle.requeue_stale(self.sessions)
+        outcomes.requeue_stale(self.sessions)
 
     def check(self) -> WorkState | None:
         """Check the job's history; return its state, none if it was deleted."""
@@ -227,7 +229,7 @@ def test_evaluation_that_gives_way_to_a_training_waits_and_counts_no_attempt(con
     assert attempt is not None
     attempt.do("checkpoint", Random(0))
     asked = submission.request_evaluation(context.sessions, world.job_id).id
-    claim = lifecycle.claim(context.sessions, Evaluation, asked, "worker")
+    claim = claim_work(context.sessions, Evaluation, asked, "worker")
     assert claim is not None
     run = Run(context, claim)
     with context.memory.share(run.kind) as run._share:

@@ -11,10 +11,10 @@ from datetime import timedelta
 from typing import Any
 
 import pytest
-from naojobs import backups, lifecycle, records, submission
+from naojobs import backups, leases, outcomes, records, requests, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.errors import ConflictError, InvalidError, LeaseLostError, NotFoundError, QuotaError
-from naojobs.lifecycle import JobClaim
+from naojobs.leases import JobClaim
 from naojobs.models import Evaluation, Event, Job, LeaseClock, MetricsRecord
 from naojobs.quotas import Quota
 from naojobs.states import ENDED, LEASED, TRANSITIONS, WorkState
@@ -23,6 +23,8 @@ from naospec import EvaluationSpec, TrainingSpec
 from sqlalchemy import event, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 Sessions = sessionmaker[Session]
 
@@ -38,10 +40,10 @@ def submit(sessions: Sessions) -> Callable[..., Job]:
 @pytest.fixture
 def running(sessions: Sessions, submit: Callable[..., Job]) -> JobClaim:
     """A job whose trainer runs."""
-    claim = lifecycle.claim(sessions, Job, submit().id, "worker-1")
+    claim = claim_work(sessions, Job, submit().id, "worker-1")
     assert claim is not None
-    lifecycle.begin(sessions, claim.lease, step=0)
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.begin(sessions, claim.lease, step=0)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim
 
 
@@ -79,7 +81,7 @@ def test_of_many_claims_exactly_one_wins(sessions: Sessions, submit: Callable[..
 
     def race(number: int) -> JobClaim | None:
         gate.wait()
-        return lifecycle.claim(sessions, Job, job.id, f"worker-{number}")
+        return claim_work(sessions, Job, job.id, f"worker-{number}")
 
     with ThreadPoolExecutor(8) as pool:
         claims = [claim for claim in pool.map(race, range(8)) if claim is not None]
@@ -94,20 +96,20 @@ def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim, 
         expire_lease(sessions, running.lease.job_id)
     else:
         backups.renew_generation(sessions)
-    states = {item.id: item.state for item in lifecycle.requeue_stale(sessions)}
+    states = {item.id: item.state for item in outcomes.requeue_stale(sessions)}
     assert states[running.lease.job_id] is WorkState.QUEUED
     assert get(sessions, running.lease.job_id).failures == (cause == "expired")
     with sessions.begin() as session:
         session.get_one(Job, running.lease.job_id).not_before = None
         if cause == "restored":  # the restored history gives the same number to another attempt
             session.get_one(Job, running.lease.job_id).attempt = 0
-    second = lifecycle.claim(sessions, Job, running.lease.job_id, "worker-1")  # the same worker may get it again
+    second = claim_work(sessions, Job, running.lease.job_id, "worker-1")  # the same worker may get it again
     assert second is not None
     writes: list[Callable[[], object]] = [
-        lambda: lifecycle.heartbeat(sessions, running.lease),
-        lambda: lifecycle.begin(sessions, running.lease, step=0),
-        lambda: lifecycle.transition(sessions, running.lease, WorkState.SUCCEEDED),
-        lambda: lifecycle.lose(sessions, running.lease, "late"),
+        lambda: leases.heartbeat(sessions, running.lease),
+        lambda: outcomes.begin(sessions, running.lease, step=0),
+        lambda: outcomes.transition(sessions, running.lease, WorkState.SUCCEEDED),
+        lambda: outcomes.lose(sessions, running.lease, "late"),
         lambda: records.append_metrics(sessions, running.lease, [{"step": 1}]),
         lambda: records.append_logs(sessions, running.lease, [records.LogLine("info", "late")]),
         lambda: records.record_event(sessions, running.lease, "late", "late"),
@@ -116,7 +118,7 @@ def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim, 
     for write in writes:
         with pytest.raises(LeaseLostError):
             write()
-    lifecycle.heartbeat(sessions, second.lease)
+    leases.heartbeat(sessions, second.lease)
 
 
 def test_a_lease_of_another_timeline_fences_as_well(sessions: Sessions, running: JobClaim) -> None:
@@ -124,15 +126,15 @@ def test_a_lease_of_another_timeline_fences_as_well(sessions: Sessions, running:
     key, timeline = running.lease.generation.rsplit("-", 1)
     assert timeline == "00000001"
     with pytest.raises(LeaseLostError):
-        lifecycle.heartbeat(sessions, replace(running.lease, generation=f"{key}-00000002"))
-    lifecycle.heartbeat(sessions, running.lease)
-    assert lifecycle.requeue_stale(sessions) == []
+        leases.heartbeat(sessions, replace(running.lease, generation=f"{key}-00000002"))
+    leases.heartbeat(sessions, running.lease)
+    assert outcomes.requeue_stale(sessions) == []
 
 
 def test_an_expired_lease_that_nobody_took_can_be_renewed(sessions: Sessions, running: JobClaim) -> None:
     expire_lease(sessions, running.lease.job_id)
-    lifecycle.heartbeat(sessions, running.lease)
-    assert lifecycle.requeue_stale(sessions) == []
+    leases.heartbeat(sessions, running.lease)
+    assert outcomes.requeue_stale(sessions) == []
 
 
 def move_clock(sessions: Sessions, seconds: float) -> None:
@@ -146,32 +148,32 @@ def test_a_step_of_the_databases_clock_ends_no_lease_and_lengthens_none(
     sessions: Sessions, submit: Callable[..., Job], seconds: float
 ) -> None:
     """Nor does time in which the server or its machine was suspended, which looks like a step forward."""
-    lost, held = (lifecycle.claim(sessions, Job, submit().id, worker, lease_s=1.5) for worker in ("lost", "held"))
+    lost, held = (claim_work(sessions, Job, submit().id, worker, lease_s=1.5) for worker in ("lost", "held"))
     assert lost is not None
     assert held is not None
 
     def requeued() -> list[str]:
-        found = {item.id for item in lifecycle.requeue_stale(sessions, lease_s=1.5)}
+        found = {item.id for item in outcomes.requeue_stale(sessions, lease_s=1.5)}
         return [claim.lease.id for claim in (lost, held) if claim.lease.id in found]
 
     requeued()
     for lease in (lost.lease, held.lease):
         move_clock(sessions, seconds)
-        lifecycle.heartbeat(sessions, lease, lease_s=1.5)  # before anyone has read the clock since
+        leases.heartbeat(sessions, lease, lease_s=1.5)  # before anyone has read the clock since
         assert requeued() == []
     deadline = time.monotonic() + 30
     while not (ended := requeued()):
         assert time.monotonic() < deadline
-        lifecycle.heartbeat(sessions, held.lease, lease_s=1.5)
+        leases.heartbeat(sessions, held.lease, lease_s=1.5)
         time.sleep(0.05)
     assert ended == [lost.lease.id]
-    lifecycle.transition(sessions, held.lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, held.lease, WorkState.CANCELLED)
 
 
 def test_readings_of_many_workers_do_not_hurry_the_clock_of_leases(sessions: Sessions) -> None:
     def read(_: int) -> None:
         for _ in range(50):
-            lifecycle.requeue_stale(sessions, lease_s=0.3)
+            outcomes.requeue_stale(sessions, lease_s=0.3)
 
     with sessions() as session:
         clock = select(func.clock_timestamp(), LeaseClock.time)
@@ -187,15 +189,15 @@ def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(
 ) -> None:
     job = submit()
     for failures, state in ((1, WorkState.QUEUED), (2, WorkState.QUEUED), (3, WorkState.FAILED)):
-        assert lifecycle.claim(sessions, Job, job.id, "w") is not None
+        assert claim_work(sessions, Job, job.id, "w") is not None
         expire_lease(sessions, job.id)
-        lifecycle.requeue_stale(sessions)
+        outcomes.requeue_stale(sessions)
         kept = get(sessions, job.id)
         assert (kept.state, kept.failures, kept.lease_owner) == (state, failures, None)
     assert kept.error is not None
     assert "attempt 3 of 3" in kept.error
     assert kept.finished_at is not None
-    retried = lifecycle.retry(sessions, job.id)
+    retried = requests.retry(sessions, job.id)
     assert (retried.state, retried.failures, retried.attempt, retried.error) == (WorkState.QUEUED, 0, 3, None)
     assert retried.finished_at is None
 
@@ -204,19 +206,19 @@ def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions,
     """Failures count while there is no progress, such as a checkpoint of a step that was reached before."""
     job = submit(max_attempts=2)
     for round_, (step, failures) in enumerate(((0, 1), (0, 2))):
-        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
         key = f"{job.id}/{round_}"
         records.record_checkpoint(sessions, claim.lease, step=step, key=key, manifest={"files": []})
-        state = lifecycle.lose(sessions, claim.lease, "the trainer died")
+        state = outcomes.lose(sessions, claim.lease, "the trainer died")
         assert get(sessions, job.id).failures == failures
     assert state is WorkState.FAILED
-    lifecycle.retry(sessions, job.id)
+    requests.retry(sessions, job.id)
     for step in (10, 20, 30):
-        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
         records.record_checkpoint(sessions, claim.lease, step=step, key=f"{job.id}/{step}", manifest={"files": []})
-        assert lifecycle.lose(sessions, claim.lease, "the trainer died") is WorkState.QUEUED
+        assert outcomes.lose(sessions, claim.lease, "the trainer died") is WorkState.QUEUED
         assert get(sessions, job.id).failures == 1
 
 
@@ -225,10 +227,10 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
 ) -> None:
     job = submit(max_attempts=1)
     for delay_s in (5.0, 10.0, 20.0):
-        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
-        assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.QUEUED
-        assert lifecycle.claim(sessions, Job, job.id, "w") is None, "not yet"
+        assert outcomes.postpone(sessions, claim.lease, "no Docker") is WorkState.QUEUED
+        assert claim_work(sessions, Job, job.id, "w") is None, "not yet"
         with sessions() as session:
             kept = session.get_one(Job, job.id)
             event = session.query(Event).where(Event.job_id == job.id).order_by(Event.id.desc()).limit(1).one()
@@ -238,23 +240,23 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
         assert reason.endswith("the last one ended: no Docker")
         with sessions.begin() as session:
             session.execute(text("UPDATE jobs SET not_before = now() WHERE id = :id"), {"id": job.id})
-    claim = lifecycle.claim(sessions, Job, job.id, "w")
+    claim = claim_work(sessions, Job, job.id, "w")
     assert claim is not None
-    lifecycle.request_cancel(sessions, Job, job.id)
-    assert lifecycle.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
-    lifecycle.retry(sessions, job.id)
+    requests.request_cancel(sessions, Job, job.id)
+    assert outcomes.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
+    requests.retry(sessions, job.id)
     assert get(sessions, job.id).postponed == 0
 
 
 def test_a_clock_that_is_set_back_holds_up_no_postponed_job(sessions: Sessions, submit: Callable[..., Job]) -> None:
     """The job was postponed by seconds while the database's clock was an hour ahead."""
     job = submit()
-    claim = lifecycle.claim(sessions, Job, job.id, "w")
+    claim = claim_work(sessions, Job, job.id, "w")
     assert claim is not None
-    lifecycle.postpone(sessions, claim.lease, "no Docker")
+    outcomes.postpone(sessions, claim.lease, "no Docker")
     with sessions.begin() as session:
         session.execute(text("UPDATE jobs SET not_before = not_before + interval '1 h' WHERE id = :id"), {"id": job.id})
-    assert lifecycle.claim(sessions, Job, job.id, "w") is not None
+    assert claim_work(sessions, Job, job.id, "w") is not None
 
 
 class Intruder:
@@ -291,15 +293,15 @@ def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
     parent = running.lease.job_id
     records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
     child = submit(parent_job_id=parent)
-    lifecycle.request_cancel(sessions, Job, child.id)
-    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    requests.request_cancel(sessions, Job, child.id)
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
 
     def retry_and_claim() -> None:
-        lifecycle.retry(sessions, child.id)
-        lifecycle.claim(sessions, Job, child.id, "w")
+        requests.retry(sessions, child.id)
+        claim_work(sessions, Job, child.id, "w")
 
     intruder = Intruder(sessions, retry_and_claim)
-    lifecycle.delete(intruder.watched, parent)
+    requests.delete(intruder.watched, parent)
     assert intruder.error() is None
     assert get(sessions, child.id).error == "the job whose policy it starts from was deleted"
 
@@ -308,18 +310,18 @@ def test_deleting_a_job_while_its_evaluation_ends_causes_no_deadlock(sessions: S
     job_id = running.lease.job_id
     records.record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, job_id)
-    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
-    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
-    intruder = Intruder(sessions, lambda: lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED))
-    lifecycle.delete(intruder.watched, job_id)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
+    intruder = Intruder(sessions, lambda: outcomes.transition(sessions, claim.lease, WorkState.SUCCEEDED))
+    requests.delete(intruder.watched, job_id)
     assert isinstance(intruder.error(), LeaseLostError)
 
 
 def test_a_training_that_begins_is_recorded_once(sessions: Sessions, running: JobClaim) -> None:
     """The first commit may have succeeded although its answer was lost."""
-    lifecycle.begin(sessions, running.lease, step=0)
+    outcomes.begin(sessions, running.lease, step=0)
     assert kinds(sessions, running.lease.job_id).count("started") == 1
 
 
@@ -334,7 +336,7 @@ def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
         )
     with pytest.raises(InvalidError, match="this one cannot read"):
         submission.submit(sessions, JobRequest(parent_job_id=old.id), owner="alice")
-    assert lifecycle.claim(sessions, Job, old.id, "w") is None
+    assert claim_work(sessions, Job, old.id, "w") is None
     kept = get(sessions, old.id)
     assert kept.state is WorkState.FAILED
     assert "does not fit this version" in (kept.error or "")
@@ -343,13 +345,13 @@ def test_a_job_of_an_older_version_is_no_parent_and_fails_when_it_is_claimed(
 def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[..., Job]) -> None:
     jobs = [submit() for _ in range(10)]
     for job in jobs:
-        lifecycle.claim(sessions, Job, job.id, "w")
+        claim_work(sessions, Job, job.id, "w")
         expire_lease(sessions, job.id)
     gate = threading.Barrier(4)
 
     def reap(_: int) -> list[str]:
         gate.wait()
-        return [item.id for item in lifecycle.requeue_stale(sessions) if item.id in {job.id for job in jobs}]
+        return [item.id for item in outcomes.requeue_stale(sessions) if item.id in {job.id for job in jobs}]
 
     with ThreadPoolExecutor(4) as pool:
         reaped = [job_id for part in pool.map(reap, range(4)) for job_id in part]
@@ -360,33 +362,33 @@ def test_two_reapers_take_a_stale_job_once(sessions: Sessions, submit: Callable[
 def test_pausing_and_resuming_costs_no_attempt(sessions: Sessions, submit: Callable[..., Job]) -> None:
     job = submit(max_attempts=1)
     for _ in range(3):
-        claim = lifecycle.claim(sessions, Job, job.id, "w")
+        claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
-        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
-        assert lifecycle.request_pause(sessions, job.id).state is WorkState.PAUSING
-        assert lifecycle.request_pause(sessions, job.id).state is WorkState.PAUSING
-        assert lifecycle.heartbeat(sessions, claim.lease).state is WorkState.PAUSING
+        outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
+        assert requests.request_pause(sessions, job.id).state is WorkState.PAUSING
+        assert requests.request_pause(sessions, job.id).state is WorkState.PAUSING
+        assert leases.heartbeat(sessions, claim.lease).state is WorkState.PAUSING
         with pytest.raises(ConflictError, match="still pausing"):
-            lifecycle.resume(sessions, job.id)
-        lifecycle.transition(sessions, claim.lease, WorkState.PAUSED)
-        assert get(sessions, job.id).pause_requested is False
-        assert lifecycle.resume(sessions, job.id).state is WorkState.QUEUED
+            requests.resume(sessions, job.id)
+        outcomes.transition(sessions, claim.lease, WorkState.PAUSED)
+        assert get(sessions, job.id).pausing is False
+        assert requests.resume(sessions, job.id).state is WorkState.QUEUED
     assert get(sessions, job.id).failures == 0
 
 
 def test_a_worker_that_dies_while_pausing_leaves_a_paused_job(sessions: Sessions, running: JobClaim) -> None:
-    lifecycle.request_pause(sessions, running.lease.job_id)
+    requests.request_pause(sessions, running.lease.job_id)
     expire_lease(sessions, running.lease.job_id)
-    lifecycle.requeue_stale(sessions)
+    outcomes.requeue_stale(sessions)
     assert get(sessions, running.lease.job_id).state is WorkState.PAUSED
 
 
 def test_a_worker_that_dies_while_cancelling_leaves_a_cancelled_job(sessions: Sessions, running: JobClaim) -> None:
-    job = lifecycle.request_cancel(sessions, Job, running.lease.job_id)
+    job = requests.request_cancel(sessions, Job, running.lease.job_id)
     assert (job.state, job.cancel_requested) == (WorkState.RUNNING, True)
-    assert lifecycle.heartbeat(sessions, running.lease).cancel
+    assert leases.heartbeat(sessions, running.lease).cancel
     expire_lease(sessions, running.lease.job_id)
-    lifecycle.requeue_stale(sessions)
+    outcomes.requeue_stale(sessions)
     kept = get(sessions, running.lease.job_id)
     assert (kept.state, kept.cancel_requested) == (WorkState.CANCELLED, False)
 
@@ -395,9 +397,9 @@ def test_a_waiting_job_is_cancelled_at_once_and_no_late_message_revives_it(
     sessions: Sessions, submit: Callable[..., Job]
 ) -> None:
     job = submit()
-    assert lifecycle.request_cancel(sessions, Job, job.id).state is WorkState.CANCELLED
-    assert lifecycle.request_cancel(sessions, Job, job.id).state is WorkState.CANCELLED
-    assert lifecycle.claim(sessions, Job, job.id, "w") is None
+    assert requests.request_cancel(sessions, Job, job.id).state is WorkState.CANCELLED
+    assert requests.request_cancel(sessions, Job, job.id).state is WorkState.CANCELLED
+    assert claim_work(sessions, Job, job.id, "w") is None
     assert kinds(sessions, job.id) == ["queued", "cancelled"]
 
 
@@ -414,9 +416,9 @@ def test_wishes_in_every_state_either_follow_the_table_or_are_refused(
         )
     try:
         if wish == "request_cancel":
-            lifecycle.request_cancel(sessions, Job, job.id)
+            requests.request_cancel(sessions, Job, job.id)
         else:
-            getattr(lifecycle, wish)(sessions, job.id)
+            getattr(requests, wish)(sessions, job.id)
     except ConflictError as error:
         assert job.id in str(error)
         assert get(sessions, job.id).state is state
@@ -424,16 +426,16 @@ def test_wishes_in_every_state_either_follow_the_table_or_are_refused(
     if wish == "delete":
         assert state in ENDED
         with pytest.raises(NotFoundError):
-            lifecycle.delete(sessions, job.id)
+            requests.delete(sessions, job.id)
         return
     after = get(sessions, job.id).state
     assert after is state or after in TRANSITIONS[state]
 
 
 def test_a_worker_cannot_take_a_way_that_the_table_does_not_have(sessions: Sessions, running: JobClaim) -> None:
-    lifecycle.request_pause(sessions, running.lease.job_id)
+    requests.request_pause(sessions, running.lease.job_id)
     with pytest.raises(ConflictError, match="pausing and cannot become running"):
-        lifecycle.transition(sessions, running.lease, WorkState.RUNNING)
+        outcomes.transition(sessions, running.lease, WorkState.RUNNING)
 
 
 def test_the_database_refuses_a_lease_that_does_not_fit_the_state(
@@ -489,33 +491,33 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     other = submit(parent_job_id=parent)
     second = records.record_checkpoint(sessions, running.lease, step=20, key=f"{parent}/20", manifest={"files": []})
 
-    claim = lifecycle.claim(sessions, Job, child.id, "w")
+    claim = claim_work(sessions, Job, child.id, "w")
     assert claim is not None
     assert claim.initial_policy is not None
     assert (claim.initial_policy.id, claim.resume_from) == (first, None)
-    newest = lifecycle.claim(sessions, Job, other.id, "w")
+    newest = claim_work(sessions, Job, other.id, "w")
     assert newest is not None
     assert newest.initial_policy is not None
     assert newest.initial_policy.id == second
     with sessions() as session:
         assert session.get_one(Job, other.id).parent_checkpoint_id == second, "the lineage names the used checkpoint"
     records.record_checkpoint(sessions, running.lease, step=30, key=f"{parent}/30", manifest={"files": []})
-    lifecycle.transition(sessions, newest.lease, WorkState.QUEUED)
-    once_more = lifecycle.claim(sessions, Job, other.id, "w")
+    outcomes.transition(sessions, newest.lease, WorkState.QUEUED)
+    once_more = claim_work(sessions, Job, other.id, "w")
     assert once_more is not None
     assert once_more.initial_policy is not None
     assert once_more.initial_policy.id == second, "every attempt starts from the same policy"
 
     own = records.record_checkpoint(sessions, claim.lease, step=5, key=f"{child.id}/5", manifest={"files": []})
-    lifecycle.transition(sessions, claim.lease, WorkState.QUEUED)
-    again = lifecycle.claim(sessions, Job, child.id, "w")
+    outcomes.transition(sessions, claim.lease, WorkState.QUEUED)
+    again = claim_work(sessions, Job, child.id, "w")
     assert again is not None
     assert again.resume_from is not None
     assert (again.resume_from.id, again.initial_policy) == (own, None)
 
-    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
     with pytest.raises(ConflictError, match="starts from the policy"):
-        lifecycle.delete(sessions, parent)
+        requests.delete(sessions, parent)
 
 
 @pytest.mark.parametrize(
@@ -574,18 +576,18 @@ def test_a_broker_that_is_down_is_recorded_and_the_job_can_be_claimed(
     sessions: Sessions, submit: Callable[..., Job]
 ) -> None:
     job = submit()
-    lifecycle.record_notification_failure(sessions, job.id, "ConnectionError: refused")
+    outcomes.record_notification_failure(sessions, job.id, "ConnectionError: refused")
     assert kinds(sessions, job.id) == ["queued", "notification_failed"]
-    assert lifecycle.claim(sessions, Job, job.id, "w") is not None
+    assert claim_work(sessions, Job, job.id, "w") is not None
 
 
 def test_success_clears_the_errors_of_lost_attempts(sessions: Sessions, running: JobClaim) -> None:
-    assert lifecycle.lose(sessions, running.lease, "the trainer died") is WorkState.QUEUED
+    assert outcomes.lose(sessions, running.lease, "the trainer died") is WorkState.QUEUED
     assert get(sessions, running.lease.job_id).error == "the trainer died"
-    claim = lifecycle.claim(sessions, Job, running.lease.job_id, "w")
+    claim = claim_work(sessions, Job, running.lease.job_id, "w")
     assert claim is not None
     for state in (WorkState.RUNNING, WorkState.EVALUATING, WorkState.SUCCEEDED):
-        lifecycle.transition(sessions, claim.lease, state)
+        outcomes.transition(sessions, claim.lease, state)
     kept = get(sessions, running.lease.job_id)
     assert (kept.state, kept.error, kept.failures, kept.lease_owner) == (WorkState.SUCCEEDED, None, 0, None)
     assert kept.finished_at is not None
@@ -597,8 +599,8 @@ def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClai
     records.append_logs(sessions, running.lease, [records.LogLine("info", "x")])
     records.record_checkpoint(sessions, running.lease, step=1, key=f"{job_id}/1", manifest={"files": []})
     submission.request_evaluation(sessions, job_id)
-    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
-    lifecycle.delete(sessions, job_id)
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
+    requests.delete(sessions, job_id)
     with sessions.begin() as session:
         for table in ("metrics", "logs", "events", "checkpoints", "evaluations"):
             left = session.execute(
@@ -612,17 +614,17 @@ def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, su
     """The checkpoint of step 0 has random weights: no job starts from it."""
     parent = submit()
     child = submit(parent_job_id=parent.id)
-    claim = lifecycle.claim(sessions, Job, parent.id, "w")
+    claim = claim_work(sessions, Job, parent.id, "w")
     assert claim is not None
-    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    assert claim_work(sessions, Job, child.id, "w") is None
     records.record_checkpoint(sessions, claim.lease, step=0, key=f"{parent.id}/0", manifest={"files": []})
-    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    assert claim_work(sessions, Job, child.id, "w") is None
     assert get(sessions, child.id).state is WorkState.QUEUED
     with sessions() as session:
         reasons = waiting_reasons(session, [get(sessions, child.id)], live_workers(session, stale_s=30))
     assert reasons == {child.id: f"job {parent.id}, whose policy it starts from, has no trained checkpoint yet"}
     first = records.record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
-    got = lifecycle.claim(sessions, Job, child.id, "w")
+    got = claim_work(sessions, Job, child.id, "w")
     assert got is not None
     assert got.initial_policy is not None
     assert got.initial_policy.id == first
@@ -632,10 +634,10 @@ def test_a_child_whose_parent_ended_without_a_policy_fails(sessions: Sessions, s
     """It fails with the reason, and the next job is claimed instead."""
     parent = submit()
     child = submit(parent_job_id=parent.id, priority=9)
-    lifecycle.request_cancel(sessions, Job, parent.id)
+    requests.request_cancel(sessions, Job, parent.id)
     other = submit(priority=9)
     have = Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"])
-    claim = lifecycle.claim_next(sessions, "w", queues=["embedded"], capabilities=have, models=[Job])
+    claim = leases.claim_next(sessions, "w", capabilities=have, models=[Job])
     assert claim is not None
     assert claim.lease.id == other.id
     kept = get(sessions, child.id)
@@ -649,11 +651,11 @@ def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
     parent = running.lease.job_id
     records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
     child = submit(parent_job_id=parent)
-    lifecycle.request_cancel(sessions, Job, child.id)
-    lifecycle.transition(sessions, running.lease, WorkState.CANCELLED)
-    lifecycle.delete(sessions, parent)
-    lifecycle.retry(sessions, child.id)
-    assert lifecycle.claim(sessions, Job, child.id, "w") is None
+    requests.request_cancel(sessions, Job, child.id)
+    outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
+    requests.delete(sessions, parent)
+    requests.retry(sessions, child.id)
+    assert claim_work(sessions, Job, child.id, "w") is None
     kept = get(sessions, child.id)
     assert kept.state is WorkState.FAILED
     assert kept.error == "the job whose policy it starts from was deleted"
@@ -664,12 +666,12 @@ def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessi
     checkpoint = records.record_checkpoint(
         sessions, running.lease, step=20, key=f"{running.lease.job_id}/20", manifest={"files": []}
     )
-    lifecycle.lose(sessions, running.lease, "the trainer died")
-    claim = lifecycle.claim(sessions, Job, running.lease.job_id, "w")
+    outcomes.lose(sessions, running.lease, "the trainer died")
+    claim = claim_work(sessions, Job, running.lease.job_id, "w")
     assert claim is not None
     assert claim.resume_from is not None
     assert claim.resume_from.step == 20
-    lifecycle.begin(sessions, claim.lease, step=20, resumed_from=checkpoint)
+    outcomes.begin(sessions, claim.lease, step=20, resumed_from=checkpoint)
     kept = get(sessions, running.lease.job_id)
     assert (kept.progress_step, kept.latest_metrics["step"]) == (20, 20)
     records.append_metrics(sessions, claim.lease, [{"step": step, "reward": 2.0} for step in (25, 35)])

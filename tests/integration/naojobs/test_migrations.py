@@ -89,6 +89,33 @@ def test_rows_of_the_first_revision_are_kept(empty: Engine) -> None:
         assert connection.execute(text("SELECT state FROM evaluations")).scalar_one() == "failed"
 
 
+def test_what_0022_dropped_is_filled_in_by_a_downgrade(empty: Engine) -> None:
+    upgrade(url_of(empty), MIGRATIONS)
+    needs = "task, task_version, robot, simulator, algorithm"
+    with empty.begin() as connection:
+        for job, state, owner in (("a", "pausing", "'w'"), ("b", "queued", "NULL")):
+            connection.execute(
+                text(
+                    f"INSERT INTO jobs (id, name, owner, spec, state, lease_owner, total_steps, {needs}) "
+                    f"VALUES ('{job}', '', '', '{{}}', '{state}', {owner}, 1, 'sprint1', 1, 't1', 'server', 'ppo')"
+                )
+            )
+        connection.execute(
+            text(
+                "INSERT INTO workers (id, host, pid, simulators, version) "
+                """VALUES ('w', 'h', 1, '["embedded", "server"]', '1')"""
+            )
+        )
+    downgrade(url_of(empty), MIGRATIONS, "0021")
+    with empty.begin() as connection:
+        rows = connection.execute(text("SELECT id, queue, pause_requested FROM jobs ORDER BY id")).all()
+        assert rows == [("a", "server", True), ("b", "server", False)]
+        assert connection.execute(text("SELECT queues FROM workers")).scalar_one() == ["embedded", "server"]
+    upgrade(url_of(empty), MIGRATIONS)
+    with empty.begin() as connection:
+        assert connection.execute(text("SELECT simulator FROM jobs WHERE id = 'b'")).scalar_one() == "server"
+
+
 def test_several_processes_may_migrate_at_once(empty: Engine) -> None:
     with ThreadPoolExecutor(2) as pool:
         futures = [pool.submit(upgrade, url_of(empty), MIGRATIONS) for _ in range(2)]

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from naojobs import lifecycle, records, registry, submission
+from naojobs import leases, outcomes, records, registry, requests, submission
 from naojobs.capabilities import Capabilities
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, MetricsRecord
 from naojobs.states import ENDED, EVALUATION_STATES, LEASED, TRANSITIONS, WorkState
 from naojobs.submission import JobRequest
@@ -19,11 +19,12 @@ from sqlalchemy import text
 from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
+from tests.integration.attempts import claim_work
+
 Sessions = sessionmaker[Session]
 
 HOST: dict[str, Any] = {
     "host": "h",
-    "queues": ["embedded"],
     "capabilities": Capabilities({"sprint1": 1}, ["nao-0"], ["embedded"], ["ppo"]),
 }
 
@@ -32,9 +33,9 @@ HOST: dict[str, Any] = {
 def lease(sessions: Sessions) -> Lease:
     """The lease of a running job."""
     job, _ = submission.submit(sessions, JobRequest(), owner="alice")
-    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
+    claim = claim_work(sessions, Job, job.id, "worker-1")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
@@ -86,7 +87,7 @@ def test_text_that_the_server_cannot_hold_is_replaced_everywhere(sessions: Sessi
     records.append_logs(sessions, lease, [records.LogLine("error", f"l{bad}"), records.LogLine("info", "fine")])
     records.record_event(sessions, lease, "report", f"e{bad}", {"paths": [f"p{bad}"], f"k{bad}": {"x": f"v{bad}"}})
     submission.edit(sessions, lease.job_id, notes=f"o{bad}", tags=[f"t{bad}"])
-    lifecycle.transition(sessions, lease, WorkState.FAILED, error=f"f{bad}")
+    outcomes.transition(sessions, lease, WorkState.FAILED, error=f"f{bad}")
     (metric,) = rows(sessions, MetricsRecord, lease.job_id)
     assert [stored(name) for name in sorted(metric.values)] == [f"m{good}", "reward", "step"]
     assert [stored(line.message) for line in rows(sessions, Log, lease.job_id)] == [f"l{good}", "fine"]
@@ -174,31 +175,31 @@ def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, leas
     with ThreadPoolExecutor(4) as pool:
         claims = [
             claim
-            for claim in pool.map(lambda n: lifecycle.claim(sessions, Evaluation, evaluation.id, f"w{n}"), range(4))
+            for claim in pool.map(lambda n: claim_work(sessions, Evaluation, evaluation.id, f"w{n}"), range(4))
             if claim is not None
         ]
     assert len(claims) == 1
-    lifecycle.heartbeat(sessions, claims[0].lease)
-    lifecycle.transition(sessions, claims[0].lease, WorkState.RUNNING)
+    leases.heartbeat(sessions, claims[0].lease)
+    outcomes.transition(sessions, claims[0].lease, WorkState.RUNNING)
     records.record_result(sessions, claims[0].lease, summary={"speed_mps": 2.0}, key="k", manifest={"files": []})
-    lifecycle.transition(sessions, claims[0].lease, WorkState.SUCCEEDED)
+    outcomes.transition(sessions, claims[0].lease, WorkState.SUCCEEDED)
     (found,) = rows(sessions, Evaluation, lease.job_id)
     assert (found.state, found.summary, found.lease_owner) == (WorkState.SUCCEEDED, {"speed_mps": 2.0}, None)
     with pytest.raises(LeaseLostError):
-        lifecycle.transition(sessions, claims[0].lease, WorkState.FAILED, error="late")
+        outcomes.transition(sessions, claims[0].lease, WorkState.FAILED, error="late")
 
 
 def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease: Lease) -> None:
     records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, lease.job_id)
     for _ in range(3):
-        claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+        claim = claim_work(sessions, Evaluation, evaluation.id, "w")
         assert claim is not None
         with sessions.begin() as session:
             session.execute(text("UPDATE evaluations SET lease_expires_at = 'epoch'"))
-        lifecycle.requeue_stale(sessions)
+        outcomes.requeue_stale(sessions)
         with pytest.raises(LeaseLostError):
-            lifecycle.heartbeat(sessions, claim.lease)
+            leases.heartbeat(sessions, claim.lease)
     (found,) = rows(sessions, Evaluation, lease.job_id)
     assert found.state is WorkState.FAILED
     assert "attempt 3 of 3" in found.error
@@ -259,19 +260,19 @@ def evaluation(sessions: Sessions, lease: Lease) -> Evaluation:
 
 def test_an_evaluation_has_the_life_cycle_of_a_job(sessions: Sessions, evaluation: Evaluation) -> None:
     for failures in (1, 2):
-        claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+        claim = claim_work(sessions, Evaluation, evaluation.id, "w")
         assert claim is not None
         assert (claim.lease.attempt, claim.time_limit_s) == (failures, 7.0)
         with pytest.raises(ConflictError, match="starting and cannot become succeeded"):
-            lifecycle.transition(sessions, claim.lease, WorkState.SUCCEEDED)
-        lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
-        assert lifecycle.lose(sessions, claim.lease, "the evaluator died") is WorkState.QUEUED
-    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+            outcomes.transition(sessions, claim.lease, WorkState.SUCCEEDED)
+        outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
+        assert outcomes.lose(sessions, claim.lease, "the evaluator died") is WorkState.QUEUED
+    claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.QUEUED, message="the worker shuts down")
-    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    outcomes.transition(sessions, claim.lease, WorkState.QUEUED, message="the worker shuts down")
+    claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="time limit")
+    outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="time limit")
     (found,) = rows(sessions, Evaluation, evaluation.job_id)
     assert (found.state, found.failures, found.attempt, found.error) == (WorkState.FAILED, 2, 4, "time limit")
     events = [event for event in rows(sessions, Event, evaluation.job_id) if event.kind == "evaluation"]
@@ -284,28 +285,28 @@ def test_an_evaluation_is_cancelled_while_it_waits_or_when_its_worker_stops(
     sessions: Sessions, lease: Lease, evaluation: Evaluation
 ) -> None:
     running = submission.request_evaluation(sessions, lease.job_id)
-    assert lifecycle.request_cancel(sessions, Evaluation, evaluation.id).state is WorkState.CANCELLED
-    assert lifecycle.claim(sessions, Evaluation, evaluation.id, "w") is None
-    claim = lifecycle.claim(sessions, Evaluation, running.id, "w")
+    assert requests.request_cancel(sessions, Evaluation, evaluation.id).state is WorkState.CANCELLED
+    assert claim_work(sessions, Evaluation, evaluation.id, "w") is None
+    claim = claim_work(sessions, Evaluation, running.id, "w")
     assert claim is not None
     for _ in range(2):
-        assert lifecycle.request_cancel(sessions, Evaluation, running.id).cancel_requested
-    assert lifecycle.read_requests(sessions, claim.lease).cancel
-    assert lifecycle.lose(sessions, claim.lease, "the evaluator died") is WorkState.CANCELLED
+        assert requests.request_cancel(sessions, Evaluation, running.id).cancel_requested
+    assert leases.read_requests(sessions, claim.lease).cancel
+    assert outcomes.lose(sessions, claim.lease, "the evaluator died") is WorkState.CANCELLED
     with pytest.raises(NotFoundError):
-        lifecycle.request_cancel(sessions, Evaluation, lease.job_id)
+        requests.request_cancel(sessions, Evaluation, lease.job_id)
 
 
 def test_deleting_a_job_ends_the_leases_of_its_evaluations(
     sessions: Sessions, lease: Lease, evaluation: Evaluation
 ) -> None:
-    claim = lifecycle.claim(sessions, Evaluation, evaluation.id, "w")
+    claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
-    lifecycle.delete(sessions, lease.job_id)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    requests.delete(sessions, lease.job_id)
     for late in (
-        lambda: lifecycle.heartbeat(sessions, claim.lease),
-        lambda: lifecycle.lose(sessions, claim.lease, "late"),
+        lambda: leases.heartbeat(sessions, claim.lease),
+        lambda: outcomes.lose(sessions, claim.lease, "late"),
         lambda: records.record_result(sessions, claim.lease, summary={}, key="k", manifest={}),
     ):
         with pytest.raises(LeaseLostError):
@@ -324,7 +325,7 @@ def test_the_database_and_the_table_agree_on_the_states_of_an_evaluation(
             text(f"UPDATE evaluations SET state = :state, lease_owner = :owner, {result} WHERE id = :id"), values
         )
     try:
-        after = lifecycle.request_cancel(sessions, Evaluation, evaluation.id).state
+        after = requests.request_cancel(sessions, Evaluation, evaluation.id).state
     except ConflictError:
         assert state in ENDED
     else:

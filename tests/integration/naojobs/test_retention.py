@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from datetime import timedelta
 
 import pytest
-from naojobs import lifecycle, records, submission
+from naojobs import outcomes, records, requests, submission
 from naojobs.__main__ import main
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Evaluation, Job
 from naojobs.retention import Retention, find_orphans, prune_checkpoints, sweep
 from naojobs.states import WorkState
@@ -22,6 +22,8 @@ from naospec import EvaluationSpec, TrainingSpec
 from naospec.flat import nest
 from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
 
 Sessions = sessionmaker[Session]
 
@@ -34,9 +36,9 @@ def lease(sessions: Sessions) -> Lease:
     """The lease of a running job that saves a checkpoint every 250 steps, that is at 300, 500, 800, 1000 ..."""
     spec = {"n_envs": 10, "n_steps": 10, "batch_size": 50, "checkpoint_interval_steps": INTERVAL}
     job, _ = submission.submit(sessions, JobRequest(TrainingSpec.model_validate(nest(spec))), owner="alice")
-    claim = lifecycle.claim(sessions, Job, job.id, "worker-1")
+    claim = claim_work(sessions, Job, job.id, "worker-1")
     assert claim is not None
-    lifecycle.transition(sessions, claim.lease, WorkState.RUNNING)
+    outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
@@ -112,7 +114,7 @@ def test_what_something_refers_to_and_the_best_are_kept(
 def test_who_lost_the_lease_removes_nothing(sessions: Sessions, lease: Lease, save: Callable[[int], str]) -> None:
     for step in PLANNED:
         save(step)
-    lifecycle.lose(sessions, lease, "the trainer died")
+    outcomes.lose(sessions, lease, "the trainer died")
     with pytest.raises(LeaseLostError):
         prune_checkpoints(sessions, lease, Retention(2))
     assert steps(sessions, lease.job_id) == PLANNED
@@ -141,7 +143,7 @@ def test_files_that_no_row_refers_to_are_swept(
 
     # A worker has leased the job, so the age of its files does not matter.
     assert find_orphans(sessions, store) == [lost, "probes/left"]
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
     assert sorted(sweep(sessions, store)) == sorted([lost, cut, "probes/left"])
     assert sweep(sessions, store) == []
     kept = store.list("jobs")
@@ -155,15 +157,15 @@ def test_a_running_evaluation_keeps_its_files(
     sessions: Sessions, store: ArtifactStore, lease: Lease, save: Callable[[int], str]
 ) -> None:
     save(300)
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
     asked = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=1))
-    claim = lifecycle.claim(sessions, Evaluation, asked.id, "w")
+    claim = claim_work(sessions, Evaluation, asked.id, "w")
     assert claim is not None
     key = evaluation_key(lease.job_id, asked.id, claim.lease.attempt)
     store.put_bytes(f"{key}/a", b"a")
     grow_old(store, key)
     assert key not in find_orphans(sessions, store)
-    lifecycle.transition(sessions, claim.lease, WorkState.FAILED, error="no space")
+    outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="no space")
     assert key in find_orphans(sessions, store)
 
 
@@ -178,8 +180,8 @@ def test_the_files_of_a_deleted_job_are_swept_from_a_shell(
 ) -> None:
     """The store was unavailable when the job was deleted."""
     save(300)
-    lifecycle.transition(sessions, lease, WorkState.CANCELLED)
-    lifecycle.delete(sessions, lease.job_id)
+    outcomes.transition(sessions, lease, WorkState.CANCELLED)
+    requests.delete(sessions, lease.job_id)
     with sessions() as session:
         assert session.get(Job, lease.job_id) is None
     key = checkpoint_key(lease.job_id, 300, 1)

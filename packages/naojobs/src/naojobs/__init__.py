@@ -7,7 +7,10 @@ The state of a piece of work is its row in Postgres; a Celery message only wakes
 - `naojobs.models`         the SQLAlchemy models
 - `naojobs.submission`     submission of jobs, groups and evaluations
 - `naojobs.studies`        submission, look-up and end of studies
-- `naojobs.lifecycle`      claim, heartbeat, cancel, pause, resume, retry, requeue: each one small transaction
+- `naojobs.requests`       what users request: cancel, pause, resume, retry, delete
+- `naojobs.leases`         claims of workers, heartbeats, and who may write
+- `naojobs.outcomes`       what workers report: begun, succeeded, lost, postponed; and what follows a lost worker
+- `naojobs.changes`        changes of state and the events beside them
 - `naojobs.capabilities`   requirements of work, capabilities of workers, and why work waits
 - `naojobs.records`        metrics, logs, events, checkpoints and results of evaluations
 - `naojobs.store`          the artifact store

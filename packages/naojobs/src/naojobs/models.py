@@ -80,7 +80,7 @@ def _work_checks(states: Iterable[WorkState]) -> tuple[CheckConstraint, ...]:
 
 def _waiting_index(table: str) -> Index:
     """Return the index through which free workers find the next work of `table`."""
-    columns = ("queue", text("priority DESC"), "queued_at")
+    columns = ("simulator", text("priority DESC"), "queued_at")
     return Index(f"ix_{table}_waiting", *columns, postgresql_where=text("state = 'queued'"))
 
 
@@ -96,8 +96,6 @@ class Work:
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     spec: Mapped[dict[str, Any]]
     """A `naospec.TrainingSpec` or a `naospec.EvaluationSpec`."""
-    queue: Mapped[str] = mapped_column(String(40))
-    """Queue of the broker that the wake-up message goes to; a worker serves some of them."""
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
     """0 to 9; work with a higher priority is claimed first."""
     task: Mapped[str] = mapped_column(String(100))
@@ -105,6 +103,7 @@ class Work:
     task_version: Mapped[int] = mapped_column(Integer)
     robot: Mapped[str] = mapped_column(String(100))
     simulator: Mapped[str] = mapped_column(String(100))
+    """Also the name of the broker's queue for its wake-up message."""
     algorithm: Mapped[str] = mapped_column(String(100))
     state: Mapped[WorkState] = mapped_column(
         Enum(WorkState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
@@ -151,7 +150,6 @@ class Job(Work, Base):
     """Text of the user about the job."""
     evaluation: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
     """A `naospec.EvaluationSpec` for the evaluation at the end; null for none."""
-    pause_requested: Mapped[bool] = mapped_column(server_default=text("false"))
     parent_job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"), index=True)
     parent_checkpoint_id: Mapped[str | None] = mapped_column(
         ForeignKey("checkpoints.id", ondelete="SET NULL", use_alter=True),
@@ -194,6 +192,11 @@ class Job(Work, Base):
     def job_id(self) -> str:
         """Id of the job that this work belongs to: its own."""
         return self.id
+
+    @property
+    def pausing(self) -> bool:
+        """Whether its worker was asked to write a checkpoint and stop."""
+        return self.state is WorkState.PAUSING
 
 
 METRICS_SEQ: Sequence = Sequence("metrics_seq", metadata=Base.metadata)
@@ -496,7 +499,6 @@ class Worker(Base):
     id: Mapped[str] = mapped_column(String(200), primary_key=True)
     host: Mapped[str] = mapped_column(String(200))
     pid: Mapped[int] = mapped_column(Integer)
-    queues: Mapped[list[str]]
     tasks: Mapped[dict[str, int]] = mapped_column(JSONB, server_default=text("'{}'"))
     """Tasks with their versions, robots, simulators and algorithms that it has."""
     robots: Mapped[list[str]] = mapped_column(JSONB, server_default=text("'[]'"))
@@ -559,7 +561,7 @@ class LeaseClock(Base):
 def lease_time(lease_s: float) -> ColumnElement[datetime]:
     """Return the expression of what the clock of leases shows now; `lease_s` is the length of a lease.
 
-    Workers read the clock every few seconds (`naojobs.lifecycle.read_lease_clock`), and from one reading to the next
+    Workers read the clock every few seconds (`naojobs.leases.read_lease_clock`), and from one reading to the next
     it advances by a third of a lease at most, never backwards. So a lease runs while the database answers: not while
     the server or its machine is stopped or suspended, nor with a step of its clock.
     """

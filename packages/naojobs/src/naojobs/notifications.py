@@ -1,7 +1,7 @@
-"""Wake-up messages through Celery: they make free workers look for work at once.
+"""Wake-up messages through Celery, with which a free worker begins work at once, not at its next look at the table.
 
-The state of work is its row in the database. A message may be lost, duplicated or late without harm, since free workers
-also poll the table; nothing fails while the broker is down.
+They are sent for work that is submitted and for work that its worker gives back or is lost with. A message may be lost,
+duplicated or late without harm, and nothing waits or fails while the broker is down.
 """
 
 from __future__ import annotations

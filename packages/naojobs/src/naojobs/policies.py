@@ -17,11 +17,11 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from naojobs.changes import add_event, lock
 from naojobs.checkpoints import trained_checkpoint
 from naojobs.database import Sessions, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.lifecycle import add_event, lock
 from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room

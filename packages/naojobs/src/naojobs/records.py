@@ -21,9 +21,10 @@ from sqlalchemy.dialects.postgresql import insert as upsert
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Requirements
+from naojobs.changes import add_event
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
-from naojobs.lifecycle import Lease, add_event, hold_evaluation, hold_job
+from naojobs.leases import Lease, hold_evaluation, hold_job
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
 
@@ -252,7 +253,6 @@ def record_evaluation(
             checkpoint_id=checkpoint_id,
             state=WorkState.SUCCEEDED,
             spec=stored(spec),
-            queue=spec.simulator or job.queue,
             **asdict(Requirements.of_evaluation(spec, job)),
             attempt=1,
             summary=dict(summary),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 
@@ -11,7 +10,7 @@ from sqlalchemy.dialects.postgresql import insert
 
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions, one_statement
-from naojobs.lifecycle import read_lease_clock
+from naojobs.leases import read_lease_clock
 from naojobs.models import Job, Worker
 
 
@@ -30,14 +29,13 @@ def beat(
     *,
     host: str,
     pid: int,
-    queues: Sequence[str],
     capabilities: Capabilities,
     version: str,
     disk_free_bytes: int | None = None,
     stale_s: float = 30.0,
 ) -> int:
     """Register a worker, or renew its heartbeat; return how many workers have one in the last `stale_s` seconds."""
-    current = {"queues": list(queues), "version": version, "disk_free_bytes": disk_free_bytes, **asdict(capabilities)}
+    current = {"version": version, "disk_free_bytes": disk_free_bytes, **asdict(capabilities)}
     with one_statement(sessions) as session:
         session.execute(
             insert(Worker)

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from naojobs import backups
 from naojobs.database import Sessions
-from naojobs.lifecycle import Lease, hold_job
+from naojobs.leases import Lease, hold_job
 from naojobs.models import Checkpoint, Evaluation, Job, MetricsRecord, PolicyVersion
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of

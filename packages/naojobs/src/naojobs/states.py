@@ -58,8 +58,3 @@ EVALUATION_STATES: frozenset[WorkState] = frozenset(WorkState) - {_S.PAUSING, _S
 def can_become(source: WorkState, target: WorkState) -> bool:
     """Return whether the table allows a change from `source` to `target`."""
     return target in TRANSITIONS[source]
-
-
-def sources_of(target: WorkState) -> frozenset[WorkState]:
-    """Return the states that `target` may follow."""
-    return frozenset(source for source, targets in TRANSITIONS.items() if target in targets)

@@ -19,9 +19,9 @@ from sqlalchemy.orm import Session
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.lifecycle import cancel_open
 from naojobs.models import Study, StudyState, Trial, TrialState
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.requests import cancel_open
 from naojobs.submission import JobRequest, check_evaluation, check_fit, free_name, same_request
 from naojobs.webhooks import MessageType, publish
 

@@ -21,11 +21,11 @@ from sqlalchemy.orm import Session
 
 from naojobs import policies
 from naojobs.capabilities import Requirements
+from naojobs.changes import add_event, lock
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
-from naojobs.lifecycle import add_event, lock
 from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
@@ -195,7 +195,6 @@ def add_job(
             tags=list(dict.fromkeys(request.tags)),
             spec=stored(request.spec),
             evaluation=stored(request.evaluation) if request.evaluation else None,
-            queue=request.spec.simulator.name,
             **asdict(Requirements.of_training(request.spec)),
             priority=request.priority,
             state=WorkState.QUEUED,
@@ -357,8 +356,8 @@ def check_fit(request: JobRequest, theirs: TrainingSpec, *, field: str = "") -> 
     """Raise InvalidError, for `field` or the one that differs, unless a training can start from another's policy."""
     robot = theirs.robot.name
     if robot in plugins.names(plugins.ROBOTS):
-        family = theirs.robot_description.family
-        if family != request.spec.robot_description.family:
+        family = theirs.family
+        if family != request.spec.family:
             raise InvalidError(
                 f"the parent's policy is for robot {robot}, this job is for {request.spec.robot.name}; "
                 f"use a robot of family {family}",
@@ -414,7 +413,6 @@ def request_evaluation(
             checkpoint_id=checkpoint.id,
             state=WorkState.QUEUED,
             spec=stored(spec),
-            queue=spec.simulator or job.queue,
             **asdict(Requirements.of_evaluation(spec, job)),
             priority=job.priority,
             time_limit_s=time_limit_s,

@@ -225,7 +225,9 @@ class JobPublic(_Public):
     notes: str = Field(description="The user's notes.")
     state: WorkState
     priority: int
-    queue: str = Field(description="Queue of the broker for its wake-up message.")
+    queue: str = Field(
+        validation_alias="simulator", description="Its simulator.", json_schema_extra={"deprecated": True}
+    )
     waiting_reason: str | None = Field(
         None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
     )
@@ -241,7 +243,9 @@ class JobPublic(_Public):
     )
     cancel_requested: bool
     pruned: str | None = Field(description="Why its study ended it early; null if it did not.")
-    pause_requested: bool
+    pause_requested: bool = Field(
+        validation_alias="pausing", description="Whether its state is pausing.", json_schema_extra={"deprecated": True}
+    )
     parent_job_id: str | None
     parent_checkpoint_id: str | None
     parent_policy: str | None = Field(description="The bundled policy or the version that it was to start from.")
@@ -616,7 +620,7 @@ class WorkerPublic(_Public):
     id: str
     host: str
     pid: int
-    queues: list[str]
+    queues: list[str] = Field(description="Its simulators.", json_schema_extra={"deprecated": True})
     tasks: dict[str, int] = Field(description="Version by name of each task that it can run.")
     robots: list[str]
     simulators: list[str]

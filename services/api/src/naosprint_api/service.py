@@ -12,9 +12,9 @@ from anyio import CapacityLimiter, to_thread
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.database import REVISION, Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
-from naojobs.lifecycle import record_notification_failure
 from naojobs.models import Evaluation, Job, Worker
 from naojobs.notifications import Notifier, make_celery
+from naojobs.outcomes import record_notification_failure
 from naojobs.retention import delete_files
 from naojobs.store import ArtifactStore, StoreError, job_prefix
 from naojobs.tokens import Principal, verify
@@ -123,7 +123,7 @@ class Service:
 
     def _wake_up(self, *work: Job | Evaluation) -> None:
         for item in work:
-            error = self.notifier.wake_up(item.id, item.queue)
+            error = self.notifier.wake_up(item.id, item.simulator)
             if error is None:
                 continue
             self.telemetry.notification_failures.inc()

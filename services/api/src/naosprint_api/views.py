@@ -89,8 +89,9 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
 def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> WorkerPublic:
     """Return a worker with those of its jobs that are in `visible`, all if it is none."""
     jobs = [job for job in worker.jobs if visible is None or job in visible]
-    names = (name for name in WorkerPublic.model_fields if name not in ("alive", "jobs"))
-    return WorkerPublic(alive=worker.alive, jobs=jobs, **{name: getattr(worker.row, name) for name in names})
+    given = {"alive": worker.alive, "jobs": jobs, "queues": worker.row.simulators}
+    names = (name for name in WorkerPublic.model_fields if name not in given)
+    return WorkerPublic.model_validate({**given, **{name: getattr(worker.row, name) for name in names}})
 
 
 def files_view(manifest: StoreManifest, root: str) -> list[FilePublic]:

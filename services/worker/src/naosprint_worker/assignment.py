@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 from naojobs.checkpoints import CheckpointRef
-from naojobs.lifecycle import EvaluationClaim, JobClaim, Lease
+from naojobs.leases import EvaluationClaim, JobClaim, Lease
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import BaseModel, ConfigDict
 

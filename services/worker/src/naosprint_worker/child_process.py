@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from naojobs import lifecycle
+from naojobs import outcomes
 from naojobs.database import Sessions, make_sessions
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.store import ArtifactStore, CorruptArtifactError, MissingArtifactError, StoreError, StoreManifest
 from naosim.launchers import LauncherUnavailableError
 from naosim.simulator import ServerLostError, ServersUnavailableError
@@ -161,7 +161,7 @@ class Services:
         """Requeue the work if this process's worker has died; otherwise it would wait until the lease expires."""
         if self.stop.orphaned:
             with contextlib.suppress(LeaseLostError, *DATABASE_ERRORS):
-                lifecycle.lose(self.sessions, lease, f"worker {lease.owner} died")
+                outcomes.lose(self.sessions, lease, f"worker {lease.owner} died")
 
 
 def run_child(

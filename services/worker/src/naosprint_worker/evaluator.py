@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from naojobs import lifecycle, records
-from naojobs.lifecycle import EvaluationClaim
+from naojobs import outcomes, records
+from naojobs.leases import EvaluationClaim
 from naojobs.states import WorkState
 from naojobs.store import StoreError, StoreManifest, evaluation_key, new_nonce
 from naosprint.threads import quiet_openmp
@@ -38,7 +38,7 @@ def _evaluate(services: Services, claim: EvaluationClaim) -> Outcome:
     checkpoint, result = services.workdir / "checkpoint", services.workdir / "evaluation"
     with services.stop.interruptible():
         services.fetch(claim.checkpoint.key, checkpoint, StoreManifest.model_validate(claim.checkpoint.manifest))
-    _database(services, lambda: lifecycle.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
+    _database(services, lambda: outcomes.transition(services.sessions, lease, WorkState.RUNNING, message="running"))
     summary = evaluate_into(
         result, checkpoint, claim.spec, threads=services.settings.worker_evaluation_threads, services=services
     )

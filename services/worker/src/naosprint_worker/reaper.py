@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import random
+from collections.abc import Callable, Iterable
 
-from naojobs import lifecycle, registry
+from naojobs import outcomes, registry
 from naojobs.database import Sessions
+from naojobs.states import WorkState
 from naosim.launchers import reap_servers
 
 from naosprint_worker.context import WorkerContext
@@ -27,11 +29,11 @@ class LostWork:
         self.workers = 1
         """Workers of the service that are alive, this one included."""
 
-    def sweep(self) -> list[lifecycle.Requeued]:
+    def sweep(self) -> list[outcomes.Requeued]:
         """Requeue what is lost, unless others of many workers look for it now; return it."""
         if random.random() * self.workers > _TURNS:  # noqa: S311 - no secret
             return []
-        requeued = lifecycle.requeue_stale(self._sessions, lease_s=self._lease_s)
+        requeued = outcomes.requeue_stale(self._sessions, lease_s=self._lease_s)
         registry.forget(self._sessions)
         return requeued
 
@@ -39,8 +41,10 @@ class LostWork:
 class Reaper:
     """Periodic recovery; any number of workers may run one at once."""
 
-    def __init__(self, context: WorkerContext) -> None:
+    def __init__(self, context: WorkerContext, wake: Callable[[Iterable[tuple[str, str]]], None]) -> None:
+        """Prepare; `wake` sends wake-up messages for pairs of work and queue."""
         self._context = context
+        self._wake = wake
         self._orphans = OrphanSweeper(context.settings.worker_dir, grace_s=context.settings.worker_orphan_grace_s + 5)
         self.lost = LostWork(context.sessions, context.settings.lease_s)
 
@@ -49,8 +53,10 @@ class Reaper:
         for pid in self._orphans.sweep():
             logger.warning("ended process %d, whose worker is gone", pid)
         self._remove_servers()
-        for lost in self.lost.sweep():
-            logger.warning("worker of %s %s was lost; it is now %s", lost.kind, lost.id, lost.state)
+        lost = self.lost.sweep()
+        for each in lost:
+            logger.warning("worker of %s %s was lost; it is now %s", each.kind, each.id, each.state)
+        self._wake((each.id, each.simulator) for each in lost if each.state is WorkState.QUEUED)
 
     def _remove_servers(self) -> None:
         """Remove the containers of servers whose training has ended."""

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
-from naojobs import lifecycle, records
+from naojobs import leases, outcomes, records
 from naojobs.errors import ConflictError, LeaseLostError
-from naojobs.lifecycle import Claim, JobClaim
+from naojobs.leases import Claim, JobClaim
 from naojobs.models import WorkKind
 from naojobs.records import LogLine
 from naojobs.states import WorkState
@@ -77,9 +77,9 @@ class Run:
         self._supervisor = TrainingSupervisor(
             context.settings,
             start=self._start,
-            beat=lambda: lifecycle.heartbeat(sessions, self._lease, lease_s=lease_s),
-            look=lambda: lifecycle.read_requests(sessions, self._lease),
-            report_stall=lambda idle_s: lifecycle.report_stall(sessions, self._lease, idle_s),
+            beat=lambda: leases.heartbeat(sessions, self._lease, lease_s=lease_s),
+            look=lambda: leases.read_requests(sessions, self._lease),
+            report_stall=lambda idle_s: outcomes.report_stall(sessions, self._lease, idle_s),
             must_end=self._must_end,
             workdir=self._workdir,
             log_path=self._workdir / "output.log",
@@ -91,6 +91,11 @@ class Run:
     def kind(self) -> WorkKind:
         """Kind of the work."""
         return self._lease.kind
+
+    @property
+    def id(self) -> str:
+        """Id of the work."""
+        return self._lease.id
 
     def shut_down(self) -> None:
         """End the attempt, a training with a checkpoint, and requeue the work; callable from a signal handler."""
@@ -108,7 +113,7 @@ class Run:
                     ending = self._supervisor.run()
             except OSError as error:
                 reason = public(f"the {self._program} could not be started: {describe(error)}")
-                self._patiently(lambda: lifecycle.lose(self._context.sessions, self._lease, reason))
+                self._patiently(lambda: outcomes.lose(self._context.sessions, self._lease, reason))
                 return
             self._patiently(lambda: self._settle(ending))
         except LeaseLostError as error:
@@ -146,7 +151,7 @@ class Run:
         if ending.intent is Intent.LEASE_LOST or ending.reported is TrainerExitCode.FENCED:
             return
         if ending.reported is TrainerExitCode.FINISHED:
-            missing = lifecycle.succeed(self._context.sessions, self._lease)
+            missing = outcomes.succeed(self._context.sessions, self._lease)
             if missing is None:
                 return
             text = f"the {self._program} reported its end, but {missing}"
@@ -167,18 +172,18 @@ class Run:
         elif ending.intent is Intent.STALLED:
             self._log_ending(ending)
             reason = f"the {self._program} made no step for {self._context.settings.worker_stall_s:g} s and was killed"
-            lifecycle.lose(self._context.sessions, self._lease, reason)
+            outcomes.lose(self._context.sessions, self._lease, reason)
         elif ending.intent is Intent.CUT_OFF:
             reason = f"the database did not answer for {self._context.settings.worker_patience_s:g} s"
-            lifecycle.postpone(self._context.sessions, self._lease, f"{reason}{where}")
+            outcomes.postpone(self._context.sessions, self._lease, f"{reason}{where}")
         elif ending.outcome is not None and ending.outcome.kind == SERVICE_UNAVAILABLE:
-            lifecycle.postpone(self._context.sessions, self._lease, text)
+            outcomes.postpone(self._context.sessions, self._lease, text)
         else:
             self._log_ending(ending)
-            lifecycle.lose(self._context.sessions, self._lease, text)
+            outcomes.lose(self._context.sessions, self._lease, text)
 
     def _transition(self, target: WorkState, message: str) -> None:
-        lifecycle.transition(self._context.sessions, self._lease, target, message=message)
+        outcomes.transition(self._context.sessions, self._lease, target, message=message)
 
     def _give_back(self, target: WorkState, message: str) -> None:
         """End the attempt in ``target``, or in the state that a user or the training has requested meanwhile."""
@@ -191,7 +196,7 @@ class Run:
     def _fail(self, ending: Ending, error: str) -> None:
         self._log_ending(ending)
         data = {"exit": ending.returncode, "kind": ending.outcome.kind if ending.outcome else "killed"}
-        lifecycle.transition(
+        outcomes.transition(
             self._context.sessions, self._lease, WorkState.FAILED, message=error, error=error, data=data
         )
 
@@ -209,10 +214,10 @@ class Run:
         limit = f"the {self._context.memory.limit_bytes // MIB:.0f} MiB of its worker"
         if self.kind is WorkKind.EVALUATION:
             reason = f"a training needs {limit}; the evaluation waits"
-            lifecycle.postpone(self._context.sessions, self._lease, reason)
+            outcomes.postpone(self._context.sessions, self._lease, reason)
         else:
             reason = f"the trainings of its worker need more than {limit}, this one the most"
-            lifecycle.lose(self._context.sessions, self._lease, reason)
+            outcomes.lose(self._context.sessions, self._lease, reason)
 
     def _memory_message(self, ending: Ending) -> str:
         settings, total = self._context.settings, ending.intent is Intent.CROWDED

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from naojobs import records
 from naojobs.database import Sessions
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.records import Batch, StoredCheckpoint
 from naojobs.retention import Retention, delete_files, prune_checkpoints
 from naojobs.store import ArtifactStore, StoreError, checkpoint_key, new_nonce

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Self
 
 from naojobs.database import Sessions
-from naojobs.lifecycle import Lease
+from naojobs.leases import Lease
 from naojobs.models import Checkpoint, Job, generation
 from naojobs.records import MetricsRow
 from naojobs.states import WorkState

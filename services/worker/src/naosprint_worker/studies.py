@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from naojobs import lifecycle, studies
+from naojobs import requests, studies
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions
 from naojobs.errors import InvalidError
@@ -78,7 +78,7 @@ class Conductor:
                 return False
             behind, queued = _Pass(session, study, storage).run()
         for job_id, why in behind.items():
-            lifecycle.prune(self._sessions, job_id, why)
+            requests.prune(self._sessions, job_id, why)
         return queued
 
     def forget_deleted(self) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from naojobs.errors import LeaseLostError
-from naojobs.lifecycle import Requests
+from naojobs.leases import Requests
 from naojobs.states import WorkState
 
 from naosprint_worker.child import TrainingProcess

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import naopolicies
 import naosprint
-from naojobs import lifecycle, records
+from naojobs import outcomes, records
 from naojobs.checkpoints import CheckpointRef, checkpoints_of
 from naojobs.errors import ConflictError
 from naojobs.ids import same_id
@@ -129,7 +129,7 @@ class Attempt:
             if resumed_from is not None:
                 self._recorder.already_stored(step)
             self._database(
-                lambda: lifecycle.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
+                lambda: outcomes.begin(services.sessions, lease, step=step, resumed_from=resumed_from),
                 "starting the attempt",
             )
             if start and start.waiting:
@@ -324,7 +324,7 @@ class Attempt:
 
         def enter() -> None:
             try:
-                lifecycle.transition(self._services.sessions, self._lease, state, message=message)
+                outcomes.transition(self._services.sessions, self._lease, state, message=message)
             except ConflictError:
                 if state is not WorkState.RUNNING:
                     raise

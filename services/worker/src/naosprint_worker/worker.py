@@ -10,12 +10,13 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from naojobs import lifecycle, registry, retention
+from naojobs import leases, registry, retention
 from naojobs.database import make_sessions
 from naojobs.models import Evaluation, Job, WorkKind
+from naojobs.notifications import Notifier, make_celery
 from naojobs.store import ArtifactStore, StoreError
 from naospec.files import private_folder
 from naospec.processes import ProcessIdentity
@@ -62,7 +63,8 @@ class WorkLoop:
             memory=MemoryBudget.of_worker(settings),
         )
         self._store = ArtifactStore.from_settings(settings)
-        self._reaper = Reaper(self._context)
+        self._notifier = Notifier(make_celery(settings.broker_url.get_secret_value(), name="naosprint_worker"))
+        self._reaper = Reaper(self._context, self._wake_others)
         self._stopping = threading.Event()
         self._short_of_space = False
         self._runs: dict[Run, threading.Thread] = {}
@@ -118,16 +120,16 @@ class WorkLoop:
         with contextlib.suppress(*DATABASE_ERRORS):
             registry.leave(self._context.sessions, self.id)
         shutil.rmtree(self._context.folder, ignore_errors=True)
+        self._notifier.close()
         self._engine.dispose()
 
     def _claim_work(self) -> None:
         """Fill the free slots with waiting work."""
         while models := self._claimable():
-            claim = lifecycle.claim_next(
+            claim = leases.claim_next(
                 self._context.sessions,
                 self.id,
                 models=models,
-                queues=self._settings.worker_queues,
                 capabilities=self._context.capabilities,
                 lease_s=self._settings.lease_s,
             )
@@ -173,6 +175,8 @@ class WorkLoop:
         except Exception:
             logger.exception("a run failed")
         finally:
+            if self._stopping.is_set():  # this worker takes it no more
+                self._wake_others((run.id, queue) for queue in self._settings.worker_queues)
             with self._changed:
                 del self._runs[run]
                 self._changed.notify_all()
@@ -181,6 +185,12 @@ class WorkLoop:
     def _wake(self) -> None:
         self._woken.set()
         self._study_woken.set()
+
+    def _wake_others(self, work: Iterable[tuple[str, str]]) -> None:
+        """Send wake-up messages for pairs of requeued work and queue, unless the broker is down."""
+        for work_id, queue in work:
+            if self._notifier.wake_up(work_id, queue) is not None:
+                return  # free workers poll
 
     def _conduct(self) -> None:
         """Advance all studies."""
@@ -217,7 +227,6 @@ class WorkLoop:
             self.id,
             host=self._host,
             pid=os.getpid(),
-            queues=self._settings.worker_queues,
             capabilities=self._context.capabilities,
             version=__version__,
             disk_free_bytes=self._free_bytes(),

@@ -88,7 +88,7 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
             cell(worker["id"]),
             cell(worker["host"]),
             str(worker["pid"]),
-            ", ".join(worker["queues"]),
+            ", ".join(worker["simulators"]),
             ", ".join(worker["jobs"]) or "-",
             seen,
             cell(worker["version"]),

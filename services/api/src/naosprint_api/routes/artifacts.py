@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, BackgroundTasks, Query, Request, Response
-from naojobs import lifecycle, submission
+from naojobs import requests, submission
 from naojobs.errors import NotFoundError
 from naojobs.models import Evaluation
 from naojobs.states import WorkState
@@ -147,7 +147,7 @@ def get_evaluation(evaluation_id: EvaluationId, principal: Reader, service: Serv
 def cancel_evaluation(evaluation_id: EvaluationId, principal: Submitter, service: ServiceDep) -> EvaluationPublic:
     """Cancel an evaluation. A running one stops soon; it is cancelled when its state is `cancelled`."""
     queries.visible_evaluation(service.reads, principal, evaluation_id)
-    return service.show_evaluation(lifecycle.request_cancel(service.sessions, Evaluation, evaluation_id))
+    return service.show_evaluation(requests.request_cancel(service.sessions, Evaluation, evaluation_id))
 
 
 def finished(row: Evaluation) -> tuple[str, StoreManifest]:

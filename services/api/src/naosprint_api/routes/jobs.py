@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, BackgroundTasks, Query, Response
-from naojobs import lifecycle, submission
+from naojobs import requests, submission
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Job
@@ -198,21 +198,21 @@ def edit_job(job_id: JobId, body: JobPatch, principal: Submitter, service: Servi
 def cancel_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
     """Cancel a job. A running one writes a last checkpoint first; it is cancelled when its state is `cancelled`."""
     controllable(service, principal, job_id)
-    return service.show_job(lifecycle.request_cancel(service.sessions, Job, job_id))
+    return service.show_job(requests.request_cancel(service.sessions, Job, job_id))
 
 
 @router.post("/jobs/{job_id}/pause", responses=CONTROL)
 def pause_job(job_id: JobId, principal: Submitter, service: ServiceDep) -> JobPublic:
     """Pause a job. A running one writes a checkpoint first; it is paused when its state is `paused`."""
     controllable(service, principal, job_id)
-    return service.show_job(lifecycle.request_pause(service.sessions, job_id))
+    return service.show_job(requests.request_pause(service.sessions, job_id))
 
 
 @router.post("/jobs/{job_id}/resume", responses=CONTROL)
 def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a paused job again; it resumes from its last checkpoint."""
     controllable(service, principal, job_id)
-    job = lifecycle.resume(service.sessions, job_id, limits=service.settings.limits)
+    job = requests.resume(service.sessions, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 
@@ -221,7 +221,7 @@ def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
     require_space(service, controllable(service, principal, job_id).owner)
-    job = lifecycle.retry(service.sessions, job_id, limits=service.settings.limits)
+    job = requests.retry(service.sessions, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 
@@ -230,7 +230,7 @@ def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgrou
 def delete_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> None:
     """Delete an ended job with its metrics, logs, checkpoints and evaluations."""
     controllable(service, principal, job_id)
-    lifecycle.delete(service.sessions, job_id)
+    requests.delete(service.sessions, job_id)
     service.principals.forget()  # the tokens of its links are deleted with it
     background.add_task(service.discard_artifacts, job_id)
 

@@ -25,7 +25,7 @@ export const tone = (state) => STATES[state]?.tone ?? "grey";
 export function actionsFor(job) {
   const actions = [];
   if (!may("submit")) return actions;
-  if (["queued", "starting", "running"].includes(job.state) && !job.pause_requested && !job.cancel_requested)
+  if (["queued", "starting", "running"].includes(job.state) && !job.cancel_requested)
     actions.push({ name: "pause", icon: "pause", label: "Pause" });
   if (job.state === "paused") actions.push({ name: "resume", icon: "play", label: "Resume" });
   if (["failed", "cancelled"].includes(job.state)) actions.push({ name: "retry", icon: "retry", label: "Retry" });
@@ -48,7 +48,6 @@ export function stateBadge(state, note) {
 /** Label that replaces the state's own while a request is pending or the job has stalled; undefined if neither. */
 export function stateNote(job) {
   if (job.cancel_requested && !isEnded(job.state)) return "Cancelling";
-  if (job.pause_requested && ["queued", "starting", "running"].includes(job.state)) return "Pausing";
   if (job.stalled_since) return "Stalled";
   return undefined;
 }

@@ -52,7 +52,6 @@ export class SpecTab {
               id: job.id,
               owner: job.owner,
               priority: job.priority,
-              queue: job.queue,
               attempt: job.attempt,
               failures: job.failures,
               max_attempts: job.max_attempts,

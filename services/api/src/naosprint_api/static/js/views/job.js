@@ -276,7 +276,6 @@ class JobView {
     const key = JSON.stringify([
       job.state,
       job.cancel_requested,
-      job.pause_requested,
       job.waiting_reason,
       job.stalled_since,
     ]);

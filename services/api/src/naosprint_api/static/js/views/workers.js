@@ -44,7 +44,7 @@ const row = (w) =>
       h(
         "div",
         { class: "row wrap" },
-        w.queues.map((q) => h("span", { class: "tag" }, q)),
+        w.simulators.map((q) => h("span", { class: "tag" }, q)),
       ),
     ),
     h(

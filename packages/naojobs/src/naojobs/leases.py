@@ -1,0 +1,302 @@
+"""Leases of workers on work: claims, heartbeats, and the check that every write of a worker begins with.
+
+Each function is one small transaction, or part of its caller's. A lease expires by a clock of its own, which stands
+still while the database is down (`naojobs.models.lease_time`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any, TypeAlias, cast
+
+import naopolicies
+from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, validation_words
+from pydantic import ValidationError
+from sqlalchemy import ColumnElement, ScalarSelect, and_, func, or_, select, update
+from sqlalchemy.orm import Session
+
+from naojobs.capabilities import Capabilities
+from naojobs.changes import add_event, announce, change, lock
+from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
+from naojobs.database import Sessions, is_due, notify, one_statement
+from naojobs.errors import LeaseLostError
+from naojobs.models import (
+    WORK,
+    Checkpoint,
+    Evaluation,
+    Job,
+    LeaseClock,
+    WorkKind,
+    generation,
+    lease_time,
+)
+from naojobs.states import WorkState
+
+DEFAULT_LEASE_S = 30.0
+"""Seconds after a heartbeat at which a lease expires."""
+
+LONGEST_POSTPONE_S = 300.0
+"""Most seconds until the next attempt at work that was postponed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """Right of a worker to write to a piece of work.
+
+    `attempt` fences it off once another worker has claimed the work, `generation` once the database was restored.
+    """
+
+    kind: WorkKind
+    id: str
+    job_id: str
+    """The job that it belongs to; a job's own id."""
+    owner: str
+    attempt: int
+    generation: str
+    """Generation of the database that gave it, see `naojobs.models.generation`."""
+
+    def __str__(self) -> str:
+        """Return the work and its holder for messages."""
+        return f"{self.kind} {self.id} of {self.owner} (attempt {self.attempt})"
+
+
+@dataclass(frozen=True, slots=True)
+class JobClaim:
+    """Lease on a job with what to do and where to start from."""
+
+    lease: Lease
+    name: str
+    spec: TrainingSpec
+    evaluation: EvaluationSpec | None
+    resume_from: CheckpointRef | None
+    """The job's own newest checkpoint, to continue from."""
+    initial_policy: CheckpointRef | None
+    """The checkpoint of another job to take the initial policy from; none when there is something to resume."""
+    bundled_policy: str | None = None
+    """The bundled policy to start from; none when there is something to resume."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationClaim:
+    """Lease on an evaluation with what to evaluate."""
+
+    lease: Lease
+    spec: EvaluationSpec
+    checkpoint: CheckpointRef
+    time_limit_s: float
+
+
+Claim: TypeAlias = JobClaim | EvaluationClaim
+
+
+@dataclass(frozen=True, slots=True)
+class Requests:
+    """State of leased work and what users request of it."""
+
+    state: WorkState
+    cancel: bool
+
+
+def claim_next(
+    sessions: Sessions,
+    worker: str,
+    *,
+    models: Iterable[type[Job] | type[Evaluation]] = (Job, Evaluation),
+    capabilities: Capabilities,
+    lease_s: float = DEFAULT_LEASE_S,
+) -> Claim | None:
+    """Claim the work of highest priority, the oldest first, that `worker` can run.
+
+    Several workers may look at once: each skips the rows that another is claiming.
+    """
+    models = tuple(models)
+    while True:
+        with sessions.begin() as session:
+            found: list[Job | Evaluation] = []
+            for model in models:
+                first = (
+                    waiting(model)
+                    .where(capabilities.condition(model))
+                    .order_by(model.priority.desc(), model.queued_at)
+                    .limit(1)
+                )
+                work = session.scalar(first.with_for_update(skip_locked=True))
+                found += [] if work is None else [work]
+            if not found:
+                return None
+            taken = take(session, min(found, key=lambda work: (-work.priority, work.queued_at)), worker, lease_s)
+        if taken is not None:  # else it is no longer queued, and its row has the reason
+            return taken
+
+
+def waiting(model: type[Job] | type[Evaluation]) -> Any:
+    """Return the query of the work of a kind that waits for a worker."""
+    due = or_(model.not_before.is_(None), is_due(model.not_before, LONGEST_POSTPONE_S))
+    waiting = select(model).where(model.state == WorkState.QUEUED, due)
+    return waiting.where(~awaits_policy()) if model is Job else waiting
+
+
+def take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim | None:
+    """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
+
+    Work whose specification this version cannot read fails, as does a job that lacks the policy it starts from; then
+    None is returned.
+    """
+    try:
+        training = isinstance(work, Job)
+        spec = read_stored(TrainingSpec, work.spec) if training else read_stored(EvaluationSpec, work.spec)
+        final = isinstance(work, Job) and work.evaluation
+        evaluation = read_stored(EvaluationSpec, final) if final else None
+    except (ValidationError, plugins.BrokenPluginError) as error:
+        words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
+        reason = f"the specification does not fit this version: {words}"
+        _refuse(session, work, reason)
+        return None
+    own = parent = bundled = None
+    if isinstance(work, Job) and (own := newest_checkpoint(session, work.id)) is None and work.needs_policy:
+        bundled = work.parent_policy if work.parent_policy in naopolicies.names() else None
+        parent = _parent_policy(session, work) if bundled is None else None
+        if parent is None and bundled is None:
+            _refuse(session, work, _missing_policy(work))
+            return None
+    change(work, WorkState.STARTING)
+    work.attempt += 1
+    work.lease_owner = worker
+    work.lease_generation = session.scalars(select(generation())).one()
+    work.lease_expires_at = _lease_end(lease_s)
+    work.heartbeat_at = func.now()
+    work.started_at = func.coalesce(type(work).started_at, func.now())
+    lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt, work.lease_generation)
+    if isinstance(work, Evaluation):
+        notify(session, work.job_id)  # no event: the job's row is not locked
+        checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
+        assert isinstance(spec, EvaluationSpec)
+        return EvaluationClaim(lease, spec, checkpoint, work.time_limit_s)
+    add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
+    assert isinstance(spec, TrainingSpec)
+    return JobClaim(
+        lease=lease,
+        name=work.name,
+        spec=spec,
+        evaluation=evaluation,
+        resume_from=CheckpointRef.of(own) if own else None,
+        initial_policy=CheckpointRef.of(parent) if parent else None,
+        bundled_policy=bundled,
+    )
+
+
+def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
+    """End queued work that no worker can begin."""
+    work.error = reason
+    change(work, WorkState.FAILED)
+    if isinstance(work, Job):
+        add_event(session, work, "failed", reason)
+    else:
+        notify(session, work.job_id)  # no event: the job's row is not locked
+        announce(session, work, "failed")
+
+
+def _parent_policy(session: Session, job: Job) -> Checkpoint | None:
+    """Return the checkpoint whose policy a locked job starts from; none if there no longer is one."""
+    if job.parent_checkpoint_id is not None:
+        return session.get(Checkpoint, job.parent_checkpoint_id)
+    if job.parent_job_id is None:
+        return None
+    # From now on this checkpoint is the parent's, for every attempt: the lock and the reference keep it from being
+    # pruned by the parent job, which may still run.
+    session.execute(select(Job.id).where(Job.id == job.parent_job_id).with_for_update(key_share=True))
+    parent = trained_checkpoint(session, job.parent_job_id)
+    job.parent_checkpoint_id = parent.id if parent is not None else None
+    return parent
+
+
+def _missing_policy(job: Job) -> str:
+    if job.parent_policy is not None and "@" not in job.parent_policy:
+        return f"this version has no policy {job.parent_policy!r}, which it starts from"
+    if job.parent_job_id is None:
+        return "the job whose policy it starts from was deleted"
+    return f"job {job.parent_job_id}, whose policy it starts from, ended without a trained checkpoint"
+
+
+def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEASE_S) -> Requests:
+    """Renew `lease` and return the users' requests.
+
+    Raises LeaseLostError if the work was requeued, deleted, or claimed by another worker.
+    """
+    model = WORK[lease.kind]
+    with one_statement(sessions) as session:
+        row = session.execute(
+            update(model)
+            .where(held_by(lease))
+            .values(heartbeat_at=func.now(), lease_expires_at=_lease_end(lease_s))
+            .returning(model.state, model.cancel_requested),
+        ).one_or_none()
+    if row is None:
+        raise _lost(lease)
+    return Requests(row.state, cancel=row.cancel_requested)
+
+
+def read_requests(sessions: Sessions, lease: Lease) -> Requests:
+    """Return the users' requests without renewing `lease`. Raises LeaseLostError."""
+    model = WORK[lease.kind]
+    with one_statement(sessions) as session:
+        row = session.execute(select(model.state, model.cancel_requested).where(held_by(lease))).one_or_none()
+    if row is None:
+        raise _lost(lease)
+    return Requests(row.state, cancel=row.cancel_requested)
+
+
+def held_by(lease: Lease) -> ColumnElement[bool]:
+    """Return the condition under which `lease` is still valid."""
+    model = WORK[lease.kind]
+    return and_(
+        model.id == lease.id,
+        model.lease_owner == lease.owner,
+        model.attempt == lease.attempt,
+        generation() == lease.generation,
+    )
+
+
+def _lost(lease: Lease) -> LeaseLostError:
+    return LeaseLostError(f"{lease.kind} {lease.id} is no longer leased to {lease.owner} (attempt {lease.attempt})")
+
+
+def hold(session: Session, lease: Lease) -> Job | Evaluation:
+    """Lock leased work for the rest of the transaction. Raises LeaseLostError."""
+    work = lock(session, cast("type[Job]", WORK[lease.kind]), lease.id, held_by(lease))
+    if work is None:
+        raise _lost(lease)
+    return work
+
+
+def hold_job(session: Session, lease: Lease) -> Job:
+    """Lock a leased job for the rest of the transaction. Raises LeaseLostError."""
+    job = hold(session, lease)
+    assert isinstance(job, Job), f"{lease} is not a lease on a job"
+    return job
+
+
+def hold_evaluation(session: Session, lease: Lease) -> Evaluation:
+    """Lock a leased evaluation for the rest of the transaction. Raises LeaseLostError."""
+    evaluation = hold(session, lease)
+    assert isinstance(evaluation, Evaluation), f"{lease} is not a lease on an evaluation"
+    return evaluation
+
+
+def _lease_end(lease_s: float) -> ScalarSelect[datetime]:
+    """Return the query of the time at which a lease of now expires."""
+    return select(lease_time(lease_s) + timedelta(seconds=lease_s)).scalar_subquery()
+
+
+def read_lease_clock(session: Session, lease_s: float) -> None:
+    """Advance the clock of leases; of many workers that call this at once, one changes its row."""
+    unread = func.clock_timestamp() - LeaseClock.read_at
+    due = or_(unread < timedelta(), unread > timedelta(seconds=lease_s / 30))
+    session.execute(
+        update(LeaseClock)
+        .where(due)
+        .values(time=lease_time(lease_s), read_at=func.clock_timestamp())
+        .execution_options(synchronize_session=False)
+    )
