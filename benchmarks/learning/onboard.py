@@ -30,7 +30,7 @@ from naosim.robots.nao import model_of
 from naosim.simspark import _core, protocol
 from naosim.simspark.control import motor_speeds
 from naosim.simspark.program import PROGRAM_VARIABLE, RCSSSERVER3D, SERVER_SCRIPT
-from naosim.simulator import STEP_S, Simulator, Truth
+from naosim.simulator import STEP_S, NativeHandle, Simulator, Truth
 from naosprint import tasks
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import Environment
@@ -78,7 +78,7 @@ class Player(Simulator):
     """
 
     latency_steps = 2
-    stable_arrays = True
+    native = NativeHandle()
 
     def __init__(self, robot: Robot, launcher: ProcessLauncher) -> None:
         super().__init__(robot, 1)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import PLAIN, TOUCHING, BodyState, Scene, Simulator, Truth, halves
+from naosim.simulator import PLAIN, TOUCHING, BodyState, NativeHandle, Scene, Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -50,7 +50,7 @@ class FleetSimulator(Simulator):
 
     # a reply describes the state before the cycle that its command starts
     latency_steps = 2
-    stable_arrays = True
+    native = NativeHandle()
 
     def __init__(
         self,

@@ -267,6 +267,34 @@ def halves(n: int, multiple: int = 1) -> tuple[slice, ...]:
     return (slice(0, middle), slice(middle, n)) if 2 * multiple <= n else (slice(0, n),)
 
 
+NATIVE_VERSION = 1
+"""Version of what a `NativeHandle` refers to."""
+
+
+@dataclass(frozen=True, slots=True)
+class NativeHandle:
+    """What compiled code may use of a simulator as long as it exists, if it was built for the same version.
+
+    That is the arrays of `Simulator.perceptors` and `Simulator.truth`, which stay where they are, and the simulator's
+    threads, on which compiled code may work between two calls.
+    """
+
+    _threads: int = 0
+    """Address of its ``Threads`` (packages/naosim/cpp/thread_pool.hpp); 0 without any."""
+    version: int = NATIVE_VERSION
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether this package's compiled code can use it."""
+        return self.version == NATIVE_VERSION
+
+    @classmethod
+    def threads_of(cls, simulator: Simulator) -> int:
+        """Return the threads of a simulator for compiled code; 0 for the caller's own."""
+        native = simulator.native
+        return native._threads if native is not None and native.is_usable else 0
+
+
 class Simulator(ABC):
     """n robots of one kind, stepped together.
 
@@ -281,10 +309,7 @@ class Simulator(ABC):
         perceptors: by name, (n, width) arrays in the units of ``robot.perceptors`` and ``scene.perceptors``. NaN where
             a perceptor reports nothing. Valid until the next call.
         truth: the robots' poses; valid until the next call.
-        stable_arrays: whether the arrays of :attr:`perceptors` and :attr:`truth` are the same ones for the simulator's
-            whole life, so that compiled code may keep their addresses.
-        threads_address: address of the simulator's threads, on which compiled code of others may work between two calls
-            (``Threads`` in packages/naosim/cpp/thread_pool.hpp); 0 without any. Valid as long as the simulator exists.
+        native: what compiled code may use of it; None for nothing.
         prepares_starts: whether :meth:`start` makes use of the starts of the episodes that follow.
         latency_steps: steps after which ``joint_angles`` first shows the effect of a command: 1 if the reply to a
             command already does.
@@ -293,9 +318,8 @@ class Simulator(ABC):
     perceptors: Mapping[str, Floats]
     truth: Truth
     latency_steps: int = 1
-    stable_arrays: bool = False
     prepares_starts: bool = False
-    threads_address: int = 0
+    native: NativeHandle | None = None
 
     def __init__(self, robot: Robot, n: int, scene: Scene = PLAIN) -> None:
         self.robot = robot

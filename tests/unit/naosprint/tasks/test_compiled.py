@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.simspark import EmbeddedSimulator
-from naosim.simulator import Simulator
+from naosim.simulator import NativeHandle, Simulator
 from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
 from naosprint.tasks.compiled import Operation
@@ -213,7 +213,7 @@ def test_normalization_has_the_bits_of_numpy(n: int, mirrored: bool) -> None:
         rewards=True,
         gamma=0.97,
         mirror=mirror,
-        threads=simulator.threads_address,
+        threads=NativeHandle.threads_of(simulator),
     )
     seen, returned = RunningMoments(width, mirror), RunningMoments(1)
     returns = np.zeros(n)

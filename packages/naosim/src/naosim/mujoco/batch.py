@@ -183,7 +183,7 @@ class MujocoBatch:
 
     @property
     def threads_address(self) -> int:
-        """Address of the batch's threads; see ``naosim.simulator.Simulator.threads_address``."""
+        """Address of the batch's threads; see ``naosim.simulator.NativeHandle``."""
         return self._worlds.threads
 
     @property

@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, torque_shares, world_of
-from naosim.simulator import CONTACT_N, PLAIN, STEP_S, Simulator, Truth, finite, halves
+from naosim.simulator import CONTACT_N, PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -45,8 +45,6 @@ class MujocoSimulator(Simulator):
         naosim.mujoco.world.MujocoUnavailableError: if MuJoCo is missing or has another version.
     """
 
-    stable_arrays = True
-
     def __init__(
         self,
         robot: Robot,
@@ -69,7 +67,7 @@ class MujocoSimulator(Simulator):
         self.groups = halves(n)
         self._begun: set[int] = set()
         self._pending: dict[int, tuple[Floats, Flags]] = {}
-        self.threads_address = self.batch.threads_address
+        self.native = NativeHandle(self.batch.threads_address)
 
     def _new_batch(self, n: int) -> MujocoBatch:
         settings = self.parameters

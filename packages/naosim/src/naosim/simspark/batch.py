@@ -145,7 +145,7 @@ class BatchSimulator:
 
     @property
     def threads_address(self) -> int:
-        """Return the address of the batch's threads; see ``naosim.simulator.Simulator.threads_address``."""
+        """Return the address of the batch's threads; see ``naosim.simulator.NativeHandle``."""
         return int(self._core.threads)
 
     @property

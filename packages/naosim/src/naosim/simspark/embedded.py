@@ -10,7 +10,7 @@ from naosim.robots.nao import model_of
 from naosim.simspark.batch import BatchSimulator
 from naosim.simspark.control import GAIN, settle
 from naosim.simspark.vision import LandmarkVision
-from naosim.simulator import CONTACT_N, Simulator, Truth, halves
+from naosim.simulator import CONTACT_N, NativeHandle, Simulator, Truth, halves
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -32,7 +32,6 @@ class EmbeddedSimulator(Simulator):
 
     # a reply describes the state before the cycle that its command starts
     latency_steps = 2
-    stable_arrays = True
 
     def __init__(self, robot: Robot, n: int, *, sensor_digits: int | None = 2, threads: int = 1) -> None:
         super().__init__(robot, n)
@@ -53,7 +52,7 @@ class EmbeddedSimulator(Simulator):
         self._begun: set[int] = set()
         self._pending: dict[int, tuple[Floats, Flags | None]] = {}
         self._starts: Bytes | None = None
-        self.threads_address = self._engine.threads_address
+        self.native = NativeHandle(self._engine.threads_address)
 
     def step_async(self, targets_rad: Floats, rows: slice, active: Flags | None = None) -> None:
         """Begin a step in the background; one of some robots, or with vision, begins in :meth:`step_wait`."""

@@ -25,7 +25,7 @@ class Forward:
         layers: weights (out, in) and bias (out,) of each layer. The arrays are kept; when their contents have changed,
             call :meth:`pack`.
         kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
-        threads: address of a simulator's threads; see ``naosim.simulator.Simulator.threads_address``.
+        threads: address of a simulator's threads; see ``naosim.simulator.NativeHandle``.
     """
 
     def __init__(

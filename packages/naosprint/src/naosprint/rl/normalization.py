@@ -77,7 +77,7 @@ class Normalizer:
         rewards: whether rewards are scaled.
         gamma: discount factor of the return whose spread is estimated; may change during a training.
         mirror: if given, observations are standardized alike on both sides.
-        threads: address of a simulator's threads; see ``naosim.simulator.Simulator.threads_address``.
+        threads: address of a simulator's threads; see ``naosim.simulator.NativeHandle``.
     """
 
     def __init__(

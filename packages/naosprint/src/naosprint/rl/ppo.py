@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 from gymnasium import spaces
+from naosim.simulator import NativeHandle
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
@@ -186,10 +187,8 @@ class PPO(Learner):
         self._actor: Forward | TorchForward = TorchForward(actor)
         self._critic: Forward | TorchForward = TorchForward(critic)
         if spec.runtime.compiled_update:
-            seen, threads = (
-                len(environment.environment.observer.names),
-                environment.environment.simulator.threads_address,
-            )
+            seen = len(environment.environment.observer.names)
+            threads = NativeHandle.threads_of(environment.environment.simulator)
             self._losses = KernelGradients(self.policy, settings, symmetry, seen=seen)
             self._actor, self._critic = (
                 Forward.of(linear_layers(actor), threads),
@@ -204,7 +203,7 @@ class PPO(Learner):
             rewards=settings.normalize_rewards,
             gamma=settings.gamma,
             mirror=inner.observer.mirror if settings.symmetric_policy else None,
-            threads=inner.simulator.threads_address,
+            threads=NativeHandle.threads_of(inner.simulator),
         )
         self.rollout = Rollout(settings.n_steps, environment.n, environment.n_observations, environment.n_actions)
         self.generator = torch.Generator()

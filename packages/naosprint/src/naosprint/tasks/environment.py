@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from naosim import kinds, robots
-from naosim.simulator import RuntimeOptions
+from naosim.simulator import NativeHandle, RuntimeOptions
 from naospec.sections import require_plain_names
 
 from naosprint.tasks.base import RewardTerm, Task, World, get
@@ -109,7 +109,8 @@ class Environment:
             *self.observer.blocks,
             *self._terms,
         )
-        if own or not self.simulator.stable_arrays or any(part.operation is None for part in parts):
+        native = self.simulator.native
+        if own or native is None or not native.is_usable or any(part.operation is None for part in parts):
             return None
         from naosprint import _compiled
 
@@ -272,7 +273,7 @@ class Environment:
                 task.max_steps,
                 SHORT_EPISODE_STEPS,
                 task.horizon_is_terminal,
-                simulator.threads_address,
+                NativeHandle.threads_of(simulator),
             )
         if len(gone):
             self.observer.observations[gone] = last_observations
