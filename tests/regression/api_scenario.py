@@ -176,12 +176,22 @@ def responses(folder: Path) -> dict[str, Any]:
             for path in PATHS:
                 answer = client.get(path.format(**identifiers))
                 body = masked(answer.json(), names)
-                if path.startswith("/jobs?") and "items" in body:
-                    # the jobs themselves are in the record of /jobs
-                    body["items"] = [job["id"] for job in body["items"]]
                 found[f"GET {path}"] = {"status": answer.status_code, "body": body}
     finally:
         postgres.stop()
+    return once(found)
+
+
+def once(found: dict[str, Any]) -> dict[str, Any]:
+    """Return the responses, with items of lists that are responses themselves as the names of these."""
+    whole = {json.dumps(answer["body"], sort_keys=True): f"<the body of {name}>" for name, answer in found.items()}
+
+    def named(value: Any) -> Any:
+        return whole.get(json.dumps(value, sort_keys=True), value)
+
+    for answer in found.values():
+        if isinstance(answer["body"], dict) and isinstance(answer["body"].get("items"), list):
+            answer["body"]["items"] = [named(item) for item in answer["body"]["items"]]
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-WIDTH = 400
+WIDTH = 600
 """Longest object that stays on one line, characters."""
 
 
