@@ -212,7 +212,7 @@ def main() -> None:
     options = parser.parse_args()
     for side in options.sides:
         print(f"{options.robot}, {side}", flush=True)
-        search = Search(options.robot, side, motions("getup", options.robot), options.seed, options.threads)
+        search = Search(options.robot, side, motions("getup", robots.get(options.robot)), options.seed, options.threads)
         motion = search.run(60.0 * options.minutes)
         found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
         file = FOLDER / f"getup-{options.robot}.json"

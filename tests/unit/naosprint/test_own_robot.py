@@ -17,6 +17,7 @@ from naospec import EvaluationSpec, TrainingSpec, plugins
 from naosprint import evaluate, train
 from naosprint.export import FORMATS, export_policy
 from naosprint.tasks import RobotDefaults, robot_defaults
+from naosprint.tasks.getup import GetUp
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +43,14 @@ def test_a_variant_is_trained_evaluated_and_exported(robot: str, usual: str, tmp
     done = subprocess.run([sys.executable, "check.py"], cwd=check.parent, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads((tmp_path / "export" / "policy.json").read_text(encoding="utf-8"))["robot"] == robot
+
+
+def test_a_variant_has_the_scripted_motions_of_its_model() -> None:
+    """Whatever its name: a robot without motions of its own or its model's demonstrates nothing."""
+    shown = {
+        name: GetUp.demonstrates(robots.get(name)) for name in ("t1", "t1-crouched", "k1", "nao-0", "nao-crouched")
+    }
+    assert [name for name, demonstrates in shown.items() if demonstrates] == ["t1", "t1-crouched"]
 
 
 def test_the_gains_of_a_variant_are_those_of_its_settings() -> None:

@@ -106,7 +106,7 @@ def test_demonstrations_stand_up_from_every_side() -> None:
 
 
 def test_a_mirrored_motion_moves_the_other_side() -> None:
-    motion = motions("getup", "t1")["right"]
+    motion = motions("getup", T1)["right"]
     mirrored, names = motion.mirrored(T1), [joint.name for joint in T1.joints]
     targets, others = motion.targets(T1), mirrored.targets(T1)
     assert np.abs(targets - others).max() > 0.5

@@ -167,13 +167,13 @@ class GetUp(Task[GetUpSettings]):
     @classmethod
     def demonstrates(cls, robot: Robot) -> bool:
         """Return whether there are scripted motions of the robot."""
-        return motions(cls.name, robot.name).keys() >= SIDES.keys()
+        return motions(cls.name, robot).keys() >= SIDES.keys()
 
     def __init__(self, parameters: GetUpSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
         self._demonstrations: FloatArray | None = None  # (4, T, A)
         if self.demonstrates(self.robot):
-            scripted = motions(self.name, self.robot.name)
+            scripted = motions(self.name, self.robot)
             moves = [*(scripted[side] for side in SIDES), scripted["right"].mirrored(self.robot)]
             self._demonstrations = self._actions(moves)
         self.max_steps = parameters.episode_steps

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from naosim.simulator import STEP_S
 
+from naosprint.tasks.robot_defaults import robot_defaults
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -57,9 +59,13 @@ class Motion:
         return Motion(self.times_s, angles)
 
 
-def motions(task: str, robot: str) -> Mapping[str, Motion]:
-    """Return the motions of a robot for a task by name; none if nobody has written any."""
-    file = resources.files("naosprint.tasks") / "motion_data" / f"{task}-{robot}.json"
+def motions(task: str, robot: Robot) -> Mapping[str, Motion]:
+    """Return the motions of a robot for a task by name: those of its :class:`RobotDefaults`, or none."""
+    try:
+        name = robot_defaults(robot).motions
+    except ValueError:
+        return {}
+    file = resources.files("naosprint.tasks") / "motion_data" / f"{task}-{name}.json"
     if not file.is_file():
         return {}
     return {name: Motion(**content) for name, content in json.loads(file.read_text(encoding="utf-8")).items()}

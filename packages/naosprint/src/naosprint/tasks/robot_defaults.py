@@ -30,6 +30,8 @@ class RobotDefaults:
     """Torso height below which an episode counts as a fall."""
     erect_height_m: float
     """The same for tasks that require an upright run."""
+    motions: str | None = None
+    """Name of its scripted motions in ``naosprint/tasks/motion_data``; None without any."""
 
 
 _NAO: tuple[str, ...] = (
@@ -51,8 +53,9 @@ def _nao(robot: Robot) -> RobotDefaults:
 
 
 def _booster(robot: Robot) -> RobotDefaults:
-    """Return what T1 and K1 perceive, and the heights of the robot's model."""
-    return RobotDefaults(_BOOSTER, *_BOOSTER_HEIGHTS_M[robot.data["model"]])
+    """Return what T1 and K1 perceive, and heights and motions of the robot's model."""
+    model = robot.data["model"]
+    return RobotDefaults(_BOOSTER, *_BOOSTER_HEIGHTS_M[model], motions=model.lower())
 
 
 _FAMILIES: Mapping[str, Callable[[Robot], RobotDefaults]] = {"nao": _nao, "booster": _booster}
