@@ -317,7 +317,7 @@ class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         return super().for_evaluation().model_copy(update={"whole_roll": True})
 
 
-class Kick(Task):
+class Kick(Task[KickSettings]):
     """Kick a ball to a commanded point.
 
     The command is a direction in the field and a distance. A table of rolls turns it into the direction and the speed
