@@ -98,7 +98,7 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
     [
         ({"spec": {"algorithm": {"learning_rate": 0}}}, "spec.algorithm.learning_rate", "greater than 0"),
         ({"spec": {"algorithm": {"learning_rat": 1}}}, "spec.algorithm.learning_rat", "no such setting"),
-        ({"spec": {"learning_rate": 1}}, "spec.learning_rate", "moved to algorithm.learning_rate"),
+        ({"spec": {"learning_rate": 1}}, "spec.learning_rate", "write algorithm.learning_rate"),
         ({"spec": {"algorithm": {"batch_size": 1000}}}, "spec.algorithm.batch_size", "use a divisor"),
         ({"spec": {"algorithm": {"hidden_sizes": [64, 0]}}}, "spec.algorithm.hidden_sizes.1", "greater than or equal"),
         ({"spec": {"task": "marathon"}}, "spec.task", "choose one of"),

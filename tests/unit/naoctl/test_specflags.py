@@ -134,7 +134,7 @@ def test_errors_of_a_file_name_the_field_and_the_file() -> None:
         InvalidInput, match=r"job\.yaml: spec\.algorithm\.n_env: ppo has no such setting: choose one of .*n_envs"
     ):
         build(TrainingSpec, {"algorithm": {"n_env": 3}}, where="job.yaml: spec.")
-    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.n_envs: moved to algorithm\.n_envs"):
+    with pytest.raises(InvalidInput, match=r"job\.yaml: spec\.n_envs: write algorithm\.n_envs"):
         build(TrainingSpec, {"n_envs": 3}, where="job.yaml: spec.")
 
 

@@ -69,7 +69,7 @@ def test_evaluation_is_checked_with_its_own_flags() -> None:
         ({"task": "sprint1"}, "task: no such field of a job. Put it below `spec > task:`."),
         ({"seed": 1}, "seed: no such field of a job. Put it below `spec:`."),
         ({"n_envs": 1}, "n_envs: no such field of a job. Put it below `spec > algorithm:`."),
-        ({"spec": {"n_envs": 1}}, "job.yaml: spec.n_envs: moved to algorithm.n_envs"),
+        ({"spec": {"n_envs": 1}}, "job.yaml: spec.n_envs: write algorithm.n_envs"),
         ({"nme": "x"}, "nme: no such field of a job. Fields: name"),
         ({"spec": {"total_step": 3}}, "job.yaml: spec.total_step: no such field"),
         ({"spec": {"seed": "x"}}, "job.yaml: spec.seed"),

@@ -1,4 +1,4 @@
-"""Short names for the settings of a specification, and the fields of the flat form of earlier versions."""
+"""Short names for the settings of a specification."""
 
 from __future__ import annotations
 
@@ -12,58 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pydantic.fields import FieldInfo
-
-MOVED = {
-    "preset": "algorithm.preset",
-    "min_height": "task.min_height_m",
-    "robot_type": "robot: use nao-0 to nao-4",
-    "policy_averaging": "algorithm.ema_decay",
-    "normalise_observations": "algorithm.normalize_observations",
-    "normalise_rewards": "algorithm.normalize_rewards",
-    "advantage_normalisation": "algorithm.advantage_normalization",
-    "weight_initialisation": "algorithm.weight_initialization",
-    "start_practice": "task.start_episode_fraction",
-    "reward_scale": "task.reward_scale",
-    "drift_penalty": "task.drift_penalty",
-    "fall_penalty_m": "task.fall_penalty_m",
-    "start_noise_deg": "task.start_noise_deg",
-    "sensor_digits": "simulator.sensor_digits",
-    "checkpoint_interval_steps": "runtime.checkpoint_interval_steps",
-    "simulator_threads": "runtime.simulator_threads",
-    "torch_threads": "runtime.learner_threads",
-    "standby_servers": "runtime.standby_servers",
-    "max_server_failures": "runtime.max_server_failures",
-    **{
-        name: f"algorithm.{name}"
-        for name in (
-            "n_envs",
-            "n_steps",
-            "batch_size",
-            "n_epochs",
-            "learning_rate",
-            "learning_rate_schedule",
-            "clip_range",
-            "target_kl",
-            "target_kl_final",
-            "gamma",
-            "final_gamma",
-            "gamma_steps",
-            "gae_lambda",
-            "entropy_coefficient",
-            "value_coefficient",
-            "max_grad_norm",
-            "adam_epsilon",
-            "hidden_sizes",
-            "symmetric_policy",
-            "initial_log_std",
-            "final_log_std",
-            "log_std_steps",
-            "observation_clip",
-            "bootstrap_at_end",
-        )
-    },
-}
-"""Fields of the flat form of version 0.1, and where each is now."""
 
 GROUPS = {
     "task": plugins.TASKS,

@@ -13,11 +13,12 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import formats, plugins, presets
 from naospec.abilities import lacking
-from naospec.flat import GROUPS, MOVED
+from naospec.flat import GROUPS, settings
 from naospec.sections import PluginSection, Section, as_mapping, section_models
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from collections.abc import Set as AbstractSet
 
     from naospec.contracts import RobotContract, TaskContract
 
@@ -296,7 +297,7 @@ class TrainingSpec(_Specification):
         if not isinstance(data, dict):
             return data
         filled = _of_this_format(formats.Kind.TRAINING, data)
-        _refuse_flat_form(cls.__name__, filled)
+        _refuse_misplaced(cls.__name__, filled, cls.model_fields.keys())
         for section, name in DEFAULTS.items():
             value = as_mapping(filled.get(section) if filled.get(section) is not None else {})
             filled[section] = {"name": name, **value} if isinstance(value, dict) else value
@@ -590,15 +591,19 @@ def _name(group: str, section: Any) -> str | None:
     return name if isinstance(name, str) and name in plugins.names(group) else None
 
 
-def _refuse_flat_form(title: str, data: dict[str, Any]) -> None:
+def _refuse_misplaced(title: str, data: dict[str, Any], fields: AbstractSet[str]) -> None:
+    """Raise ValidationError for settings outside their section, naming their place."""
+    if data.keys() <= fields:
+        return
+    places = {name: ".".join(setting.path) for name, setting in settings().items()}
     errors: list[InitErrorDetails] = [
         {
-            "type": PydanticCustomError("moved", "moved to {place}", {"place": MOVED[name]}),
+            "type": PydanticCustomError("misplaced", "write {place}", {"place": places[name]}),
             "loc": (name,),
             "input": value,
         }
         for name, value in data.items()
-        if name in MOVED
+        if name not in fields and name in places
     ]
     if errors:
         raise ValidationError.from_exception_data(title, errors)
