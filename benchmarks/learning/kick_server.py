@@ -19,6 +19,7 @@ from typing import Any
 
 import naopolicies
 import numpy as np
+from naosim import robots
 from naosim.simulator import RuntimeOptions, Scene, Simulator, Starts
 from naospec import plugins
 from naosprint.export import export_policy
@@ -143,7 +144,7 @@ def main() -> int:
     parser.add_argument("--simulator", choices=("server", "embedded"), default="server")
     options = parser.parse_args()
     spec = read_manifest(naopolicies.resolve(options.policy)).stage_spec
-    robot = spec.robot_description
+    robot = robots.configured(spec.robot)
     rng = np.random.default_rng(options.seed)
     kind = plugins.load(plugins.SIMULATORS, options.simulator)
     parameters = kind.parameters(robot)(name=options.simulator)
