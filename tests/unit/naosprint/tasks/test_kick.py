@@ -12,6 +12,7 @@ from naosim.robots.booster import T1
 from naosim.simulator import BALL, STEP_S, Scene, Starts
 from naospec import TrainingSpec
 from naosprint.rl.ppo import Rollout
+from naosprint.rl.warm_start import adapt
 from naosprint.tasks import rolling
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
@@ -145,6 +146,22 @@ def test_frozen_actions_teach_the_actor_nothing() -> None:
     assert (rollout.returns == 7.0).all()
     rollout.leave_out_frozen(normalized=False)
     np.testing.assert_array_equal(rollout.advantages[:, 2], 0.0)
+
+
+def test_a_warm_start_takes_the_spreads_of_new_observations() -> None:
+    spreads = environment_of(1).observer.spreads
+    assert spreads["ball_left"] == 0.2
+    assert "gravity_x" not in spreads
+    names, joints = ("a", "b"), ("knee",)
+    layers = {f"mlp_extractor.{net}_net.0.weight": np.ones((2, 2), np.float32) for net in ("policy", "value")}
+    action = {"action_net.weight": np.ones((1, 2), np.float32), "action_net.bias": np.zeros(1, np.float32)}
+    statistics = {"observation_mean": np.array([1.0, 2.0]), "observation_variance": np.array([3.0, 4.0])}
+    policy = {**layers, **action, **statistics, "log_std": np.zeros(1, np.float32)}
+    new = (names, ("b", "ball_left", "other"))
+    found = adapt(policy, observations=new, actions=(joints, joints), rest=np.zeros(1), spreads=spreads)
+    np.testing.assert_allclose(found["observation_variance"], [4.0, 0.04, 1.0])
+    np.testing.assert_array_equal(found["observation_mean"], [2.0, 0.0, 0.0])
+    assert not found["mlp_extractor.policy_net.0.weight"][:, 1:].any()
 
 
 # --- the ball's roll --------------------------------------------------------------------------------------------------
