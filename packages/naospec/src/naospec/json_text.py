@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-WIDTH = 600
+WIDTH = 800
 """Longest object that stays on one line, characters."""
 
 
