@@ -312,6 +312,19 @@ def test_evaluations_run_the_trainings_task_or_another() -> None:
     assert EvaluationSpec().applied_to(staged).task.drift_penalty == 0.0
 
 
+def test_evaluations_take_the_exact_engine_or_another() -> None:
+    for robot in ("t1", "k1"):
+        trained = spec_of(robot=robot)
+        for engine in (None, "fast", "mujoco"):
+            assert EvaluationSpec(engine=engine).applied_to(trained).simulator.engine == (engine or "mujoco")
+    for robot, engine, words in (
+        ("t1", "quick", "simulator.engine\n  Input should be 'fast' or 'mujoco'"),
+        ("nao-0", "fast", "simulator.engine\n  embedded with robot nao-0 has no such setting"),
+    ):
+        with pytest.raises(ValidationError, match=words):
+            EvaluationSpec(engine=engine).applied_to(spec_of(robot=robot))
+
+
 def test_evaluations_refuse_what_does_not_exist() -> None:
     for content, words in (
         ({"task": "marathon"}, "sprint1"),

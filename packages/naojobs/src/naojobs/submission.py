@@ -294,7 +294,7 @@ def check_evaluation(evaluation: EvaluationSpec | None, trained: TrainingSpec, f
     try:
         evaluation.applied_to(trained)
     except ValidationError as error:
-        part = ".simulator" if evaluation.simulator else ".task" if evaluation.task else ""
+        part = next((f".{name}" for name in ("engine", "simulator", "task") if getattr(evaluation, name)), "")
         raise InvalidError(validation_words(error.errors()), field + part) from None
 
 

@@ -507,6 +507,11 @@ class EvaluationSpec(_Specification):
     simulator: str | None = Field(
         default=None, title="Simulator", description="Where the episodes run; left out: where the policy was trained."
     )
+    engine: str | None = Field(
+        default=None,
+        title="Engine",
+        description="What steps T1 and K1 in an embedded simulator: mujoco or fast; left out: mujoco, which is exact.",
+    )
     n_envs: int = Field(
         default=128,
         ge=1,
@@ -563,6 +568,8 @@ class EvaluationSpec(_Specification):
             content["simulator"] = trained.simulator.for_evaluation().model_dump()
         else:
             content["simulator"] = {"name": self.simulator}
+        if self.engine is not None:
+            content["simulator"] = {**content["simulator"], "engine": self.engine}
         return TrainingSpec.model_validate(content)
 
 

@@ -318,3 +318,15 @@ def test_evaluation_does_not_depend_on_the_instruction_sets_of_the_libraries() -
     assert [process.returncode for process in running] == [0, 0]
     assert one == other
     assert plain == "False", (wide, plain)
+
+
+def test_an_evaluation_runs_on_the_requested_engine_and_names_it() -> None:
+    """The exact one by default; results of both are the same within what rounding makes of a run."""
+    found = {}
+    for engine in (None, "fast"):
+        spec = EvaluationSpec(episodes=2, engine=engine, trajectories=0, bootstrap_resamples=100)
+        summary = evaluate(naopolicies.folder("t1-sprint"), spec).summary
+        assert summary["engine"] == (engine or "mujoco") and summary["evaluation"]["engine"] == engine
+        found[engine] = by_name(summary)["speed_mps"]["value"]
+    assert found[None] == pytest.approx(found["fast"], abs=0.05) and found[None] != found["fast"]
+    assert "engine" not in evaluate(naopolicies.folder("sprint"), EvaluationSpec(episodes=1)).summary

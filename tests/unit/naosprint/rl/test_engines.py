@@ -26,12 +26,12 @@ class Rows(NullReporter):
         self.rows.append(dict(row))
 
 
-def trained(folder: Path, **simulator: object) -> list[dict[str, Any]]:
+def trained(folder: Path, resume: Path | None = None, **simulator: object) -> list[dict[str, Any]]:
     algorithm = {"n_envs": 4, "n_steps": 16, "batch_size": 64, "hidden_sizes": [8, 8]}
     runtime = {"checkpoint_interval_steps": 64, "simulator_threads": 1, "learner_threads": 1}
     content = {"robot": "t1", "simulator": simulator, "total_steps": 128, "algorithm": algorithm, "runtime": runtime}
     rows = Rows()
-    train(TrainingSpec.model_validate(content), workdir=folder, reporter=rows)
+    train(TrainingSpec.model_validate(content), workdir=folder, reporter=rows, resume=resume)
     return rows.rows
 
 
@@ -56,6 +56,17 @@ def test_a_training_on_mujoco_compares_nothing(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(engines, "MOST_SHARE", np.inf)
     rows = trained(tmp_path, engine="mujoco")
     assert not any(name in row for row in rows for name in (*NAMES, "left_to_mujoco"))
+
+
+@pytest.mark.parametrize("engine", ["fast", "mujoco"])
+def test_a_resumed_training_is_one_that_never_stopped(tmp_path: Path, engine: str) -> None:
+    """Bit for bit: weights, statistics, the learner's state and the robots'."""
+    trained(tmp_path / "whole", engine=engine)
+    trained(tmp_path / "resumed", tmp_path / "whole" / "step-000000000064", engine=engine)
+    for file in ("policy.npz", "learner.npz", "environment.npz"):
+        one, other = (np.load(tmp_path / name / "step-000000000128" / file) for name in ("whole", "resumed"))
+        assert one.files == other.files
+        assert all(one[name].tobytes() == other[name].tobytes() for name in one.files), file
 
 
 def test_every_cycle_of_moving_robots_is_mj_steps() -> None:

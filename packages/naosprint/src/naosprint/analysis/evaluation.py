@@ -176,6 +176,7 @@ def evaluate(
         "task": {"name": task.name, "version": task.version, "settings": setting.task.model_dump(mode="json")},
         "robot": setting.robot.name,
         "simulator": setting.simulator.name,
+        **_engine(setting),
         "episodes": len(episodes),
         "server_failures": failures,
         **{name: count for name, count in counters.items() if count},
@@ -195,6 +196,12 @@ def evaluate(
         _replay(recorder, episodes, setting),
         tuple(sorted(warnings)),
     )
+
+
+def _engine(setting: TrainingSpec) -> dict[str, str]:
+    """Return the engine of a simulator that has several."""
+    engine = getattr(setting.simulator, "engine", None)
+    return {} if engine is None else {"engine": engine}
 
 
 def _require_fit(environment: Environment, observations: tuple[str, ...]) -> None:

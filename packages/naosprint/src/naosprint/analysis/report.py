@@ -339,7 +339,7 @@ def _details(
     settings = [
         ("Task", f"{summary['task']['name']}, version {summary['task']['version']}: {', '.join(task)}"),
         ("Robot", spec.robot.name),
-        ("Simulator", summary["simulator"]),
+        ("Simulator", " ".join(filter(None, (summary["simulator"], summary.get("engine"))))),
         ("Preset", spec.algorithm.preset),
         *[(f"  {name}", f"{value}") for name, value in trained.overrides().items()],
         *[
