@@ -68,6 +68,11 @@ def main() -> int:
     source.add_argument("--refresh", action="store_true", help="evaluate bundled policies again, with the card's seed")
     source.add_argument("--examine", action="store_true", help="examine bundled policies again, and nothing else")
     parser.add_argument("--after", metavar="POLICY", help="bundled policy that the first training started from")
+    parser.add_argument(
+        "--earlier",
+        type=Path,
+        help="checkpoint shortly before, kept for `naosprint verify NAME`",
+    )
     parser.add_argument("--naoctl", default="naoctl", help="the naoctl to call (default: the one in PATH)")
     parser.add_argument("--episodes", type=int, default=EPISODES, help=f"of the evaluation (default: {EPISODES})")
     parser.add_argument("--parts", type=lambda text: text.split(","), default=(), help="parts of the examination")
@@ -87,7 +92,7 @@ def main() -> int:
         for folder in options.training:
             checkpoint = max(folder.glob("step-*"), key=lambda path: read_manifest(path).steps)
             parts += stages(folder.name, read_manifest(checkpoint).spec, read_metrics(folder / "metrics.jsonl"))
-        put_in_place(name, checkpoint)
+        put_in_place(name, checkpoint, options.earlier)
         write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
         return 0
 
@@ -113,13 +118,13 @@ def main() -> int:
         own = [part for part in parts if part["job"].startswith(jobs[-1]["name"])]
         before = sum(part["steps"] * part.get("candidates", 1) for part in own[:-1])
         parts[-1] |= {"steps": manifest.steps - before}
-        put_in_place(name, checkpoint)
+        put_in_place(name, checkpoint, options.earlier)
     write(name, EvaluationSpec(episodes=options.episodes, seed=EVALUATION_SEED), parts, options.parts)
     return 0
 
 
-def put_in_place(name: str, checkpoint: Path) -> None:
-    """Copy the policy's files from its checkpoint."""
+def put_in_place(name: str, checkpoint: Path, earlier: Path | None) -> None:
+    """Copy the policy's files from its checkpoint, and a whole earlier checkpoint if there is one."""
     target = BUNDLED / name
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
@@ -128,6 +133,8 @@ def put_in_place(name: str, checkpoint: Path) -> None:
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
     (target / MANIFEST).write_text(json_text(slim), encoding="utf-8")
     shutil.copy(checkpoint / POLICY, target / POLICY)
+    if earlier is not None:
+        shutil.copytree(earlier, target / naopolicies.EARLIER)
 
 
 def refresh(name: str) -> None:
@@ -313,6 +320,13 @@ def page(card: dict[str, Any]) -> str:
         f"    python -m naosprint replay {name} {name}-run",
         f"    python -m naosprint export {name} {name}-export",
     ]
+    if (BUNDLED / name / naopolicies.EARLIER).is_dir():
+        lines += [
+            "",
+            "Train its last segment again, and compare every bit:",
+            "",
+            f"    python -m naosprint verify {name}",
+        ]
     if name in recipes.names():
         lines += ["", "Train it again, all of the jobs above as the stages of one:", ""]
         lines.append(f"    naoctl submit --recipe {name}")

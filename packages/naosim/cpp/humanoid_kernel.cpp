@@ -72,7 +72,8 @@ void recall(Robot* const* robots, int count, Work& w) {
   const auto pyramid = [&](Pyramid& p) {
     const Mask known = memory(p.row);
     for (int k = 0; k < 4; ++k) p.active[k] = (known & 1 << k) != 0;
-    p.known = (known & 16) != 0;
+    // what a lane no longer touches is forgotten: it is here only if a neighbour touches it
+    p.known = ((known & 16) != 0) & p.exists;
   };
   for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
   for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);

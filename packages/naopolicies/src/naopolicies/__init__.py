@@ -5,6 +5,7 @@ Each policy is a folder under ``bundled``:
 - ``checkpoint.json``, ``policy.npz``: a checkpoint without what only its training would need.
 - ``card.json``: what it is, how it was trained, and the results of its evaluation.
 - ``replay.json``: one recorded episode.
+- ``earlier``, of some: a whole checkpoint shortly before, from which the last segment of the training can be repeated.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ CARD = "card.json"
 CHECKPOINT = "checkpoint.json"
 REPLAY = "replay.json"
 WEIGHTS = "policy.npz"
+EARLIER = "earlier"
 
 _BUNDLED = Path(__file__).parent / "bundled"
 

@@ -107,7 +107,9 @@ def _parser() -> argparse.ArgumentParser:
         help="train a segment again and compare it bit by bit",
         description="Train again from a checkpoint to a later one of the same training. Exits with 1 if a bit differs.",
     )
-    verify.add_argument("earlier", type=Path, help="checkpoint, or the folder of a training: its last two")
+    verify.add_argument(
+        "earlier", help="checkpoint; or the folder of a training, or a bundled policy that has two: the last two"
+    )
     verify.add_argument("later", type=Path, nargs="?", help="later checkpoint of the same training")
     verify.set_defaults(run=_verify)
 
@@ -382,7 +384,8 @@ def _verify(options: argparse.Namespace) -> int:
     from naosprint.rl.checkpoint import read_manifest
     from naosprint.rl.verification import last_two, verify
 
-    earlier, later = (options.earlier, options.later) if options.later else last_two(options.earlier)
+    named = naopolicies.resolve(options.earlier)
+    earlier, later = (named, options.later) if options.later else last_two(named)
     first, last = read_manifest(earlier).steps, read_manifest(later).steps
     with Progress(transient=True, console=Console(stderr=True)) as progress:
         bar = progress.add_task("training again", total=last - first)

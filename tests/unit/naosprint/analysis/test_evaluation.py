@@ -330,3 +330,14 @@ def test_an_evaluation_runs_on_the_requested_engine_and_names_it() -> None:
         found[engine] = by_name(summary)["speed_mps"]["value"]
     assert found[None] == pytest.approx(found["fast"], abs=0.05) and found[None] != found["fast"]
     assert "engine" not in evaluate(naopolicies.folder("sprint"), EvaluationSpec(episodes=1)).summary
+
+
+def test_neighbours_on_the_fast_engine_change_no_result() -> None:
+    """Arms that touch the thighs in some of the robots only: a robot alone has the path that it has among others."""
+
+    def paths(n_envs: int) -> list[bytes]:
+        spec = EvaluationSpec(episodes=4, n_envs=n_envs, seed=5, trajectories=4, bootstrap_resamples=100, engine="fast")
+        found = evaluate(naopolicies.folder("t1-run"), spec).trajectories
+        return [found.x.tobytes(), found.joint_angles.tobytes()]
+
+    assert paths(4) == paths(1)

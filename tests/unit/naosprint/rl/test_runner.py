@@ -13,7 +13,16 @@ from naosim import robots
 from naosim.robots.actuation import Actuation
 from naospec import TrainingSpec
 from naosprint import CheckpointError, train
-from naosprint.rl.checkpoint import POLICY, read_arrays, read_manifest
+from naosprint.rl.checkpoint import (
+    ENVIRONMENT,
+    LEARNER,
+    POLICY,
+    TrainingState,
+    read_arrays,
+    read_file,
+    read_manifest,
+    save_checkpoint,
+)
 from naosprint.rl.columns import ENGINES, columns
 from naosprint.rl.policy import load_policy
 
@@ -247,3 +256,25 @@ def test_a_schedule_that_jumps_when_a_training_is_extended_is_named(
         (text,) = warnings
         assert "total_steps is 1,024 instead of 512, which schedules follow at once" in text
         assert jump in text
+
+
+def test_a_snapshot_by_another_version_of_the_simulator_begins_new_episodes(
+    make_spec: Make, tmp_path: Path, recorder: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Weights, optimizer and steps continue; the same snapshot by this version is damage."""
+    spec = make_spec(checkpoint_interval_steps=256)
+    end = train(spec, workdir=tmp_path, reporter=recorder).checkpoint
+    manifest = read_manifest(end.parent / "step-000000000256")
+    files = {name: read_file(end.parent / "step-000000000256", manifest, name) for name in manifest.files}
+    files[ENVIRONMENT]["environment.simulator"] = files[ENVIRONMENT]["environment.simulator"][:, :-8].copy()
+    fields = {name: getattr(manifest, name) for name in TrainingState.__slots__ if hasattr(manifest, name)}
+    state = TrainingState(**fields, policy=files[POLICY], learner=files[LEARNER], environment=files[ENVIRONMENT])
+    ours = save_checkpoint(tmp_path / "ours" / "step-000000000256", spec, state)
+    with pytest.raises(CheckpointError, match=r"environment.simulator.*the specification needs"):
+        train(spec, workdir=ours.parent, reporter=recorder, resume=ours)
+    with monkeypatch.context() as patch:
+        patch.setattr("naosprint.rl.checkpoint.installed_versions", lambda: {"naosim": "0.1.0"})
+        theirs = save_checkpoint(tmp_path / "theirs" / "step-000000000256", spec, state)
+    again = train(spec, workdir=theirs.parent, reporter=recorder, resume=theirs)
+    assert (again.status, again.steps) == ("finished", 512)
+    assert ("warning", "the checkpoint has no state for this simulator; new episodes begin") in recorder.lines

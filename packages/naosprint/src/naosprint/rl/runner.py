@@ -19,6 +19,7 @@ from naosprint.rl.checkpoint import (
     POLICY,
     CheckpointError,
     TrainingState,
+    installed_versions,
     process_file,
     read_file,
     read_manifest,
@@ -48,6 +49,9 @@ if TYPE_CHECKING:
 
 __all__ = ["TrainResult", "TrainingDivergedError", "train"]
 
+
+_SNAPSHOT = "environment.simulator"
+"""Name of the simulator's snapshot among the environments' arrays."""
 
 _STATISTICS = "normalizer."
 """Beginning of the names of statistics of observations and returns."""
@@ -314,13 +318,17 @@ class _Session:
         require_like(directory / POLICY, policy, expected.policy)
         require_like(directory / LEARNER, learner, expected.learner)
         self.learner.load_policy_state(policy)
+        if environment is not None and expected.environment is not None:
+            theirs, ours = (np.shape(arrays.get(_SNAPSHOT, ())) for arrays in (environment, expected.environment))
+            if theirs != ours and manifest.versions.get("naosim") != installed_versions()["naosim"]:
+                environment = None  # a snapshot by another version of the simulator
         continues = environment is not None and expected.environment is not None
         if environment is not None and expected.environment is not None:
             require_like(directory / file, environment, expected.environment)
             self.environment.load_state(environment)
         else:
-            # the simulator cannot return to a state, or the number of processes is another one: new episodes
-            self._reporter.log("warning", "the simulator's state is not part of the checkpoint; new episodes begin")
+            # the simulator cannot return to that state, or the number of processes is another one: new episodes
+            self._reporter.log("warning", "the checkpoint has no state for this simulator; new episodes begin")
         self.learner.load_state(learner, new_episodes=not continues)
         self.learner.steps = manifest.steps - self.first_step
         self.learner.updates = manifest.updates

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import naopolicies
 import numpy as np
 
 from naosprint.rl.checkpoint import CheckpointError, installed_versions, read_file, read_manifest
@@ -37,7 +38,13 @@ class Verification:
 
 
 def last_two(folder: Path) -> tuple[Path, Path]:
-    """Return the last two checkpoints in the folder of a training. Raises CheckpointError if it has fewer."""
+    """Return the last two checkpoints of a training by its folder, or those of a bundled policy that has two.
+
+    Raises:
+        CheckpointError: if there are fewer.
+    """
+    if (folder / naopolicies.EARLIER).is_dir():
+        return folder / naopolicies.EARLIER, folder
     found = sorted(path for path in folder.glob("step-*") if path.is_dir())
     if len(found) < 2:
         raise CheckpointError(f"{folder}: not a folder with two checkpoints; name two, an earlier and a later one")
