@@ -198,18 +198,18 @@ def test_a_trial_that_falls_behind_is_pruned_and_says_why(service: Service, cond
         service, parallel=3, trials=3, pruning={**pruning, "interval_steps": ROLLOUT}, objectives=[{"metric": "reward"}]
     )
     conductor.advance(study.id)
-    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
-    for lease in leases[:2]:
+    held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for lease in held[:2]:
         rows = [{"step": ROLLOUT * n, "reward": float(n)} for n in range(1, 21)]
         records.append_metrics(service.sessions, lease, rows)
         outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
-    records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT, "reward": -5.0}])
+    records.append_metrics(service.sessions, held[2], [{"step": ROLLOUT, "reward": -5.0}])
     conductor.advance(study.id)
-    assert not leases.read_requests(service.sessions, leases[2]).cancel, "within its first interval"
-    records.append_metrics(service.sessions, leases[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
+    assert not leases.read_requests(service.sessions, held[2]).cancel, "within its first interval"
+    records.append_metrics(service.sessions, held[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
     conductor.advance(study.id)
-    assert leases.read_requests(service.sessions, leases[2]).cancel
-    outcomes.transition(service.sessions, leases[2], WorkState.CANCELLED, message="cancelled as requested")
+    assert leases.read_requests(service.sessions, held[2]).cancel
+    outcomes.transition(service.sessions, held[2], WorkState.CANCELLED, message="cancelled as requested")
     conductor.advance(study.id)
     study, rows = study_of(service, study.id)
     assert [row.state for row in rows] == [TrialState.COMPLETE, TrialState.COMPLETE, TrialState.PRUNED]
@@ -224,12 +224,12 @@ def test_halving_keeps_the_best_at_each_rung(service: Service, conductor: Conduc
     pruning = {"name": "asha", "interval_steps": ROLLOUT, "warmup_intervals": 1, "reduction_factor": 2}
     study = start(service, parallel=4, trials=4, pruning=pruning, objectives=[{"metric": "fall_rate"}])
     conductor.advance(study.id)
-    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
-    for falls, lease in zip((0.1, 0.9, 0.8, 0.2), leases, strict=True):
+    held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for falls, lease in zip((0.1, 0.9, 0.8, 0.2), held, strict=True):
         rows = [{"step": ROLLOUT * n, "fall_rate": falls} for n in (1, 2)]
         records.append_metrics(service.sessions, lease, rows)
         conductor.advance(study.id)
-    pruned = [leases.read_requests(service.sessions, lease).cancel for lease in leases]
+    pruned = [leases.read_requests(service.sessions, lease).cancel for lease in held]
     assert pruned == [False, True, True, False]
 
 
@@ -344,12 +344,12 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
     pruning = {"name": "median", "metric": "reward", "interval_steps": ROLLOUT}
     study = start(service, parallel=3, pruning=pruning, objectives=[{"metric": "reward"}])
     conductor.advance(study.id)
-    leases = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
-    for lease, reward in zip(leases, (3.0, 1.0, 2.0), strict=True):
+    held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
+    for lease, reward in zip(held, (3.0, 1.0, 2.0), strict=True):
         records.append_metrics(
             service.sessions, lease, [{"step": ROLLOUT * n, "reward": reward * n} for n in range(1, 21)]
         )
-    for lease, state in zip(leases[:2], (WorkState.SUCCEEDED, WorkState.FAILED), strict=True):
+    for lease, state in zip(held[:2], (WorkState.SUCCEEDED, WorkState.FAILED), strict=True):
         outcomes.transition(service.sessions, lease, state)
     conductor.advance(study.id)
     before = told(service, study.id)
@@ -367,7 +367,7 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
 
     assert seen(after)[: len(before)] == seen(before)
     assert [trial.number for trial in study_of(service, study.id)[1]] == [row.number for row in rows]
-    outcomes.transition(service.sessions, leases[2], WorkState.SUCCEEDED)
+    outcomes.transition(service.sessions, held[2], WorkState.SUCCEEDED)
     later.advance(study.id)
     settled = {trial.number: trial for trial in told(service, study.id)}
     assert settled[2].values == [pytest.approx(40.0)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from naojobs.ids import PATTERN
+from naospec.sections import PLAIN_NAME
 
 ID = PATTERN
 """The identifier of anything."""
@@ -43,6 +44,7 @@ WORDS = {
     PLACE: "expected `next_cursor` of the previous page",
     KEY: "expected 1 to 150 ASCII characters without spaces",
     TICKET: "expected the address of a report as the service returned it",
+    PLAIN_NAME: "expected a letter, digit or _, then letters, digits and _.- (at most 64 characters)",
     POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",
     REFERENCE: "expected NAME, NAME@VERSION or NAME@ALIAS of lower-case letters, digits and hyphens",
     ALIAS: "expected a lower-case letter, then lower-case letters, digits and hyphens (at most 60 characters)",
