@@ -35,9 +35,7 @@ def test_replay_can_be_played(client: httpx.Client, tmp_path: Path, name: str) -
     path = tmp_path / "replay.json"
     path.write_bytes(answer.content)
     replay = load_replay(path)
-    assert max(map(abs, replay.displacement_m)) > 0.4, (
-        "a robot that gets up rolls over"
-    )
+    assert max(map(abs, replay.displacement_m)) > 0.4, "a robot that gets up rolls over"
 
 
 @pytest.mark.parametrize("path", ["/policies/sprnt", "/policies/sprnt/replay"])
