@@ -273,12 +273,7 @@ class JobView {
     const job = this.store.job;
     document.title = `${job.name} · naosprint`;
     setText(this.title, job.name);
-    const key = JSON.stringify([
-      job.state,
-      job.cancel_requested,
-      job.waiting_reason,
-      job.stalled_since,
-    ]);
+    const key = JSON.stringify([job.state, job.cancel_requested, job.waiting_reason, job.stalled_since]);
     if (key !== this.key) {
       this.key = key;
       fill(this.badge, stateBadge(job.state, stateNote(job)));
