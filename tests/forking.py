@@ -218,7 +218,7 @@ def _umask() -> int:
 
 
 def serve(control: socket.socket) -> dict[str, Any] | None:
-    """Fork a program for each request; return the request in the fork, None when nobody asks any more."""
+    """Fork a program for each request; return the request in the fork, and None once the other end has closed."""
     gc.freeze()  # the collector would write to all pages, which then are shared no longer
     while True:
         message, received, _, _ = socket.recv_fds(control, 1 << 20, 64)

@@ -18,9 +18,8 @@ from naosprint.tasks.randomness import uniform
 from naosprint.tasks.starts import draw_start_poses
 
 if TYPE_CHECKING:
-    from typing import Any
-
     from naosim.simulator import Simulator
+    from naospec import TaskSettings
 
     from naosprint.arrays import FloatArray, IntArray
     from naosprint.tasks.base import Task, World
@@ -59,7 +58,7 @@ class HandOver:
 
 
 def record(
-    simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: Any, count: int, seed: int
+    simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: TaskSettings, count: int, seed: int
 ) -> HandOver:
     """Run a policy and return ``count`` of its states.
 
