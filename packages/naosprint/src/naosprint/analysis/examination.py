@@ -67,11 +67,11 @@ def examine(
         tell: called with what is being examined.
 
     Raises:
-        ValueError: if a part does not exist, or the task measures neither falls nor success.
+        ValueError: if there is no such part, or the task measures neither falls nor success.
     """
     unknown = sorted(set(names) - set(PARTS))
     if unknown:
-        raise ValueError(f"--only: {', '.join(unknown)}: unknown; choose among {', '.join(PARTS)}")
+        raise ValueError(f"{', '.join(unknown)}: unknown; choose among {', '.join(PARTS)}")
     wanted = names or PARTS
 
     def tell_point(disturbance: robustness.Disturbance, point: robustness.Point) -> None:

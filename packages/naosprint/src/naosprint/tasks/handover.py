@@ -72,6 +72,9 @@ def record(
         settings: settings of that task.
         count: number of states.
         seed: seed of starts, commands and moments.
+
+    Raises:
+        ValueError: if the policy falls before one of its states can be recorded.
     """
     environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
     n, runs = simulator.n, -(-count // STATES_PER_RUN)
