@@ -20,7 +20,7 @@ from naojobs.models import Evaluation
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore
 from naospec import EvaluationSpec
-from naosprint.tasks.metrics import Metric, Result
+from naospec.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from naosim.robots import Robot
 from naospec import EvaluationSpec, TaskSettings, TrainingSpec, plugins
+from naospec.metrics import Result
 from naosprint import evaluate, train
 from naosprint.__main__ import main
 from naosprint.analysis.report import write_report
@@ -21,7 +22,6 @@ from naosprint.registration import register_envs
 from naosprint.rl.candidates import Candidates
 from naosprint.rl.ppo import PPO
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task
-from naosprint.tasks.metrics import Result
 from naosprint.tasks.robot_defaults import RobotDefaults
 from pydantic import Field
 

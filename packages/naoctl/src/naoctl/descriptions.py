@@ -9,8 +9,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from naospec import plugins
-from naosprint.tasks.base import EPISODE_METRICS
-from naosprint.tasks.metrics import Metric, format_value
+from naospec.metrics import EPISODE_METRICS, Metric, format_value
 
 if TYPE_CHECKING:
     from naoctl.client import Client

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from naosprint.tasks.metrics import Metric, format_value
+from naospec.metrics import Metric, format_value
 
 from naoctl.client import Client
 from naoctl.descriptions import metric_of, value_text

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from naosprint.tasks.metrics import format_value
+from naospec.metrics import format_value
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.progress_bar import ProgressBar
 from rich.segment import Segment
@@ -21,7 +21,7 @@ from naoctl.errors import plain
 from naoctl.evaluations import evaluated, headline, metric_text, shown_result
 
 if TYPE_CHECKING:
-    from naosprint.tasks.metrics import Metric
+    from naospec.metrics import Metric
 
 Json = Mapping[str, Any]
 

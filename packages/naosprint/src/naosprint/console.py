@@ -6,12 +6,12 @@ import json
 from typing import TYPE_CHECKING
 
 from naospec.files import named_errors
+from naospec.metrics import format_value
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from naosprint import tasks
 from naosprint.rl.columns import columns
-from naosprint.tasks.metrics import format_value
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.figure import Figure
 from naosim.fields import RCSSSERVER3D, RCSSSERVERMJ, Field
 from naospec import EvaluationSpec, TrainingSpec
+from naospec.metrics import Chart, Metric, Reference
 from naosprint import evaluate
 from naosprint.analysis import figures
 from naosprint.analysis.film import HEIGHT_PX, WIDTH_PX, Film, write_gif, write_mp4
@@ -33,7 +34,6 @@ from naosprint.analysis.report import (
 from naosprint.analysis.results import by_name, interval_text, value_text
 from naosprint.analysis.scene import Camera, robot_collection
 from naosprint.console import ConsoleReporter
-from naosprint.tasks.metrics import Chart, Metric, Reference
 from PIL import Image
 
 

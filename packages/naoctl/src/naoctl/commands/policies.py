@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import naopolicies
 import typer
 from naospec import plugins
-from naosprint.tasks.metrics import format_value
+from naospec.metrics import format_value
 
 from naoctl.commands import registry
 from naoctl.commands.artifacts import ExportFormats, ExportName, export_flags, fetch_artifacts, run_naosprint

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from naosim.robots import Robot
+    from naospec.metrics import Chart, FieldLine, Metric, Reference
 
     from naosprint.analysis.replay import Replay
     from naosprint.analysis.robustness import Range
     from naosprint.arrays import BoolArray, FloatArray
-    from naosprint.tasks.metrics import Chart, FieldLine, Metric, Reference
 
 MAX_CHARTS = 4
 """Most charts of learning curves in one figure."""

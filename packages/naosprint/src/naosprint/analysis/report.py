@@ -22,6 +22,7 @@ from naosim.simulator import CONTACT_N, STEP_S
 from naospec import TrainingSpec, formats, validation_words
 from naospec.files import read_bounded, read_json
 from naospec.json_text import json_text
+from naospec.metrics import Chart
 from naospec.sections import require_plain_names
 from pydantic import ValidationError
 
@@ -31,7 +32,6 @@ from naosprint.analysis.film import write_gif, write_mp4
 from naosprint.analysis.replay import Replay, load_replay
 from naosprint.analysis.results import by_name, headline, interval_text, value_text
 from naosprint.rl.columns import columns
-from naosprint.tasks.metrics import Chart
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

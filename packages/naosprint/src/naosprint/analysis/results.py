@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from naosprint.tasks.metrics import Metric, format_value
+from naospec.metrics import Metric, format_value
 
 _FIELDS = tuple(field.name for field in fields(Metric) if field.name != "live")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from naospec.metrics import EPISODE_METRICS, Metric
+
 from naosprint import tasks
 from naosprint.rl.learner import learner_kind
-from naosprint.tasks.base import EPISODE_METRICS
-from naosprint.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from naospec import TrainingSpec

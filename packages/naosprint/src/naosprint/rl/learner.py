@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from naospec import LearnerSettings, TrainingSpec
+    from naospec.metrics import Chart, Metric
 
     from naosprint.arrays import AnyArray
     from naosprint.rl.policy import Policy
     from naosprint.rl.rollout import TrainingEnvironment
-    from naosprint.tasks.metrics import Chart, Metric
 
 
 class TrainingDivergedError(RuntimeError):

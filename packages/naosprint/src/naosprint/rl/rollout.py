@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naospec.metrics import EPISODE_METRICS
 
 from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.window import EpisodeWindow
-from naosprint.tasks.base import EPISODE_METRICS
 from naosprint.tasks.starts import choose_starts
 
 if TYPE_CHECKING:

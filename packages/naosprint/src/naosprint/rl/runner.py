@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from naosim.simulator import ServerLostError
+from naospec.metrics import format_value
 
 from naosprint import tasks
 from naosprint.rl.candidates import Candidates
@@ -33,7 +34,6 @@ from naosprint.rl.processes import ALONE, Processes
 from naosprint.rl.reporter import NullReporter
 from naosprint.rl.rollout import TrainingEnvironment
 from naosprint.tasks.environment import open_training_environment
-from naosprint.tasks.metrics import format_value
 from naosprint.threads import set_learner_threads
 
 if TYPE_CHECKING:

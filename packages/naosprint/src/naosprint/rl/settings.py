@@ -6,10 +6,9 @@ from typing import Annotated, Any, Literal, Self
 
 from naospec import LearnerSettings, presets
 from naospec.abilities import DEMONSTRATIONS
+from naospec.metrics import Chart, Metric
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
-
-from naosprint.tasks.metrics import Chart, Metric
 
 MAX_ROLLOUT_STEPS = 4_194_304
 """Most samples of one rollout: about 2 GB of memory."""

@@ -7,6 +7,7 @@ observation blocks and their compiled forms, starts and random numbers.
 from __future__ import annotations
 
 from naospec import TaskSettings
+from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, get, names, seconds
 from naosprint.tasks.compiled import Operation, columns
@@ -14,7 +15,6 @@ from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement
-from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.observations import ObservationBlock, blocks
 from naosprint.tasks.penalties import PenaltySettings, penalties

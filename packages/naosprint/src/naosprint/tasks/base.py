@@ -16,10 +16,10 @@ from naosim import robots
 from naosim.robots.actuation import Actuation
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings, plugins
+from naospec.metrics import EPISODE_METRICS, Metric, Presentation, Result, ResultTable
 from naospec.plugins import TASKS, Plugin
 from typing_extensions import TypeVar
 
-from naosprint.tasks.metrics import Metric, Presentation, Result, ResultTable
 from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
 
 if TYPE_CHECKING:
@@ -375,13 +375,6 @@ def get(name: str) -> type[Task]:
         naospec.plugins.BrokenPluginError: if it cannot be loaded, or is not a subclass of :class:`Task` of that name.
     """
     return cast("type[Task]", plugins.load(plugins.TASKS, name))
-
-
-EPISODE_METRICS: tuple[Metric, ...] = (
-    Metric("reward", "Reward", "", "Sum of an episode's rewards."),
-    Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0),
-)
-"""Metrics of an episode that every task has."""
 
 
 def seconds(steps: FloatArray | IntArray) -> FloatArray:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naospec.metrics import Metric, Result
 
-from naosprint.tasks.metrics import Metric, Result
 from naosprint.tasks.statistics import bootstrap_mean, median_ranks, wilson
 
 if TYPE_CHECKING:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeVar
 
 from naospec import TaskSettings
+from naospec.metrics import Metric
 from pydantic import Field
 
 from naosprint.tasks.base import End
-from naosprint.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from naosim.robots import Robot

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S, Ability, Starts
+from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm, Task, World
 from naosprint.tasks.disturbances import DisturbanceSettings
-from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.penalties import PenaltySettings, penalties
 

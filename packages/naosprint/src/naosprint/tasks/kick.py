@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
+from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naospec.sections import PlainName
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -24,7 +25,6 @@ from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
 from naosprint.tasks.handover import record
-from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.randomness import uniform

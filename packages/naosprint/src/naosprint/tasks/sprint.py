@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from naosim.simulator import STEP_S
+from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
@@ -18,7 +19,6 @@ from naosprint.tasks.compiled import Operation, columns
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
-from naosprint.tasks.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from naosim.simulator import STEP_S
+from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from naosprint.tasks.base import RewardTerm, Task, World
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
-from naosprint.tasks.metrics import Chart, Metric, Presentation, Result, ResultTable
 from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.randomness import uniform

@@ -1,4 +1,4 @@
-"""Descriptions of what a task measures, from which every list, chart, table and report is made."""
+"""Descriptions of metrics, from which every list, chart, table and report is made."""
 
 from __future__ import annotations
 
@@ -32,6 +32,13 @@ class Metric:
     better: Better | None = None
     kind: Literal["mean", "rate"] = "mean"
     live: bool = True
+
+
+EPISODE_METRICS: tuple[Metric, ...] = (
+    Metric("reward", "Reward", "", "Sum of an episode's rewards."),
+    Metric("episode_length", "Episode length", "steps", "Length of an episode.", 0),
+)
+"""Metrics of an episode that every task has."""
 
 
 @dataclass(frozen=True)
