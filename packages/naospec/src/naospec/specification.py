@@ -317,6 +317,8 @@ class TrainingSpec(_Specification):
         task = _name(plugins.TASKS, filled["task"])
         if task is not None and filled["task"].get("version") is None:
             filled["task"] = {**filled["task"], "version": plugins.load(plugins.TASKS, task).version}
+        if task is not None and robot is not None:
+            filled["task"] = _resolved_task(filled["task"], task, robot, filled["robot"])
         stages = filled.get("stages")
         # what is no list of stages is left to the field's own validation
         known = isinstance(stages, list | tuple) and all(isinstance(stage, dict | Stage) for stage in stages)
@@ -337,8 +339,6 @@ class TrainingSpec(_Specification):
                 "{installed}",
                 {"wanted": self.task.version, "name": self.task.name, "installed": task.version},
             )
-        # frozen for all other code: a task fills in what depends on the robot
-        object.__setattr__(self, "task", task.resolve(self.task, robot))
         simulator = plugins.load(plugins.SIMULATORS, self.simulator.name)
         refusal = simulator.refusal(robot, task.scene)
         if refusal:
@@ -596,6 +596,16 @@ def _name(group: str, section: Any) -> str | None:
     """Return the name of the plug-in that a section names, or None if validation will fail."""
     name = section.get("name") if isinstance(section, dict) else None
     return name if isinstance(name, str) and name in plugins.names(group) else None
+
+
+def _resolved_task(given: dict[str, Any], task: str, robot: str, robot_settings: Mapping[str, Any]) -> Any:
+    """Return a task's settings with those filled in that depend on the robot; as they are if either is not valid."""
+    try:
+        settings = section_models(plugins.TASKS, task).model_validate(given)
+        configured = plugins.load(plugins.ROBOTS, robot).with_parameters(robot_settings)
+    except ValidationError:
+        return given  # the fields' own validation names what is wrong
+    return plugins.load(plugins.TASKS, task).resolve(settings, configured)
 
 
 def _refuse_misplaced(title: str, data: dict[str, Any], fields: AbstractSet[str]) -> None:
