@@ -720,7 +720,8 @@ class Kick(Task[KickSettings]):
             + 0.4 * np.exp(-np.square(error / np.radians(5.0)))
         )
         ratio = reached / np.maximum(rolling.straight_m(self._speed[rows]), 0.1)
-        close = 0.5 * np.clip(np.minimum(ratio, 2.0 - ratio), 0.0, 1.0) + 0.5 * np.exp(-np.square((ratio - 1.0) / 0.2))
+        # a kick that goes four times too far still scores, so that there is a slope towards softer ones
+        close = 0.5 * np.minimum(ratio, 1.0 / np.maximum(ratio, 1.0)) + 0.5 * np.exp(-np.square((ratio - 1.0) / 0.2))
         far = np.minimum(reached / _POWER_M, 1.0)
         return np.asarray(_SCORE_M * direction * np.where(self._power[rows], far, close))
 
