@@ -10,31 +10,24 @@ Rewards and results use the truth.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self, cast
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
+from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
-from naospec.sections import PlainName
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from naosprint.tasks import rolling
-from naosprint.tasks.base import End, RewardTerm, Task, World
-from naosprint.tasks.disturbances import DisturbanceSettings
-from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
-from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
-from naosprint.tasks.handover import record
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
-from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
+from naosprint.tasks.base import End, RewardTerm, World
+from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.observations import ObservationBlock, turned
+from naosprint.tasks.penalties import penalties
 from naosprint.tasks.randomness import uniform
-from naosprint.tasks.robot_defaults import robot_defaults
-from naosprint.tasks.velocity import Velocity, VelocitySettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from naosim.robots import Robot
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
@@ -49,9 +42,6 @@ CORRIDOR_HALF_M = 0.5
 UPRIGHT_S = 3.0
 """Time after the touch at which a robot has to be upright, seconds."""
 
-UPRIGHT = 0.6
-"""Upward component of the torso's axis below which a robot has fallen."""
-
 KICKED_M = 0.04
 """Distance between the ball and where it was expected from which it counts as kicked, metres."""
 
@@ -59,7 +49,6 @@ PLACED = (0.16, 0.04, np.radians(12.0))
 """Ball before the ankle, and spreads of its distance from the foot's line and of the foot's yaw, at a good touch."""
 
 _ALIGNED = (np.radians(10.0), 0.45, 0.9, 0.06)  # aim, nearest, farthest, distance from a foot's line
-_FOOT_M = 0.106  # distance of a foot's line from the robot's
 _LEAST_SPEED = 0.03  # of a ball that still rolls, m/s
 _ROLL_STEPS = 600  # steps after which a roll is over in any case
 _SETTLED = 25  # steps after the touch until which a score counts
@@ -155,27 +144,9 @@ CORRIDOR_5 = Metric(
 )
 
 
-class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
+class KickSettings(BallSettings):
     """Settings of the task ``kick``."""
 
-    walker: PlainName = Field(
-        default="t1-run", title="Walker", description="Bundled policy that approaches, and takes over after the kick."
-    )
-    handover_states: int = Field(
-        default=1024,
-        ge=8,
-        le=100_000,
-        title="Hand-over states",
-        description="States of the walker that episodes begin with; recorded when a training or evaluation begins.",
-    )
-    entry_speed_mps: float = Field(
-        default=1.1,
-        ge=0.0,
-        le=3.0,
-        title="Entry speed",
-        description="Fastest commanded speed of the walker in these states.",
-        json_schema_extra={"unit": "m/s"},
-    )
     aligned_fraction: float = Field(
         default=0.65,
         ge=0.0,
@@ -191,30 +162,6 @@ class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         title="Largest aim",
         description="Largest angle between the robot's front and the commanded direction in the other episodes.",
         json_schema_extra={"unit": "deg"},
-    )
-    ball_near_m: float = Field(
-        default=0.35,
-        ge=0.3,
-        le=2.0,
-        title="Nearest ball",
-        description="Least distance of the ball ahead of the torso in the other episodes.",
-        json_schema_extra={"unit": "m"},
-    )
-    ball_far_m: float = Field(
-        default=0.9,
-        ge=0.3,
-        le=2.0,
-        title="Farthest ball",
-        description="Largest distance of the ball ahead of the torso in the other episodes.",
-        json_schema_extra={"unit": "m"},
-    )
-    ball_aside_m: float = Field(
-        default=0.22,
-        ge=0.0,
-        le=1.0,
-        title="Ball aside",
-        description="Largest distance of the ball to either side in the other episodes.",
-        json_schema_extra={"unit": "m"},
     )
     rolling_fraction: float = Field(
         default=0.1,
@@ -293,7 +240,6 @@ class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     upright_weight: float = Field(
         default=1.0, ge=0.0, le=1000.0, title="Upright weight", description="Reward for an episode that ends upright."
     )
-    fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
     miss_penalty: float = Field(
         default=1.0, ge=0.0, le=1000.0, title="Miss penalty", description="Penalty for an episode without a kick."
     )
@@ -317,7 +263,7 @@ class KickSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         return super().for_evaluation().model_copy(update={"whole_roll": True})
 
 
-class Kick(Task[KickSettings]):
+class Kick(BallTask[KickSettings]):
     """Kick a ball to a commanded point.
 
     The command is a direction in the field and a distance. A table of rolls turns it into the direction and the speed
@@ -329,8 +275,6 @@ class Kick(Task[KickSettings]):
     name = "kick"
     summary = "Kick a ball to a commanded point, from walking, and keep standing."
     Parameters = KickSettings
-    scene = Scene(ball=True)
-    needs = frozenset({Ability.MOVING})
     metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, KICK_FALLS)
     results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, POWER, DISTANCE)
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
@@ -351,61 +295,28 @@ class Kick(Task[KickSettings]):
     )
     horizon_is_terminal = True
 
-    @classmethod
-    def supports(cls, robot: Robot) -> bool:
-        """Return whether the robot has a camera, and a bundled policy walks it."""
-        return robot.camera is not None and bool(bundled(robot.name, Velocity.name))
-
-    @classmethod
-    def resolve(cls, parameters: KickSettings, robot: Robot) -> KickSettings:
-        """Return the settings with the robot's own minimum height where none is given."""
-        super().resolve(parameters, robot)
-        require_policy("task.walker", parameters.walker, robot.name, Velocity.name)
-        return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
-
     def __init__(self, parameters: KickSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
         n, settings = self.n, parameters
         rest = _ROLL_STEPS if settings.whole_roll else settings.takeover_steps + settings.watch_steps + 50
         self.max_steps = settings.approach_steps + rest
-        self._min_height = float(settings.min_height_m or 0.0)  # resolve has filled it in
-        self._walker = FrozenPolicy(settings.walker)
-        self._radius = self.robot.field.ball_radius_m
-        self._command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
-        self._draws: IntArray = np.zeros(n, dtype=np.int64)
         self._target: FloatArray = np.zeros((n, 2))  # direction in the field, distance
-        self._aim: FloatArray = np.zeros(n)  # direction in which the ball has to leave
-        self._speed: FloatArray = np.zeros(n)  # speed with which it has to roll off
+        self._speed: FloatArray = np.zeros(n)  # speed with which the ball has to roll off
         self._power: BoolArray = np.zeros(n, dtype=np.bool_)
         self._aligned: BoolArray = np.zeros(n, dtype=np.bool_)
         self._side: FloatArray = np.ones(n)  # 1: kick with the left foot
-        self._state: IntArray = np.zeros(n, dtype=np.int64)
-        self._sighted: FloatArray = np.zeros((n, 2))  # where the ball was last seen
-        self._expected: FloatArray = np.zeros((n, 2))  # its velocity until it is kicked
-        self._sightings: IntArray = np.zeros(n, dtype=np.int64)
-        self._unseen: IntArray = np.zeros(n, dtype=np.int64)  # steps since
         self._kicked: IntArray = np.full(n, -1)  # steps since the perceived kick
         self._touched: IntArray = np.full(n, -1)  # steps since the true touch
-        self._start: FloatArray = np.zeros((n, 2))
         self._score: FloatArray = np.zeros(n)
         self._launch: FloatArray = np.zeros((n, 2))  # error of the direction, roll in metres
-        self.arrays = {
-            "command": self._command,
-            "draws": self._draws,
+        self.arrays |= {
             "target": self._target,
-            "aim": self._aim,
             "speed": self._speed,
             "power": self._power,
             "aligned": self._aligned,
             "side": self._side,
-            "state": self._state,
-            "sighted": self._sighted,
-            "expected": self._expected,
-            "sightings": self._sightings,
-            "unseen": self._unseen,
             "kicked": self._kicked,
             "touched": self._touched,
-            "start": self._start,
             "score": self._score,
             "launch": self._launch,
         }
@@ -413,38 +324,20 @@ class Kick(Task[KickSettings]):
         self.frozen = self._walks
         self._gain: FloatArray = np.zeros(n)
         self._placed: FloatArray = np.zeros(n)
-        self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
         self._missed: BoolArray = np.zeros(n, dtype=np.bool_)
-        usual = [name for name in world.defaults.observations if name != "heading"]
-        self._usual = dict(zip(usual, blocks(world, usual), strict=True))
-        (self._sight,) = blocks(world, ("ball",))
-        self._seen_at = cast("FloatArray", self._sight.arrays["ball_place"])
-        self._age = cast("FloatArray", self._sight.arrays["ball_seen"])  # steps since it was seen
 
     # what is observed
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
-        """Return the walker's observations, the ball as it is perceived, and the command."""
-        command = ObservationBlock(
-            ("command_forward", "command_sideways", "command_turn"),
-            lambda rows: self._command[rows],
-            signs=(1.0, -1.0, -1.0),
-            begin=self._look_first,
-            update=self._look,
-        )
-        path = ObservationBlock(
-            ("line_offset", "heading_sin", "heading_cos"),
-            lambda rows: np.tile((0.0, 0.0, 1.0), (len(self._command[rows]), 1)),
-            signs=(-1.0, -1.0, 1.0),
-        )
+        """Return what the walker observes, the ball as it is perceived, and the command."""
         aim = ObservationBlock(
             ("aim_sin", "aim_cos", "ball_along", "ball_across", "launch_speed", "power", "kicked"),
             self._aimed,
             signs=(-1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0),
             spread=(0.3, 0.1, 0.3, 0.2, 1.0, 0.5, 0.5),
         )
-        return [*self._usual.values(), self._sight, command, path, aim]
+        return [*super().observation_blocks(), aim]
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
         """Return what only a critic observes: the ball's true motion, the feet, and how far the episode is."""
@@ -460,91 +353,52 @@ class Kick(Task[KickSettings]):
         progress = ObservationBlock(
             tuple(f"true_{name}" for name in names), self._progress, signs=(1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
         )
-        feet = [
-            ObservationBlock(
-                tuple(f"{side}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
-                lambda rows, side=side: self._foot(side, rows),  # type: ignore[misc]
-                partners=tuple(f"{other}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
-                signs=(1.0, -1.0, 1.0, -1.0),
-            )
-            for side, other in (("left", "right"), ("right", "left"))
-        ]
-        return [*super().critic_blocks(), progress, *feet]
+        return [*super().critic_blocks(), progress, *self._foot_blocks()]
 
     def _aimed(self, rows: slice | IntArray) -> FloatArray:
-        turn = _wrapped(self._aim[rows] - perceived_yaw(self.world, rows))
-        along, across = self._behind(rows)
+        turn, (ahead, aside) = self._turn(rows), self._behind(rows)
         kicked = np.minimum((self._kicked[rows] + 1.0) / 10.0, 1.0)
-        columns = [np.sin(turn), np.cos(turn), along, across, self._speed[rows], self._power[rows], kicked]
+        columns = [np.sin(turn), np.cos(turn), ahead, aside, self._speed[rows], self._power[rows], kicked]
         return np.stack(columns, axis=1)
-
-    def _behind(self, rows: slice | IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far ahead in the aim's direction, and to its left, the ball is perceived; 0 if it never was."""
-        apart = self._seen_at[rows] - self.world.perceptors["torso_pos"][rows, :2]
-        along, across = _along(self._aim[rows], apart)
-        known = self._sightings[rows] > 0
-        return np.clip(along, -1.0, 3.0) * known, np.clip(across, -2.0, 2.0) * known
 
     def _progress(self, rows: slice | IntArray) -> FloatArray:
         ball = self.world.bodies[BALL]
-        along, across = _along(self._aim[rows], ball.velocity[rows, :2])
+        ahead, aside = along(self._aim[rows], ball.velocity[rows, :2])
         touched, kicked = (np.minimum(each[rows] + 1.0, 100.0) / 50.0 for each in (self._touched, self._kicked))
-        columns = [along, across, ball.position[rows, 2], touched > 0.0, touched, kicked, self._score[rows]]
+        columns = [ahead, aside, ball.position[rows, 2], touched > 0.0, touched, kicked, self._score[rows]]
         return np.stack(columns, axis=1)
-
-    def _foot(self, side: str, rows: slice | IntArray) -> FloatArray:
-        """Return the ball before and left of an ankle in the foot's direction, its height, and its yaw from the aim."""
-        foot = self.world.bodies[f"{side}_foot"]
-        yaw = np.arctan2(foot.rotation[rows, 1, 0], foot.rotation[rows, 0, 0])
-        along, across = _along(yaw, self.world.bodies[BALL].position[rows, :2] - foot.position[rows, :2])
-        columns = [np.clip(along, -1.0, 1.5), np.clip(across, -1.0, 1.0), foot.position[rows, 2]]
-        return np.stack([*columns, _wrapped(yaw - self._aim[rows])], axis=1)
 
     # what the ball does, as it is perceived
 
     def _look_first(self, rows: IntArray) -> None:
-        """Take in what is perceived at the start of an episode."""
-        if "velocity" in self._usual:
-            self._usual["velocity"].arrays["velocity"][rows] = self._states.velocity[self._state[rows]]
         self._kicked[rows] = -1
-        self._sightings[rows] = 0
-        self._unseen[rows] = 0
-        self._expected[rows] = 0.0
-        self._see(rows[self._age[rows] == 0.0])
-        self._steer(rows)
+        super()._look_first(rows)
 
     def _look(self, rows: slice) -> None:
-        """Take in what is perceived after a step, and whether the ball has left the path that it was on."""
-        everyone = np.arange(self.n)[rows]
-        self._unseen[rows] += 1
         self._kicked[rows] += self._kicked[rows] >= 0
-        self._see(everyone[self._age[rows] == 0.0])
-        self._steer(everyone)
+        super()._look(rows)
 
-    def _see(self, rows: IntArray) -> None:
-        place, count = self._seen_at[rows], self._sightings[rows]
-        elapsed = np.maximum(self._unseen[rows], 1)[:, None] * STEP_S
-        velocity = (place - self._sighted[rows]) / elapsed
-        surprise = np.hypot(*(place - self._sighted[rows] - self._expected[rows] * elapsed).T)
-        kicked = (count >= 2) & (surprise > KICKED_M + 0.3 * np.maximum(elapsed[:, 0] - 2 * STEP_S, 0.0))
+    def _velocity_share(self) -> float:
+        return _CALM
+
+    def _notice(self, rows: IntArray, moved: FloatArray, elapsed: FloatArray) -> None:
+        """Take in whether the ball has left the path that it was on."""
+        surprise = np.hypot(*(moved - self._expected[rows] * elapsed).T)
+        kicked = (self._sightings[rows] >= 2) & (
+            surprise > KICKED_M + 0.3 * np.maximum(elapsed[:, 0] - 2 * STEP_S, 0.0)
+        )
         self._kicked[rows[kicked & (self._kicked[rows] < 0)]] = 0
-        share = np.where(count == 0, 0.0, np.where(count == 1, 1.0, _CALM))[:, None]
-        self._expected[rows] += share * (velocity - self._expected[rows])
-        first = rows[count == 0]
-        self._sighted[rows] = place
-        self._sightings[rows] += 1
-        self._unseen[rows] = 0
-        if len(first):
-            across = self._behind(first)[1]
-            self._side[first] = np.where(across >= 0.0, 1.0, -1.0)
+
+    def _first_seen(self, rows: IntArray) -> None:
+        """Choose the foot to kick with: that on the ball's side."""
+        self._side[rows] = np.where(self._behind(rows)[1] >= 0.0, 1.0, -1.0)
 
     def _steer(self, rows: IntArray) -> None:
         """Command the walker: bring a foot behind the ball, walk through it, and stand once it has been kicked."""
-        turn = _wrapped(self._aim[rows] - perceived_yaw(self.world, rows))
-        along, across = self._behind(rows)
-        aside = across - self._side[rows] * _FOOT_M
+        turn, (ahead, across) = self._turn(rows), self._behind(rows)
+        aside = across - self._side[rows] * FOOT_M
         ready = np.clip(1.6 - np.abs(aside) / 0.05 - np.abs(turn) / 0.2, 0.0, 1.0)
-        forward = 0.8 * ready + (1.0 - ready) * np.clip(2.0 * (along - 0.52), -0.3, 0.8)
+        forward = 0.8 * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.52), -0.3, 0.8)
         left = np.clip(3.0 * aside, -0.45, 0.45)
         cosine, sine = np.cos(turn), np.sin(turn)
         command = np.stack(
@@ -561,35 +415,13 @@ class Kick(Task[KickSettings]):
 
     # starts
 
-    def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
-        """Record the states of the walker that episodes begin with, and return a pose to replace by them."""
-        settings = self.parameters
-        walk = VelocitySettings(
-            name=Velocity.name,
-            start_noise_deg=noise_deg,
-            forward_min_mps=min(0.4, settings.entry_speed_mps),
-            forward_max_mps=settings.entry_speed_mps,
-            sideways_max_mps=0.3,
-            turn_max_rad_s=0.5,
-            straight_fraction=0.4,
-            stand_fraction=0.2,
-            command_steps=100,
-            episode_steps=100_000,
-        )
-        states = min(settings.handover_states, 4 * count)
-        self._states = record(self.world.simulator, self._walker, Velocity, walk, states, seed)
-        # two alike: in one the camera reports in odd steps, in the other in even ones
-        return Starts(np.repeat(self.robot.nominal[None], 2, axis=0))
-
     def place(self, rows: IntArray) -> None:
         """Draw state, ball and command, and put the robot into the state and the ball to its place."""
         settings = self.parameters
         draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 13).T
         self._draws[rows] += 1
-        self._state[rows] = (draw[0] * len(self._states)).astype(np.int64)
         heading = 2.0 * np.pi * draw[1]
-        zero = np.zeros_like(heading)
-        self._states.begin(self.world, rows, self._state[rows], np.stack([zero, zero, heading], axis=1))
+        self._put(rows, draw[0], heading)
         # where the ball is to be kicked, and where to, in the robot's frame
         aligned = draw[2] < settings.aligned_fraction
         most, near, far, line = _ALIGNED
@@ -599,14 +431,14 @@ class Kick(Task[KickSettings]):
             near + (far - near) * draw[4],
             settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[4],
         )
-        beside = np.where(draw[5] < 0.5, -_FOOT_M, _FOOT_M) + line * (2.0 * draw[6] - 1.0)
+        beside = np.where(draw[5] < 0.5, -FOOT_M, FOOT_M) + line * (2.0 * draw[6] - 1.0)
         aside = np.where(
             aligned, (beside + np.sin(aim) * ahead) / np.cos(aim), settings.ball_aside_m * (2.0 * draw[6] - 1.0)
         )
         self._power[rows] = draw[7] < settings.power_fraction
         drawn = settings.distance_min_m + (settings.distance_max_m - settings.distance_min_m) * draw[8]
         self._aligned[rows] = aligned
-        self._target[rows, 0] = _wrapped(heading + aim)
+        self._target[rows, 0] = wrapped(heading + aim)
         self._target[rows, 1] = np.where(self._power[rows], KickSettings.model_fields["distance_max_m"].default, drawn)
         self._speed[rows], self._aim[rows] = self._launched(self._target[rows], self._power[rows])
         # a rolling ball gets there after 0.3 to 0.8 s
@@ -615,20 +447,7 @@ class Kick(Task[KickSettings]):
         way, ago = 2.0 * np.pi * draw[11], 0.3 + 0.5 * draw[12]
         aside -= np.sin(way) * velocity * ago
         ahead = np.maximum(ahead - np.cos(way) * velocity * ago, 0.35)
-        torso = self.world.position(rows)[:, :2]
-        cosine, sine = np.cos(heading), np.sin(heading)
-        ball = np.stack(
-            [
-                torso[:, 0] + cosine * ahead - sine * aside,
-                torso[:, 1] + sine * ahead + cosine * aside,
-                np.full(len(rows), self._radius),
-            ],
-            axis=1,
-        )
-        moves = np.stack([velocity * np.cos(heading + way), velocity * np.sin(heading + way), zero], axis=1)
-        spin = np.stack([-moves[:, 1], moves[:, 0], zero], axis=1) / self._radius
-        self.world.place_ball(rows, ball, moves, spin)
-        self._start[rows] = ball[:, :2]
+        self._put_ball(rows, heading, ahead, aside, velocity, way)
 
     @staticmethod
     def _launched(target: FloatArray, power: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -642,11 +461,11 @@ class Kick(Task[KickSettings]):
 
     def begin(self, rows: IntArray) -> None:
         """Reset what is stored, and restore the walker's latest action."""
-        self.world.actions[rows] = self.world.previous_actions[rows] = self._states.actions[self._state[rows]]
+        super().begin(rows)
         self._touched[rows] = -1
         self._score[rows] = 0.0
         self._launch[rows] = 0.0
-        for flags in (self._fallen, self._done, self._missed, self._walks):
+        for flags in (self._done, self._missed, self._walks):
             flags[rows] = False
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
@@ -680,17 +499,16 @@ class Kick(Task[KickSettings]):
         roll = rolling.rolling(ball.velocity[rows], ball.spin[rows], self._radius)
         apart = ball.position[rows, :2] - self._start[rows]
         speed = np.hypot(*roll.T)
-        along, across = _along(
+        ahead, aside = along(
             self._aim[rows], apart + roll * (rolling.straight_m(speed) / np.maximum(speed, 1e-6))[:, None]
         )
-        angle, reached = np.arctan2(across, along), np.hypot(along, across)
+        angle, reached = np.arctan2(aside, ahead), np.hypot(ahead, aside)
         live = (touched >= 0) & (touched <= _SETTLED)
         score = np.where(live, self._scored(angle, reached, rows), self._score[rows])
         self._gain[rows] = score - self._score[rows]
         self._score[rows] = score
         self._launch[rows] = np.where(live[:, None], np.stack([angle, reached], axis=1), self._launch[rows])
-        up = world.rotation(rows)[:, 2, 2]
-        self._fallen[rows] = (world.position(rows)[:, 2] < self._min_height) | (up < UPRIGHT)
+        self._measure_falls(rows)
         kicked = self._kicked[rows]
         if settings.whole_roll:
             still = np.hypot(*ball.velocity[rows, :2].T) < _LEAST_SPEED
@@ -805,12 +623,12 @@ class _Kicks:
         late = episodes.steps - moment >= UPRIGHT_S / STEP_S
         self._touched, self._upright = touched, touched & (late | ~episodes.ends["fallen"])
         self._along, self._across = zip(
-            *(_along(np.array(direction), path) for direction, path in zip(self._direction, self._paths, strict=True)),
+            *(along(np.array(direction), path) for direction, path in zip(self._direction, self._paths, strict=True)),
             strict=True,
         )
         ends = np.array([path[-1] for path in self._paths])
         self._rolled = np.hypot(*ends.T)
-        self._error = np.degrees(np.abs(_wrapped(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
+        self._error = np.degrees(np.abs(wrapped(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
         self._power = np.isinf(self._distance)
 
     def passed(self, length: float, chosen: BoolArray) -> BoolArray:
@@ -843,14 +661,3 @@ class _Kicks:
             statistics.mean(POWER, self._rolled[kicked & self._power]),
             statistics.mean(DISTANCE, self._rolled[kicked]),
         )
-
-
-def _along(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the parts of (k, 2) displacements along (k,) headings, and to the left of them."""
-    cosine, sine = np.cos(heading), np.sin(heading)
-    return cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]
-
-
-def _wrapped(angles: FloatArray) -> FloatArray:
-    """Return angles in [-pi, pi)."""
-    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)

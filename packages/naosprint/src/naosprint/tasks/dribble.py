@@ -1,0 +1,461 @@
+"""Dribbling: running behind a ball along a commanded line, at a commanded speed, and around corners.
+
+A line begins where the ball is perceived when it is commanded. In trainings lines and speeds change at random moments,
+in evaluations a course is run: ten metres along a line, a turn of 90 degrees, and ten metres along the next.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from naosim.simulator import BALL, STEP_S
+from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
+from naosprint.tasks.base import End, RewardTerm, World
+from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.observations import ObservationBlock
+from naosprint.tasks.penalties import penalties
+from naosprint.tasks.randomness import uniform
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.tasks.episodes import Episodes, Statistics
+
+LEG_M = 10.0
+"""Length of each of the two lines of an evaluation's course, metres."""
+
+CORRIDOR_HALF_M = 0.75
+"""Half the width of the corridor around a line, metres."""
+
+LEAD_M = 0.8
+"""Distance of the ball ahead of the torso from which an opponent could take it, metres."""
+
+LOST_M = 2.0
+"""Distance of the ball from the torso at which an episode ends, metres."""
+
+_TURN = np.pi / 2.0
+_FLOW_SHARE = 0.04  # of the present velocity in the ball's mean velocity: half a second
+_NEAR_M, _NEAR_SPREAD_M = 0.45, 0.3  # distance at which a ball is near, and how fast the reward for it falls
+_OFFSET_M = 1.0  # largest distance from the line that is observed and penalized
+_TRACKING_SCALE = 0.25  # squared error at which the narrow part of the reward has fallen to 1/e, (m/s)^2
+_SHARE = 0.5  # share of a new velocity in the perceived velocity of the ball
+_STREAM = 0xD21B
+
+BALL_SPEED = Metric("ball_speed_mps", "Ball's speed", "m/s", "Mean speed of the ball along its line.", 2, "higher")
+BALL_ERROR = Metric(
+    "ball_error_mps",
+    "Velocity error",
+    "m/s",
+    "Mean distance between the commanded velocity and the ball's, averaged over half a second.",
+    2,
+    "lower",
+)
+AHEAD = Metric("ahead_m", "Ball ahead", "m", "Mean distance of the ball ahead of the torso.", 2, "lower")
+LOST_RATE = Metric(
+    "lost_rate", "Ball lost", "%", "Fraction of episodes that ended with a lost ball.", 1, "lower", "rate"
+)
+LINE = Metric(
+    "line_rate",
+    "Along a line",
+    "%",
+    "Fraction of the starts from which the ball is dribbled 10 m through a corridor of 1.5 m.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+CORNER = Metric(
+    "corner_rate",
+    "Around a corner",
+    "%",
+    "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m through a corridor of 1.5 m.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+KEPT = Metric(
+    "kept_rate",
+    "Ball kept close",
+    "%",
+    f"Fraction of the lines on which the ball is never more than {LEAD_M:g} m ahead.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+COURSE_SPEED = Metric(
+    "course_speed_mps",
+    "Speed on the line",
+    "m/s",
+    "Mean speed of the ball along the lines that it is dribbled along.",
+    2,
+    "higher",
+    live=False,
+)
+FARTHEST = Metric(
+    "farthest_m",
+    "Farthest ball",
+    "m",
+    "Median over the lines of the largest distance of the ball ahead of the torso.",
+    2,
+    "lower",
+    live=False,
+)
+
+
+class DribbleSettings(BallSettings):
+    """Settings of the task ``dribble``."""
+
+    aim_max_deg: float = Field(
+        default=90.0,
+        ge=0.0,
+        le=180.0,
+        title="Largest aim",
+        description="Largest angle between the robot's front and the first line.",
+        json_schema_extra={"unit": "deg"},
+    )
+    speed_min_mps: float = Field(
+        default=0.6,
+        ge=0.0,
+        le=3.0,
+        title="Slowest ball",
+        description="Lower end of the commanded speed of the ball.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    speed_max_mps: float = Field(
+        default=1.5,
+        ge=0.1,
+        le=3.0,
+        title="Commanded speed",
+        description="Upper end of the commanded speed of the ball, and the speed in evaluations.",
+        json_schema_extra={"unit": "m/s"},
+    )
+    turn_max_deg: float = Field(
+        default=120.0,
+        ge=0.0,
+        le=180.0,
+        title="Largest turn",
+        description="Largest angle between two lines in trainings.",
+        json_schema_extra={"unit": "deg"},
+    )
+    line_steps: int = Field(
+        default=300,
+        ge=10,
+        le=100_000,
+        title="Line length",
+        description="Steps after which a new line begins in trainings, on average.",
+        json_schema_extra={"unit": "steps"},
+    )
+    episode_steps: int = Field(
+        default=1000,
+        ge=10,
+        le=100_000,
+        title="Episode length",
+        description="Length limit of an episode.",
+        json_schema_extra={"unit": "steps"},
+    )
+    course: bool = Field(
+        default=False,
+        title="Course",
+        description="Dribble along two lines of 10 m with a turn of 90 degrees between them, as in evaluations.",
+    )
+    near_weight: float = Field(
+        default=0.3, ge=0.0, le=1000.0, title="Near weight", description="Reward per step for a ball that is near."
+    )
+    offset_penalty: float = Field(
+        default=0.4,
+        ge=0.0,
+        le=1000.0,
+        title="Offset penalty",
+        description="Penalty per step and metre of the ball's distance from the line.",
+    )
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for low, high in (("ball_near_m", "ball_far_m"), ("speed_min_mps", "speed_max_mps")):
+            if getattr(self, low) > getattr(self, high):
+                raise PydanticCustomError(
+                    "range",
+                    "{low}: {least} is above {high}, {most}; exchange them",
+                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
+                )
+        return self
+
+    def for_evaluation(self) -> Self:
+        """Return the settings without disturbances, for the course, at the highest speed."""
+        speed = {"speed_min_mps": self.speed_max_mps}
+        return super().for_evaluation().model_copy(update={"course": True, "episode_steps": 2000, **speed})
+
+
+class Dribble(BallTask[DribbleSettings]):
+    """Dribble a ball along a commanded line, at a commanded speed.
+
+    The walker's inputs are observed, too, with the commands of a simple dribble: turn to the line, bring a foot behind
+    the ball, and walk through it at the commanded speed.
+    """
+
+    name = "dribble"
+    summary = "Dribble a ball along a commanded line and around corners."
+    Parameters = DribbleSettings
+    metrics = (BALL_SPEED, BALL_ERROR, AHEAD, FALL_RATE, LOST_RATE)
+    results = (LINE, CORNER, KEPT, COURSE_SPEED, FARTHEST)
+    ends = (FALL, End("lost", "Ball lost", failure=True), End("done", "Course"))
+    trace = ("ball_x", "ball_y", "ahead", "line", "line_x", "line_y", "direction")
+    presentation = Presentation(
+        charts=(
+            Chart("Ball's speed", ("ball_speed_mps",)),
+            Chart("Velocity error", ("ball_error_mps",)),
+            Chart("Falls and lost balls", ("fall_rate", "lost_rate")),
+            Chart("Ball ahead", ("ahead_m",)),
+            Chart("Reward", ("reward",)),
+            Chart("Episode length", ("episode_length",)),
+        ),
+        listed=("ball_speed_mps", "fall_rate", "lost_rate"),
+        headline=("line_rate", "corner_rate", "kept_rate", "course_speed_mps", "fall_rate"),
+        repeats=False,
+    )
+
+    def __init__(self, parameters: DribbleSettings, world: World, seed: int = 0) -> None:
+        super().__init__(parameters, world, seed)
+        n = self.n
+        self.max_steps = parameters.episode_steps
+        self._speed: FloatArray = np.zeros(n)  # commanded, m/s
+        self._line: FloatArray = np.zeros((n, 2))  # where the line begins
+        self._lines: IntArray = np.zeros(n, dtype=np.int64)  # that have begun
+        self._flow: FloatArray = np.zeros((n, 2))  # the ball's velocity, averaged
+        self._sums: FloatArray = np.zeros((n, 3))  # of the ball's speed, its error, and how far ahead it is
+        self.arrays |= {
+            "speed": self._speed,
+            "line": self._line,
+            "lines": self._lines,
+            "flow": self._flow,
+            "sums": self._sums,
+        }
+        self._error: FloatArray = np.zeros(n)
+        self._offset: FloatArray = np.zeros(n)
+        self._ahead: FloatArray = np.zeros(n)
+        self._apart: FloatArray = np.zeros(n)
+        self._lost: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._done: BoolArray = np.zeros(n, dtype=np.bool_)
+
+    # what is observed
+
+    def observation_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what the walker observes, the ball as it is perceived, and the line."""
+        names = ("ball_along", "ball_across", "ball_speed_along", "ball_speed_across", "ball_offset", "ball_speed")
+        line = ObservationBlock(
+            ("aim_sin", "aim_cos", *names),
+            self._dribbled,
+            signs=(-1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0),
+            spread=(0.5, 0.3, 0.3, 0.2, 0.7, 0.4, 0.4, 0.4),
+        )
+        return [*super().observation_blocks(), line]
+
+    def _dribbled(self, rows: slice | IntArray) -> FloatArray:
+        turn, (ahead, aside) = self._turn(rows), self._behind(rows)
+        known = self._sightings[rows] > 0
+        faster, drifting = along(self._aim[rows], np.clip(self._expected[rows], -4.0, 4.0))
+        offset = np.clip(along(self._aim[rows], self._seen_at[rows] - self._line[rows])[1], -_OFFSET_M, _OFFSET_M)
+        columns = [np.sin(turn), np.cos(turn), ahead, aside, faster, drifting, offset * known, self._speed[rows]]
+        return np.stack(columns, axis=1)
+
+    def critic_blocks(self) -> Sequence[ObservationBlock]:
+        """Return what only a critic observes: the ball's true motion, and where it is before the feet."""
+        names = ("speed_along", "speed_across", "flow_along", "flow_across", "ahead", "offset")
+        truth = ObservationBlock(
+            tuple(f"true_ball_{name}" for name in names), self._truth, signs=(1.0, -1.0, 1.0, -1.0, 1.0, -1.0)
+        )
+        return [*super().critic_blocks(), truth, *self._foot_blocks()]
+
+    def _truth(self, rows: slice | IntArray) -> FloatArray:
+        ball, aim = self.world.bodies[BALL], self._aim[rows]
+        speed, flow = along(aim, ball.velocity[rows, :2]), along(aim, self._flow[rows])
+        apart = along(self.world.yaw(rows), ball.position[rows, :2] - self.world.position(rows)[:, :2])[0]
+        offset = along(aim, ball.position[rows, :2] - self._line[rows])[1]
+        return np.stack([*speed, *flow, np.clip(apart, -3.0, 3.0), np.clip(offset, -3.0, 3.0)], axis=1)
+
+    def _velocity_share(self) -> float:
+        return _SHARE
+
+    def _steer(self, rows: IntArray) -> None:
+        """Command the walker: turn to the line, bring the nearer foot behind the ball, and walk through it."""
+        turn, (ahead, across) = self._turn(rows), self._behind(rows)
+        aside = across - np.where(across >= 0.0, FOOT_M, -FOOT_M)
+        ready = np.clip(2.0 - np.abs(aside) / 0.1 - np.abs(turn) / 0.3, 0.0, 1.0)
+        forward = self._speed[rows] * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.4), -0.4, 0.8)
+        left = np.clip(3.0 * aside, -0.5, 0.5)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        command = np.stack(
+            [
+                np.clip(cosine * forward - sine * left, -0.4, 2.0),
+                np.clip(sine * forward + cosine * left, -0.5, 0.5),
+                np.clip(3.0 * turn, -1.0, 1.0),
+            ],
+            axis=1,
+        )
+        self._command[rows] = np.where((self._sightings[rows] > 0)[:, None], command, 0.0)
+
+    # starts
+
+    def place(self, rows: IntArray) -> None:
+        """Draw state, ball, first line and speed, and put the robot into the state and the ball to its place."""
+        settings = self.parameters
+        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 6).T
+        self._draws[rows] += 1
+        heading = 2.0 * np.pi * draw[1]
+        self._put(rows, draw[0], heading)
+        ahead = settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[2]
+        self._put_ball(rows, heading, ahead, settings.ball_aside_m * (2.0 * draw[3] - 1.0))
+        self._aim[rows] = wrapped(heading + np.radians(settings.aim_max_deg) * (2.0 * draw[4] - 1.0))
+        self._speed[rows] = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * draw[5]
+        self._line[rows] = self._start[rows]
+        self._lines[rows] = 1
+
+    def begin(self, rows: IntArray) -> None:
+        """Reset what is stored, and restore the walker's latest action."""
+        super().begin(rows)
+        self._flow[rows] = 0.0
+        self._sums[rows] = 0.0
+        for flags in (self._lost, self._done):
+            flags[rows] = False
+
+    # steps
+
+    def advance(self, rows: slice) -> None:
+        """Measure ball, falls and ends against the line, and begin new lines."""
+        world, aim = self.world, self._aim[rows]
+        ball = world.bodies[BALL]
+        self._flow[rows] += _FLOW_SHARE * (ball.velocity[rows, :2] - self._flow[rows])
+        faster, drifting = along(aim, self._flow[rows])
+        self._error[rows] = np.hypot(faster - self._speed[rows], drifting)
+        reached, offset = along(aim, ball.position[rows, :2] - self._line[rows])
+        self._offset[rows] = np.minimum(np.abs(offset), _OFFSET_M)
+        apart = ball.position[rows, :2] - world.position(rows)[:, :2]
+        self._apart[rows] = np.hypot(*apart.T)
+        self._ahead[rows] = along(world.yaw(rows), apart)[0]
+        speed = along(aim, ball.velocity[rows, :2])[0]
+        self._sums[rows] += np.stack([speed, self._error[rows], self._ahead[rows]], axis=1)
+        self._measure_falls(rows)
+        self._lost[rows] = (self._apart[rows] > LOST_M) & ~self._fallen[rows]
+        over = reached >= LEG_M
+        if self.parameters.course:
+            self._done[rows] = over & (self._lines[rows] > 1) & ~self._fallen[rows]
+            self._turn_off(np.arange(self.n)[rows][over & (self._lines[rows] == 1)])
+        else:
+            self._begin_lines(np.arange(self.n)[rows])
+
+    def _begin_lines(self, rows: IntArray) -> None:
+        """Begin new lines at random moments, in random directions and at random speeds."""
+        settings = self.parameters
+        draw = uniform(self.seed + _STREAM + 1, self.world.streams[rows], self._moments(rows), 3).T
+        chosen = draw[0] < 1.0 / settings.line_steps
+        rows, draw = rows[chosen], draw[:, chosen]
+        self._begin_line(rows, np.radians(settings.turn_max_deg) * (2.0 * draw[1] - 1.0))
+        self._speed[rows] = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * draw[2]
+
+    def _moments(self, rows: IntArray) -> IntArray:
+        """Return (k,) numbers that count the steps of a robot's episodes one after the other."""
+        return np.asarray(self._draws[rows] * self.max_steps + self.world.steps[rows])
+
+    def _turn_off(self, rows: IntArray) -> None:
+        """Begin the second line of a course, to the left or to the right."""
+        draw = uniform(self.seed + _STREAM + 2, self.world.streams[rows], self._draws[rows], 1)[:, 0]
+        self._begin_line(rows, np.where(draw < 0.5, -_TURN, _TURN))
+
+    def _begin_line(self, rows: IntArray, turn: FloatArray) -> None:
+        """Begin a line that turns off by (k,) angles, where the ball is perceived."""
+        self._aim[rows] = wrapped(self._aim[rows] + turn)
+        seen = (self._sightings[rows] > 0)[:, None]
+        self._line[rows] = np.where(seen, self._sighted[rows], self._line[rows])
+        self._lines[rows] += 1
+
+    def reward_terms(self) -> Sequence[RewardTerm]:
+        """Return rewards for a ball that is near and moves as commanded, and the penalties."""
+        settings = self.parameters
+
+        def near(rows: slice) -> FloatArray:
+            return np.exp(-np.square(np.maximum(self._apart[rows] - _NEAR_M, 0.0) / _NEAR_SPREAD_M))
+
+        def track(rows: slice) -> FloatArray:
+            error = self._error[rows]
+            # the Gaussian alone has no slope for a ball that lies and should roll at 1.5 m/s
+            tracking = 0.5 * np.exp(-np.square(error) / _TRACKING_SCALE) + 0.5 / (1.0 + error)
+            return np.asarray(tracking * (0.3 + 0.7 * near(rows)))
+
+        def fallen(rows: slice) -> FloatArray:
+            return self._fallen[rows].astype(np.float64)
+
+        return (
+            RewardTerm("track_ball", 1.0, track),
+            RewardTerm("near", settings.near_weight, near),
+            RewardTerm("offset", -settings.offset_penalty, lambda rows: self._offset[rows]),
+            RewardTerm("fall", -settings.fall_penalty, fallen),
+            *penalties(self.world, settings),
+        )
+
+    def ended(self, rows: slice) -> Sequence[BoolArray]:
+        """Return which robots have fallen, have lost the ball, or have completed the course."""
+        return (self._fallen[rows], self._lost[rows], self._done[rows])
+
+    # results
+
+    def measure(self, rows: IntArray) -> FloatArray:
+        """Return the ball's speed and error, how far ahead it was, and fall and loss."""
+        means = self._sums[rows] / np.maximum(self.world.steps[rows], 1)[:, None]
+        return np.column_stack([means, self._fallen[rows], self._lost[rows]])
+
+    def trace_row(self, rows: IntArray) -> FloatArray:
+        """Return the ball's place, how far ahead it is, and the line."""
+        ball = self.world.bodies[BALL].position[rows, :2]
+        return np.column_stack([ball, self._ahead[rows], self._lines[rows], self._line[rows], self._aim[rows]])
+
+    def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
+        """Return how often the ball is dribbled along a line and around a corner, how fast, and how close."""
+        first = [_Leg.of(trace, 1) for trace in episodes.trace]
+        second = [_Leg.of(trace, 2) for trace in episodes.trace]
+        begun = [leg for leg in second if leg is not None]
+        legs = [leg for leg in (*first, *begun) if leg is not None]
+        passed = [leg for leg in legs if leg.passed]
+
+        def rate(metric: Metric, values: Sequence[bool]) -> Result:
+            return statistics.rate(metric, np.array(values, dtype=np.bool_))
+
+        results = (
+            rate(LINE, [leg is not None and leg.passed for leg in first]),
+            *((rate(CORNER, [leg.passed for leg in begun]),) if begun else ()),
+            rate(KEPT, [leg.farthest <= LEAD_M for leg in legs]),
+            statistics.mean(COURSE_SPEED, [LEG_M / leg.seconds for leg in passed]),
+            statistics.median(FARTHEST, [leg.farthest for leg in legs]),
+            statistics.rate(FALL_RATE, episodes.ends["fallen"]),
+        )
+        return results, ()
+
+
+class _Leg:
+    """What became of one line of a course.
+
+    Attributes:
+        passed: whether the ball was dribbled to its end within the corridor.
+        seconds: time that it took.
+        farthest: largest distance of the ball ahead of the torso, metres.
+    """
+
+    def __init__(self, rows: FloatArray, *, over: bool) -> None:
+        ball, line, direction = rows[:, :2], rows[0, 4:6], rows[0, 6]
+        reached, offset = along(np.array(direction), ball - line)
+        self.passed = bool((over or reached[-1] >= LEG_M) and np.abs(offset).max() <= CORRIDOR_HALF_M)
+        self.seconds = len(rows) * STEP_S
+        self.farthest = float(rows[1:, 2].max()) if len(rows) > 1 else 0.0
+
+    @classmethod
+    def of(cls, trace: FloatArray, number: int) -> Self | None:
+        """Return line ``number`` of an episode, None if it has not begun."""
+        rows = trace[trace[:, 3] == number]
+        return cls(rows, over=trace[-1, 3] > number) if len(rows) else None
