@@ -81,8 +81,19 @@ def folder_of(robot: str, directory: Path) -> Path:
         ({"name": "t1"}, {"name": "velocity", "history_steps": 3}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 0.0}),
         ({"name": "t1", "head_pitch_rad": 0.6}, {"name": "kick", "power_fraction": 1.0, "rolling_fraction": 1.0}),
+        ({"name": "t1", "head_pitch_rad": 0.6}, "dribble"),
     ],
-    ids=["t1", "k1", "t1-getup", "nao-4", "nao-0-velocity-history", "t1-history", "t1-pass", "t1-power-kick"],
+    ids=[
+        "t1",
+        "k1",
+        "t1-getup",
+        "nao-4",
+        "nao-0-velocity-history",
+        "t1-history",
+        "t1-pass",
+        "t1-power-kick",
+        "t1-dribble",
+    ],
 )
 def test_the_skill_is_the_policy(robot: dict[str, Any], task: Any, tmp_path: Path, numpy_alone: Path) -> None:
     policy, manifest = random_policy(robot, task)

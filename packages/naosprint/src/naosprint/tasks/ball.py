@@ -20,7 +20,7 @@ from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
 from naosprint.tasks.handover import record
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
+from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.velocity import Velocity, VelocitySettings
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from naosim.robots import Robot
 
-    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 UPRIGHT = 0.6
 """Upward component of the torso's axis below which a robot has fallen."""
@@ -308,6 +308,14 @@ class BallTask(Task[Settings], Generic[Settings]):
         """Restore the walker's latest action."""
         self.world.actions[rows] = self.world.previous_actions[rows] = self._states.actions[self._state[rows]]
         self._fallen[rows] = False
+
+    def _last_step(self, row: int) -> dict[str, AnyArray]:
+        """Return the walker's latest action and the torso's position before it, as an exported skill takes them."""
+        # the perceived velocity is R^T (position - before) / time, with R of a truncated quaternion
+        inverse = turned(self.world.perceptors["torso_quat"][row : row + 1], np.eye(3))
+        moved = np.linalg.solve(inverse, self._states.velocity[self._state[row]]) * STEP_S
+        position: FloatArray = self.world.perceptors["torso_pos"][row] - moved
+        return {"action": self.world.actions[row].copy(), "position": position}
 
     def _measure_falls(self, rows: slice) -> None:
         """Measure which robots have fallen."""

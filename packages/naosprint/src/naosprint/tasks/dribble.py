@@ -24,7 +24,7 @@ from naosprint.tasks.randomness import uniform
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from naosprint.arrays import BoolArray, FloatArray, IntArray
+    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
 
 LEG_M = 10.0
@@ -284,6 +284,10 @@ class Dribble(BallTask[DribbleSettings]):
     def _velocity_share(self) -> float:
         return _SHARE
 
+    def _first_seen(self, rows: IntArray) -> None:
+        """Begin the first line where the ball is seen."""
+        self._line[rows] = self._sighted[rows]
+
     def _steer(self, rows: IntArray) -> None:
         """Command the walker: turn to the line, bring the nearer foot behind the ball, and walk through it."""
         turn, (ahead, across) = self._turn(rows), self._behind(rows)
@@ -325,6 +329,10 @@ class Dribble(BallTask[DribbleSettings]):
         self._sums[rows] = 0.0
         for flags in (self._lost, self._done):
             flags[rows] = False
+
+    def handed_over(self, row: int) -> dict[str, AnyArray]:
+        """Return what an exported skill is given at its start: direction and speed, and the walker's last step."""
+        return {"target": np.array([self._aim[row], self._speed[row]]), **self._last_step(row)}
 
     # steps
 

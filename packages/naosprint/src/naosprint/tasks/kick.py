@@ -22,7 +22,7 @@ from naosprint.tasks import rolling
 from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
 from naosprint.tasks.base import End, RewardTerm, World
 from naosprint.tasks.falls import FALL, FALL_RATE
-from naosprint.tasks.observations import ObservationBlock, turned
+from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
 from naosprint.tasks.randomness import uniform
 
@@ -470,13 +470,8 @@ class Kick(BallTask[KickSettings]):
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given when its kick begins: target, and the walker's last step."""
-        # the perceived velocity is R^T (position - before) / time, with R of a truncated quaternion
-        inverse = turned(self.world.perceptors["torso_quat"][row : row + 1], np.eye(3))
-        moved = np.linalg.solve(inverse, self._states.velocity[self._state[row]]) * STEP_S
-        position: FloatArray = self.world.perceptors["torso_pos"][row] - moved
         distance = np.inf if self._power[row] else self._target[row, 1]
-        target = np.array([self._target[row, 0], distance])
-        return {"target": target, "action": self.world.actions[row].copy(), "position": position}
+        return {"target": np.array([self._target[row, 0], distance]), **self._last_step(row)}
 
     # steps
 

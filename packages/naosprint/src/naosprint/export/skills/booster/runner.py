@@ -20,31 +20,33 @@ class Runner:
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
-        self.kicking = Kicking(self) if "launch_speed" in self.names else None
+        balls = {"launch_speed": Kicking, "ball_offset": Dribbling}
+        self.ball = next((kind(self) for name, kind in balls.items() if name in self.names), None)
         self.begin()
 
     def begin(self, heading=None, lane=None, target=None, action=None, position=None):
         """Begin a run along `heading`, the torso's own if it is None; `lane` is a point of the path, (x, y) metres.
 
         A policy of task kick needs a `target`: direction on the team's field in radians and distance in metres, or
-        infinity for a kick as far as possible. It begins in the middle of a step, with the latest `action` and the
-        torso's latest `position` of the policy that walked so far.
+        infinity for a kick as far as possible; one of task dribble direction and speed in m/s. They begin in the middle
+        of a step, with the latest `action` and the torso's latest `position` of the policy that walked so far.
         """
         self.heading, self.lane, self.position = heading, lane, position
         self.offset, self.command, self.action = 0.0, np.zeros(3), np.zeros(len(self.action_names))
         self.action = self.action if action is None else np.array(action, float)
-        if self.kicking:
-            self.kicking.begin((0.0, np.inf) if target is None else target)
+        if self.ball:
+            self.ball.begin(self.ball.usual if target is None else target)
         self.cycles, self.past = 0, []
 
-    def observe(self, position, quaternion, gyro_deg, angles_deg, speeds_deg, command=None, ball=None):
+    def observe(self, position, quaternion, gyro_deg, angles_deg, speeds_deg, command=None, ball=None, target=None):
         """Return the observation, once per cycle.
 
         position (3,) in metres and quaternion (w, x, y, z) of the torso on the team's field, gyroscope (3,) in degrees
         per second, joints' angles and speeds in degrees and degrees per second in the order of `joint_names`. A policy
         of task velocity follows `command`: forward and sideways speed in m/s, turn rate in rad/s; a new one starts a
-        new path. One of task kick needs the `ball` as it is seen: distance in metres, azimuth and elevation in degrees
-        from the camera; None or NaN where it is not reported.
+        new path. Those of tasks kick and dribble need the `ball` as it is seen: distance in metres, azimuth and
+        elevation in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a
+        new line.
         """
         position, (w, *axis) = np.array(position, float), quaternion
         cross = np.cross(np.eye(3), axis)
@@ -68,8 +70,10 @@ class Runner:
         for wave in "sin", "cos":
             seen.update((f"time_{wave}_{k}", getattr(np, wave)(np.pi * k * seen["time"])) for k in range(1, 7))
         seen["line_offset"] = np.clip(self.offset, -0.5, 0.5) if self.commanded else self.offset
-        if self.kicking:
-            seen.update(self.kicking.observe(position, rotation, yaw, np.radians(angles_deg), ball))
+        if self.ball:
+            if target is not None and not isinstance(self.ball, Kicking):
+                self.ball.turn_off(target)
+            seen.update(self.ball.observe(position, rotation, yaw, np.radians(angles_deg), ball))
             seen.update(line_offset=0.0, heading_sin=0.0, heading_cos=1.0)
         for name, vector in ("gravity", rotation[2]), ("gyro", np.radians(gyro_deg)), ("velocity", velocity):
             seen.update(zip((f"{name}_{axis}" for axis in "xyz"), vector))
@@ -97,13 +101,80 @@ def wrapped(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-class Kicking:
-    """The ball as it is seen, and the command of a kick. Angles are in radians."""
+class Ball:
+    """The ball as it is seen, and the command of a walk to it. Angles are in radians."""
+
+    share = 0.5  # of a new velocity in the average
 
     def __init__(self, arrays):
         self.arrays = arrays
         names = [str(name) for name in arrays.joint_names]
         self.head = [names.index("head_yaw"), names.index("head_pitch")]
+
+    def clear(self):
+        """Forget what was seen."""
+        self.place, self.velocity, self.age = np.zeros(2), np.zeros(2), NEVER
+        self.sighted, self.expected, self.sightings, self.unseen = None, np.zeros(2), 0, 0
+
+    def look(self, position, rotation, yaw, angles, ball):
+        """Take in what is seen; return what is observed of it, and where the ball is behind the aim's direction."""
+        self.age, self.unseen = self.age + 1, self.unseen + (self.sightings > 0 or self.age < NEVER)
+        if ball is not None and np.isfinite(ball[0]):
+            self._see(position[:2] + (rotation @ self._in_torso(np.asarray(ball, float), *angles[self.head]))[:2])
+        apart = (self.place - position[:2]) * (self.sightings > 0)
+        ahead, left = self._along(yaw, apart)
+        along, across = self._along(self.aim, apart)
+        speeds = self._along(yaw, self.velocity)
+        seen = {
+            **dict(zip(("ball_forward", "ball_left"), (ahead, left))),
+            **dict(zip(("ball_forward_velocity", "ball_left_velocity"), speeds)),
+            "ball_age": min(self.age * self.arrays.cycle_s, 1.0),
+        }
+        turn, along, across = wrapped(self.aim - yaw), np.clip(along, -1, 3), np.clip(across, -2, 2)
+        seen.update(aim_sin=np.sin(turn), aim_cos=np.cos(turn), ball_along=along, ball_across=across)
+        return seen, turn, along, across
+
+    def _in_torso(self, ball, yaw, pitch):
+        """Return a seen ball in the torso's frame; the server truncates, so half a digit is added."""
+        distance, azimuth, elevation = ball + np.copysign(0.005, ball)
+        azimuth, elevation = np.radians([azimuth, elevation])
+        level = distance * np.cos(elevation)
+        seen = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
+        (c, s), (d, z) = (np.cos(yaw), np.sin(yaw)), (np.cos(pitch), np.sin(pitch))
+        turn, nod = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([[d, 0, z], [0, 1, 0], [-z, 0, d]])
+        at_yaw, at_pitch, at_camera = self.arrays.camera_m
+        return at_yaw + turn @ (at_pitch + nod @ (at_camera + seen))
+
+    def _see(self, place):
+        known, step = self.age < NEVER, self.arrays.cycle_s
+        self.velocity = (place - self.place) / (max(self.age, 1) * step) if known else np.zeros(2)
+        if known:
+            elapsed = max(self.unseen, 1) * step
+            moved = place - self.sighted
+            self._notice(moved, elapsed)
+            share = 1.0 if self.sightings == 1 else self.share
+            self.expected = self.expected + share * (moved / elapsed - self.expected)
+        self.place = self.sighted = place
+        self.sightings, self.unseen, self.age = self.sightings + 1, 0, 0
+
+    def _notice(self, moved, elapsed):
+        """Take in how the ball has moved between two sightings."""
+
+    def _along(self, heading, way):
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]
+
+    def _walk(self, turn, forward, left, low, high):
+        """Return the walker's command: velocity in the aim's frame, turned to the torso's."""
+        cosine, sine = np.cos(turn), np.sin(turn)
+        return np.clip((cosine * forward - sine * left, sine * forward + cosine * left, 3 * turn), low, high)
+
+
+class Kicking(Ball):
+    """A kick: its target and whether the ball has been kicked."""
+
+    usual = 0.0, np.inf
+    share = CALM
 
     def begin(self, target):
         """Begin a kick to (direction, distance); direction and speed of the launch follow from the table of rolls.
@@ -117,15 +188,8 @@ class Kicking:
             self.speed, self.aim = self.launch(POWER_M, 0.0)[0], direction
         else:
             self.speed, self.aim = self.launch(distance, direction)
-        self.place, self.velocity, self.age = np.zeros(2), np.zeros(2), NEVER
-        self.sighted, self.expected, self.sightings, self.unseen, self.kicked, self.side = (
-            None,
-            np.zeros(2),
-            0,
-            0,
-            -1,
-            1,
-        )
+        self.clear()
+        self.kicked, self.side = -1, 1
 
     def launch(self, distance, direction):
         """Return speed and direction with which a ball has to roll off to stop in a direction at a distance."""
@@ -150,63 +214,69 @@ class Kicking:
 
     def observe(self, position, rotation, yaw, angles, ball):
         """Return what a kick observes besides the robot, once per cycle."""
-        self.age, self.unseen = self.age + 1, self.unseen + (self.sightings > 0 or self.age < NEVER)
         self.kicked += self.kicked >= 0
-        if ball is not None and np.isfinite(ball[0]):
-            self._see(position[:2] + (rotation @ self._in_torso(np.asarray(ball, float), *angles[self.head]))[:2])
-        turn, known = wrapped(self.aim - yaw), self.sightings > 0
-        apart = (self.place - position[:2]) * known
-        ahead, left = self._along(yaw, apart)
-        along, across = self._along(self.aim, apart)
-        along, across = np.clip(along, -1, 3), np.clip(across, -2, 2)
+        seen, turn, along, across = self.look(position, rotation, yaw, angles, ball)
         if self.sightings == 1 and self.age == 0:
             self.side = 1 if across >= 0 else -1
-        speeds = self._along(yaw, self.velocity)
-        command = self._approach(turn, along, across) if known and self.kicked < 0 else np.zeros(3)
+        walks = self.sightings > 0 and self.kicked < 0
+        command = self._approach(turn, along, across) if walks else np.zeros(3)
         return {
-            **dict(zip(("ball_forward", "ball_left"), (ahead, left))),
-            **dict(zip(("ball_forward_velocity", "ball_left_velocity"), speeds)),
-            "ball_age": min(self.age * self.arrays.cycle_s, 1.0),
+            **seen,
             **dict(zip(("command_forward", "command_sideways", "command_turn"), command)),
-            **{"aim_sin": np.sin(turn), "aim_cos": np.cos(turn), "ball_along": along, "ball_across": across},
             **{"launch_speed": self.speed, "power": self.power, "kicked": min((self.kicked + 1) / 10, 1.0)},
         }
 
-    def _in_torso(self, ball, yaw, pitch):
-        """Return a seen ball in the torso's frame; the server truncates, so half a digit is added."""
-        distance, azimuth, elevation = ball + np.copysign(0.005, ball)
-        azimuth, elevation = np.radians([azimuth, elevation])
-        level = distance * np.cos(elevation)
-        seen = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
-        (c, s), (d, z) = (np.cos(yaw), np.sin(yaw)), (np.cos(pitch), np.sin(pitch))
-        turn, nod = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([[d, 0, z], [0, 1, 0], [-z, 0, d]])
-        at_yaw, at_pitch, at_camera = self.arrays.camera_m
-        return at_yaw + turn @ (at_pitch + nod @ (at_camera + seen))
-
-    def _see(self, place):
-        known, step = self.age < NEVER, self.arrays.cycle_s
-        self.velocity = (place - self.place) / (max(self.age, 1) * step) if known else np.zeros(2)
-        if known:
-            elapsed = max(self.unseen, 1) * step
-            velocity = (place - self.sighted) / elapsed
-            surprise = np.hypot(*(place - self.sighted - self.expected * elapsed))
-            most = KICKED_M + 0.3 * max(elapsed - 2 * step, 0)
-            if self.sightings >= 2 and surprise > most and self.kicked < 0:
-                self.kicked = 0
-            self.expected = self.expected + (1.0 if self.sightings == 1 else CALM) * (velocity - self.expected)
-        self.place = self.sighted = place
-        self.sightings, self.unseen, self.age = self.sightings + 1, 0, 0
-
-    def _along(self, heading, way):
-        cosine, sine = np.cos(heading), np.sin(heading)
-        return cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]
+    def _notice(self, moved, elapsed):
+        """Take in whether the ball has left the path that it was on."""
+        surprise = np.hypot(*(moved - self.expected * elapsed))
+        most = KICKED_M + 0.3 * max(elapsed - 2 * self.arrays.cycle_s, 0)
+        if self.sightings >= 2 and surprise > most and self.kicked < 0:
+            self.kicked = 0
 
     def _approach(self, turn, along, across):
         """Return the walker's command: bring a foot behind the ball, then walk through it."""
         aside = across - self.side * FOOT_M
         ready = np.clip(1.6 - abs(aside) / 0.05 - abs(turn) / 0.2, 0, 1)
         forward = 0.8 * ready + (1 - ready) * np.clip(2 * (along - 0.52), -0.3, 0.8)
-        left = np.clip(3 * aside, -0.45, 0.45)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        command = cosine * forward - sine * left, sine * forward + cosine * left, 3 * turn
-        return np.clip(command, (0, -0.45, -1), (1, 0.45, 1))
+        return self._walk(turn, forward, np.clip(3 * aside, -0.45, 0.45), (0, -0.45, -1), (1, 0.45, 1))
+
+
+class Dribbling(Ball):
+    """A dribble along a line, which begins where the ball is seen."""
+
+    usual = 0.0, 1.0
+
+    def begin(self, target):
+        """Begin to dribble in a direction at a speed."""
+        self.clear()
+        self.target, self.line = None, None
+        self.turn_off(target)
+
+    def turn_off(self, target):
+        """Begin a new line if the target, (direction, speed), is another one."""
+        target = tuple(float(value) for value in target)
+        if target != self.target:
+            self.target, (self.aim, self.speed), self.line = target, target, self.sighted
+
+    def observe(self, position, rotation, yaw, angles, ball):
+        """Return what a dribble observes besides the robot, once per cycle."""
+        seen, turn, along, across = self.look(position, rotation, yaw, angles, ball)
+        command, offset = np.zeros(3), 0.0
+        if self.sightings:
+            self.line = self.sighted if self.line is None else self.line
+            offset = np.clip(self._along(self.aim, self.place - self.line)[1], -1, 1)
+            command = self._approach(turn, along, across)
+        speeds = self._along(self.aim, np.clip(self.expected, -4, 4))
+        return {
+            **seen,
+            **dict(zip(("command_forward", "command_sideways", "command_turn"), command)),
+            **dict(zip(("ball_speed_along", "ball_speed_across"), speeds)),
+            **{"ball_offset": offset, "ball_speed": self.speed},
+        }
+
+    def _approach(self, turn, along, across):
+        """Return the walker's command: bring the nearer foot behind the ball, then walk through it."""
+        aside = across - (FOOT_M if across >= 0 else -FOOT_M)
+        ready = np.clip(2 - abs(aside) / 0.1 - abs(turn) / 0.3, 0, 1)
+        forward = self.speed * ready + (1 - ready) * np.clip(2 * (along - 0.4), -0.4, 0.8)
+        return self._walk(turn, forward, np.clip(3 * aside, -0.5, 0.5), (-0.4, -0.5, -1), (2, 0.5, 1))

@@ -10,7 +10,7 @@ FALLEN = 0.6  # of the standing height
 
 
 class Naosprint(Skill):
-    """Run straight ahead, follow velocities (task velocity), or kick to a point (task kick)."""
+    """Run straight ahead, follow velocities (task velocity), kick to a point (kick), or dribble (dribble)."""
 
     def __init__(self, agent):
         super().__init__(agent)
@@ -28,7 +28,7 @@ class Naosprint(Skill):
         A kick has a `target`, (direction on the team's field in radians, distance in metres or infinity), and needs
         the `ball` as it is seen in this cycle: (distance in metres, azimuth, elevation in degrees), or None. `after` is
         the skill whose last step it continues. Once `kicked`, the walking skill has to continue after it, with the
-        command (0, 0, 0).
+        command (0, 0, 0). A dribble takes the same, with a `target` of direction and speed in m/s in each cycle.
         """
         robot, position = self.agent.robot, self.agent.world.global_position
         if reset:
@@ -38,14 +38,15 @@ class Naosprint(Skill):
         angles, speeds = (
             [values[name] for name in self.joints] for values in (robot.motor_positions, robot.motor_speeds)
         )
-        observation = self.runner.observe(position, (w, x, y, z), robot.gyroscope, angles, speeds, command, ball)
+        perceived = position, (w, x, y, z), robot.gyroscope, angles, speeds
+        observation = self.runner.observe(*perceived, command, ball, target)
         self.move(self.runner.act(observation))
         return bool(position[2] < FALLEN * self.runner.standing_height_m)
 
     @property
     def kicked(self):
         """Whether the ball has been kicked."""
-        return self.runner.kicking.done
+        return self.runner.ball.done
 
     def hold(self):
         """Take the pose that runs start from, for one cycle."""
