@@ -102,6 +102,24 @@ def _parser() -> argparse.ArgumentParser:
     examine.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     examine.set_defaults(run=_examine)
 
+    handover = commands.add_parser(
+        "handover",
+        help="find out from which skills others can be entered",
+        description="Print for every two skills of a robot the percentage of transitions after which it is upright and "
+        "does what is commanded.",
+    )
+    handover.add_argument("--robot", default="t1", help="robot (default: t1)")
+    handover.add_argument(
+        "--policy", action="append", default=[], metavar="TASK=NAME", help="bundled policy for a task; repeatable"
+    )
+    handover.add_argument("--only", metavar="SKILLS", help="skills to choose, with commas between")
+    handover.add_argument("--transitions", type=int, default=200, help="transitions of each two (default: 200)")
+    handover.add_argument("--seed", type=int, default=1, help="seed of states and commands (default: 1)")
+    handover.add_argument("--engine", default="mujoco", choices=("fast", "mujoco"), help="engine (default: mujoco)")
+    handover.add_argument("--output", type=Path, metavar="FILE", help="JSON file with intervals")
+    handover.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
+    handover.set_defaults(run=_handover)
+
     verify = commands.add_parser(
         "verify",
         help="train a segment again and compare it bit by bit",
@@ -374,6 +392,51 @@ def _examine(options: argparse.Namespace) -> int:
         if found.ranges:
             with rc_context(figures.style()):
                 figures.robustness(found.ranges, found.most_failures).savefig(options.output / "robustness.svg")
+    return 0
+
+
+def _handover(options: argparse.Namespace) -> int:
+    if not 1 <= options.transitions <= 100_000:
+        raise ValueError("--transitions: must be between 1 and 100,000")
+    chosen = dict(each.split("=", 1) for each in options.policy if "=" in each)
+    if len(chosen) < len(options.policy):
+        raise ValueError(f"--policy: {options.policy[-1]!r}: write a task and a policy, for example kick=t1-kick")
+
+    from naospec.json_text import json_text
+    from rich.console import Console
+    from rich.progress import Progress
+    from rich.table import Table
+
+    from naosprint.analysis import transitions
+
+    members = transitions.skills(options.robot, chosen)
+    if options.only is not None:
+        names = options.only.split(",")
+        unknown = sorted(set(names) - {member.name for member in members})
+        if unknown:
+            known = ", ".join(member.name for member in members)
+            raise ValueError(f"--only: {', '.join(unknown)}: unknown; choose among {known}")
+        members = tuple(member for member in members if member.name in names)
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
+        bar = progress.add_task("recording", total=None)
+        cells = list(
+            transitions.matrix(
+                members,
+                count=options.transitions,
+                seed=options.seed,
+                engine=options.engine,
+                threads=options.threads,
+                tell=lambda text: progress.update(bar, description=text),
+            )
+        )
+    header, lines = transitions.table(cells)
+    table = Table(*header, box=None, pad_edge=False, header_style="bold", title="Upright and on command, %")
+    for line in lines:
+        table.add_row(*line)
+    Console().print(table)
+    if options.output is not None:
+        found = transitions.to_dict(cells, members, options.engine, options.seed)
+        options.output.write_text(json_text(found), encoding="utf-8")
     return 0
 
 

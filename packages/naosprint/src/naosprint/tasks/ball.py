@@ -19,7 +19,7 @@ from naosprint.tasks.base import Task, World
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
-from naosprint.tasks.handover import record
+from naosprint.tasks.handover import HandOver, record
 from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
@@ -141,6 +141,7 @@ class BallTask(Task[Settings], Generic[Settings]):
             "start": self._start,
         }
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.entries: IntArray = np.full(n, -1)  # of the next episode: number of its state, -1 to draw one
         usual = [name for name in world.defaults.observations if name != "heading"]
         self._usual = dict(zip(usual, blocks(world, usual), strict=True))
         (self._sight,) = blocks(world, ("ball",))
@@ -263,13 +264,18 @@ class BallTask(Task[Settings], Generic[Settings]):
             episode_steps=100_000,
         )
         states = min(settings.handover_states, 4 * count)
-        self._states = record(self.world.simulator, self._walker, Velocity, walk, states, seed)
+        return self.enter(record(self.world.simulator, self._walker, Velocity, walk, states, seed))
+
+    def enter(self, states: HandOver) -> Starts:
+        """Begin episodes with these states, and return a pose to replace by them."""
+        self._states = states
         # two alike: in one the camera reports in odd steps, in the other in even ones
         return Starts(np.repeat(self.robot.nominal[None], 2, axis=0))
 
     def _put(self, rows: IntArray, state: FloatArray, heading: FloatArray) -> None:
         """Put robots into the walker's states, numbered from 0 to 1, at the origin with (k,) headings."""
-        self._state[rows] = (state * len(self._states)).astype(np.int64)
+        drawn = (state * len(self._states)).astype(np.int64)
+        self._state[rows] = np.where(self.entries[rows] < 0, drawn, self.entries[rows])
         zero = np.zeros_like(heading)
         self._states.begin(self.world, rows, self._state[rows], np.stack([zero, zero, heading], axis=1))
 

@@ -321,6 +321,13 @@ class Task(Plugin, Generic[Settings]):
         """
         del rows, observer
 
+    def skill_over(self, rows: slice | IntArray) -> BoolArray:
+        """Return which of the robots ``rows`` have done what the skill is for, so that another has to take over.
+
+        A skill that goes on until another takes over does not override it.
+        """
+        return np.zeros(len(self.world.steps[rows]), dtype=np.bool_)
+
     def demonstration(self, rows: slice) -> FloatArray | None:
         """Return (k, A) actions to imitate for the next step of the robots ``rows``; None if the task shows none."""
         del rows

@@ -412,6 +412,10 @@ class Dribble(BallTask[DribbleSettings]):
         """Return which robots have fallen, have lost the ball, or have completed the course."""
         return (self._fallen[rows], self._lost[rows], self._done[rows])
 
+    def share_of_speed(self) -> FloatArray:
+        """Return the (n,) speed of the ball along its line, averaged over half a second, as a share of the command."""
+        return along(self._aim, self._flow)[0] / self._speed
+
     # results
 
     def measure(self, rows: IntArray) -> FloatArray:

@@ -282,6 +282,10 @@ class GetUp(Task[GetUpSettings]):
         first = (self._held[rows] == HOLD_STEPS) & (self._stood_at[rows] == 0)
         self._stood_at[rows] = np.where(first, world.steps[rows] - HOLD_STEPS + 1, self._stood_at[rows])
 
+    def skill_over(self, rows: slice | IntArray) -> BoolArray:
+        """Return which robots have stood for long enough."""
+        return self._held[rows] >= HOLD_STEPS
+
     def measure(self, rows: IntArray) -> FloatArray:
         """Return whether the robot stands, and whether it stood in time."""
         stood = self._stood_at[rows]

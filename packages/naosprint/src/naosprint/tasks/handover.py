@@ -13,17 +13,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from naosim.simulator import RobotMotion, Starts
 
+from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.randomness import uniform
 from naosprint.tasks.starts import draw_start_poses
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from naosim.simulator import Simulator
     from naospec import TaskSettings
 
     from naosprint.arrays import FloatArray, IntArray
-    from naosprint.tasks.base import Task, World
+    from naosprint.tasks.base import World
     from naosprint.tasks.frozen import FrozenPolicy
+
+    _State = tuple[RobotMotion, FloatArray, FloatArray]
+    """Motion of one robot, its latest action, and its perceived velocity."""
 
 STATES_PER_RUN = 8
 """States that are recorded of one run."""
@@ -31,6 +37,8 @@ STATES_PER_RUN = 8
 _FIRST, _APART = 60, 40  # steps before the first state of a run, and between two
 _STREAM = 0x4A4D
 _LEAST_HEIGHT, _LEAST_UPRIGHT = 0.8, 0.8
+_FALL_STEPS, _LYING_STEPS = 600, 50
+_LYING_HEIGHT = 0.45
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,9 @@ def record(
 ) -> HandOver:
     """Run a policy and return ``count`` of its states.
 
-    The states follow from seed and number; the number of the simulator's robots does not matter. Robots that have
-    fallen are left out, so there can be fewer states.
+    Those of a task whose skill ends by itself are the states in which it ends, one a run; those of another task are
+    several of each run, at random moments. They follow from seed and number; the number of the simulator's robots does
+    not matter. Robots that have fallen are left out, so there can be fewer states.
 
     Args:
         simulator: robots to run; their starts are replaced.
@@ -77,41 +86,85 @@ def record(
         ValueError: if the policy falls before one of its states can be recorded.
     """
     environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
-    n, runs = simulator.n, -(-count // STATES_PER_RUN)
-    poses = draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed)
-    environment.load_starts(Starts(poses))
+    by_itself = task.skill_over is not Task.skill_over
+    n, runs = simulator.n, count if by_itself else -(-count // STATES_PER_RUN)
+    if by_itself:
+        starts = environment.task.starts(64, seed, settings.start_noise_deg)
+    else:
+        starts = Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed))
+    environment.load_starts(starts)
     velocity = [environment.observer.names.index(f"velocity_{axis}") for axis in "xyz"]
-    found: dict[int, tuple[RobotMotion, FloatArray, FloatArray]] = {}
+    found: dict[int, _State] = {}
     for first in range(0, runs, n):
         numbers = np.arange(first, min(first + n, runs))
         rows = np.arange(len(numbers))
-        environment.restart(rows, numbers % len(poses), episodes=numbers)
-        moments = np.stack(
-            [
-                _FIRST + _APART * k + (_APART * uniform(seed + _STREAM, numbers, np.full(len(numbers), k), 1)[:, 0])
-                for k in range(STATES_PER_RUN)
-            ],
-            axis=1,
-        ).astype(np.int64)
+        environment.restart(rows, numbers % len(starts), episodes=numbers)
+        moments = _moments(numbers, seed)
         active = np.zeros(n, dtype=np.bool_)
         active[rows] = True
-        for step in range(1, int(moments.max()) + 1):
+        for step in range(1, (environment.task.max_steps if by_itself else int(moments.max())) + 1):
             environment.step(policy.act(environment.observer, slice(0, n)), None if active.all() else active)
             active &= ~(environment.terminated | environment.lost)
             world = environment.world
-            due, which = np.nonzero(moments == step)
-            standing = active[due] & (world.rotation(due)[:, 2, 2] > _LEAST_UPRIGHT)
+            if by_itself:
+                due = np.flatnonzero(active & environment.task.skill_over(slice(0, n)))
+                active[due], which = False, np.zeros(len(due), dtype=np.int64)
+            else:
+                due, which = np.nonzero(moments == step)
+            standing = (by_itself | active[due]) & (world.rotation(due)[:, 2, 2] > _LEAST_UPRIGHT)
             standing &= world.position(due)[:, 2] > _LEAST_HEIGHT * simulator.robot.standing_height_m
             due, which = due[standing], which[standing]
-            if not len(due):
-                continue
-            motion, seen = simulator.motion(due), environment.observations[due][:, velocity]
-            for k, (row, moment) in enumerate(zip(due.tolist(), which.tolist(), strict=True)):
-                state = _chosen(motion, np.array([k])), world.actions[row].copy(), seen[k].copy()
-                found[int(numbers[row]) * STATES_PER_RUN + moment] = state
+            if len(due):
+                motion, seen = simulator.motion(due), environment.observations[due][:, velocity]
+                for k, (row, moment) in enumerate(zip(due.tolist(), which.tolist(), strict=True)):
+                    state = _chosen(motion, np.array([k])), world.actions[row].copy(), seen[k].copy()
+                    found[int(numbers[row]) * STATES_PER_RUN + moment] = state
+            if not active.any():
+                break
     kept = [found[number] for number in sorted(found)][:count]
     if not kept:
         raise ValueError(f"policy {policy.name} falls before a state of it can be recorded")
+    return _assembled(kept)
+
+
+def record_fallen(
+    simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: TaskSettings, count: int, seed: int
+) -> HandOver:
+    """Run a policy whose robots are pushed over, and return up to ``count`` states of robots that lie.
+
+    Each is taken a second after the fall, in which the policy has gone on as if nothing had happened. The arguments
+    are those of :func:`record`; the settings have to contain the pushes.
+
+    Raises:
+        ValueError: if no robot falls.
+    """
+    environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
+    n = simulator.n
+    environment.load_starts(Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed)))
+    kept: list[_State] = []
+    for first in range(0, count, n):
+        numbers = np.arange(first, min(first + n, count))
+        rows = np.arange(len(numbers))
+        environment.restart(rows, numbers % 64, episodes=numbers)
+        since = np.zeros(n, dtype=np.int64)  # steps on the ground
+        for _ in range(_FALL_STEPS):
+            environment.step(policy.act(environment.observer, slice(0, n)))
+            low = environment.world.position(slice(0, n))[:, 2] < _LYING_HEIGHT * simulator.robot.standing_height_m
+            since = np.where(low | (since > 0), since + 1, 0)
+            due = rows[since[rows] == _LYING_STEPS]
+            if len(due):
+                motion = simulator.motion(due)
+                kept += [
+                    (_chosen(motion, np.array([k])), environment.world.actions[row].copy(), np.zeros(3))
+                    for k, row in enumerate(due.tolist())
+                ]
+    if not kept:
+        raise ValueError(f"policy {policy.name} does not fall")
+    return _assembled(kept)
+
+
+def _assembled(kept: Sequence[_State]) -> HandOver:
+    """Return states as arrays, turned to +x and moved to the origin."""
     parts = {
         each.name: np.concatenate([getattr(motion, each.name) for motion, *_ in kept]) for each in fields(kept[0][0])
     }
@@ -123,6 +176,15 @@ def record(
         np.array([actions for _, actions, _ in kept]),
         np.array([velocity for *_, velocity in kept]),
     )
+
+
+def _moments(numbers: IntArray, seed: int) -> IntArray:
+    """Return the (k, STATES_PER_RUN) steps of runs after which their states are taken."""
+    moments = [
+        _FIRST + _APART * k + (_APART * uniform(seed + _STREAM, numbers, np.full(len(numbers), k), 1)[:, 0])
+        for k in range(STATES_PER_RUN)
+    ]
+    return np.stack(moments, axis=1).astype(np.int64)
 
 
 def _chosen(motion: RobotMotion, states: IntArray) -> RobotMotion:

@@ -481,6 +481,15 @@ class Kick(BallTask[KickSettings]):
         if len(others):
             self.world.actions[others] = self._walker.act(observer, others)
 
+    @property
+    def touched(self) -> BoolArray:
+        """(n,) robots that have touched the ball."""
+        return self._touched >= 0
+
+    def skill_over(self, rows: slice | IntArray) -> BoolArray:
+        """Return in which robots the walker has to take over."""
+        return self._walks[rows]
+
     def advance(self, rows: slice) -> None:
         """Measure touch, score, falls and ends."""
         settings, world = self.parameters, self.world

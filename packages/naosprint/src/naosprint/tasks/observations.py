@@ -156,10 +156,19 @@ class Observer:
         """
         return Mirror.of_names((*self.names, *self.critic_names), *self._mirror)
 
-    def begin(self, rows: IntArray) -> None:
-        """Compute the first observation of an episode for the robots ``rows``; the others do not change."""
+    def begin(self, rows: IntArray, remembered: Mapping[str, FloatArray] | None = None) -> None:
+        """Compute the first observation of an episode for the robots ``rows``; the others do not change.
+
+        Args:
+            rows: (k,) robots.
+            remembered: (k, ...) values by name of what blocks store, of robots that were in motion before.
+        """
         for block in self._beginning:
             block.begin(rows)  # type: ignore[misc]
+        for name, known in (remembered or {}).items():
+            for block in self.blocks:
+                if name in block.arrays:
+                    block.arrays[name][rows] = known
         values = self._measure(rows)
         self.values[rows] = values
         first = np.zeros((len(rows), self.observations.shape[1]))
