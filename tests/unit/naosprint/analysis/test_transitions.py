@@ -11,8 +11,8 @@ from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.robots import configured
 from naosprint.__main__ import main
-from naosprint.analysis.transitions import FALLEN, Cell, Skill, matrix, skills, table
-from naosprint.tasks.handover import record, record_fallen
+from naosprint.analysis.transitions import LYING, Cell, Skill, matrix, skills, table
+from naosprint.tasks.handover import record, record_lying
 from naosprint.tasks.kick import Kick
 from naosprint.tasks.velocity import Velocity
 
@@ -41,7 +41,7 @@ def test_fallen_robots_lie() -> None:
     walk = skill("walk")
     simulator = simulator_of(walk, 4, Velocity)
     pushed = walk.task_settings.model_copy(update={"push_mps": 4.0, "push_steps": 25})
-    states = record_fallen(simulator, walk.acting, Velocity, pushed, 4, 0)
+    states = record_lying(simulator, walk.acting, Velocity, pushed, 4, 0)
     assert len(states) > 0
     assert states.motion.torso_m[:, 2].max() < 0.5 * simulator.robot.standing_height_m
     simulator.close()
@@ -52,7 +52,7 @@ def test_a_matrix_has_a_cell_for_every_two_skills() -> None:
     cells = list(matrix(members, count=8, engine="fast", threads=1))
     assert [(cell.before, cell.after) for cell in cells] == [
         ("walk", "walk"), ("walk", "kick"), ("kick", "walk"), ("kick", "kick"), ("getup", "walk"), ("getup", "kick"),
-        (FALLEN, "getup"),
+        (LYING, "getup"),
     ]  # fmt: skip
     by_name = {(cell.before, cell.after): cell for cell in cells}
     for pair in (("walk", "walk"), ("kick", "walk"), ("getup", "walk"), ("walk", "kick")):
@@ -62,7 +62,7 @@ def test_a_matrix_has_a_cell_for_every_two_skills() -> None:
 
 
 def test_who_does_not_follow_the_command_has_not_succeeded() -> None:
-    """A walker stays upright that is told to go faster than it can."""
+    """A walker stays upright whose command is faster than it can go."""
     fast = Skill("fast", "t1-run", {**skill("walk").settings, "forward_min_mps": 3.4, "forward_max_mps": 3.4})
     slow = skill("walk")
     cells = {(cell.before, cell.after): cell for cell in matrix([slow, fast], count=4, engine="fast", threads=1)}
@@ -71,10 +71,10 @@ def test_who_does_not_follow_the_command_has_not_succeeded() -> None:
 
 
 def test_the_table_leaves_open_what_was_not_tried() -> None:
-    cells = [Cell("walk", "kick", 3, 4, 4), Cell("walk", "walk", 4, 4, 4), Cell(FALLEN, "getup", 1, 1, 4)]
+    cells = [Cell("walk", "kick", 3, 4, 4), Cell("walk", "walk", 4, 4, 4), Cell(LYING, "getup", 1, 1, 4)]
     assert table(cells) == (
         ["from \\ to", "kick", "walk", "getup"],
-        [["walk", "75", "100", ""], [FALLEN, "", "", "25"]],
+        [["walk", "75", "100", ""], [LYING, "", "", "25"]],
     )
     assert cells[0].to_dict()["interval"][0] < 0.75 < cells[0].to_dict()["interval"][1]
 

@@ -19,9 +19,10 @@ from naosprint.tasks import get
 from naosprint.tasks.ball import BallTask
 from naosprint.tasks.dribble import Dribble
 from naosprint.tasks.environment import Environment
+from naosprint.tasks.falls import FALL
 from naosprint.tasks.frozen import FrozenPolicy, bundled
 from naosprint.tasks.getup import HOLD_STEPS, LIMIT_S, GetUp
-from naosprint.tasks.handover import HandOver, record, record_fallen
+from naosprint.tasks.handover import HandOver, record, record_lying
 from naosprint.tasks.kick import Kick
 from naosprint.tasks.statistics import wilson
 from naosprint.tasks.velocity import Velocity
@@ -40,7 +41,7 @@ ON_COMMAND_MPS = 0.35
 SETTLED_S = 2.0
 """Time after a transition from which a robot has to do what is commanded, seconds."""
 
-FALLEN = "fallen"
+LYING = "lying"
 """Row of robots that were pushed over."""
 
 _PUSH_MPS, _PUSH_STEPS = 4.0, 25
@@ -180,12 +181,12 @@ def matrix(
     up = next((member for member in members if member.spec.task.name == GetUp.name), None)
     walker = next((member for member in members if member.spec.task.name == Velocity.name), None)
     if up is not None and walker is not None:
-        tell(f"{FALLEN} to {up.name}")
+        tell(f"{LYING} to {up.name}")
         with _opened(walker, engine, threads) as simulator:
             pushed = walker.task_settings.model_copy(update={"push_mps": _PUSH_MPS, "push_steps": _PUSH_STEPS})
-            states = record_fallen(simulator, walker.acting, Velocity, pushed, count, seed)
+            states = record_lying(simulator, walker.acting, Velocity, pushed, count, seed)
         with _opened(up, engine, threads) as simulator:
-            yield _transitions(simulator, replace(walker, name=FALLEN), up, states, seed)
+            yield _transitions(simulator, replace(walker, name=LYING), up, states, seed)
 
 
 class _opened:  # used like a function
@@ -264,8 +265,8 @@ def _followed(environment: _Entered, skill: Skill, rows: IntArray, first: int) -
     moved: FloatArray = np.zeros((n, 2))
     for step in range(_LIMITS.get(type(task), _SETTLED + _MEASURED)):
         environment.step(skill.acting.act(environment.observer, slice(0, n)), None if active.all() else active)
-        if "fallen" in environment.ends:
-            upright &= ~(active & environment.ends["fallen"])
+        if FALL.name in environment.ends:
+            upright &= ~(active & environment.ends[FALL.name])
         if isinstance(task, Velocity) and step >= _SETTLED:
             moved += (task.velocity[:, :2] - task.command[:, :2]) / _MEASURED
         if isinstance(task, Kick):

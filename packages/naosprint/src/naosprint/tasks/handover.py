@@ -127,7 +127,7 @@ def record(
     return _assembled(kept)
 
 
-def record_fallen(
+def record_lying(
     simulator: Simulator, policy: FrozenPolicy, task: type[Task], settings: TaskSettings, count: int, seed: int
 ) -> HandOver:
     """Run a policy whose robots are pushed over, and return up to ``count`` states of robots that lie.
