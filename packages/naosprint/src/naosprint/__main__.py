@@ -22,6 +22,8 @@ from naospec.flat import nest, settings
 from pydantic import ValidationError
 from pydantic_core import PydanticUndefined
 
+from naosprint.matches.commands import add_parsers
+from naosprint.matches.game import MatchError
 from naosprint.threads import quiet_openmp
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             message = problem["msg"].removeprefix("Value error, ")
             sys.stderr.write(f"{_flag_at(problem['loc']) or 'error'}: {message}\n")
         return EXIT_USAGE
-    except (OSError, ValueError, ServerLostError, plugins.BrokenPluginError) as error:
+    except (OSError, ValueError, MatchError, ServerLostError, plugins.BrokenPluginError) as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
 
@@ -174,6 +176,8 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--film-seconds", type=float, metavar="S", help="film the first S seconds (default: all)")
     _add_fields(replay, {name: EvaluationSpec.model_fields[name] for name in _REPLAY_FIELDS})
     replay.set_defaults(run=_replay)
+
+    add_parsers(commands, lambda: _stop_on_signals().is_set)
 
     policies = commands.add_parser("policies", help="list the bundled policies", description="List bundled policies.")
     policies.set_defaults(run=_policies)

@@ -120,7 +120,7 @@ class Ball:
         """Take in what is seen; return what is observed of it, and where the ball is behind the aim's direction."""
         self.age, self.unseen = self.age + 1, self.unseen + (self.sightings > 0 or self.age < NEVER)
         if ball is not None and np.isfinite(ball[0]):
-            self._see(position[:2] + (rotation @ self._in_torso(np.asarray(ball, float), *angles[self.head]))[:2])
+            self._see(position[:2] + (rotation @ self.in_torso(np.asarray(ball, float), *angles[self.head]))[:2])
         apart = (self.place - position[:2]) * (self.sightings > 0)
         ahead, left = self._along(yaw, apart)
         along, across = self._along(self.aim, apart)
@@ -134,7 +134,7 @@ class Ball:
         seen.update(aim_sin=np.sin(turn), aim_cos=np.cos(turn), ball_along=along, ball_across=across)
         return seen, turn, along, across
 
-    def _in_torso(self, ball, yaw, pitch):
+    def in_torso(self, ball, yaw, pitch):
         """Return a seen ball in the torso's frame; the server truncates, so half a digit is added."""
         distance, azimuth, elevation = ball + np.copysign(0.005, ball)
         azimuth, elevation = np.radians([azimuth, elevation])

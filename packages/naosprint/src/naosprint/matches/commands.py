@@ -1,0 +1,126 @@
+"""Commands ``match`` and ``team`` of the command line."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import naopolicies
+
+from naosprint.matches.agents import Limits
+from naosprint.matches.game import GameSettings
+from naosprint.matches.log import GameLog
+from naosprint.matches.match import MatchStoppedError, find_teams, log_name, play_match
+from naosprint.matches.results import match_results, table
+from naosprint.matches.teams import skills_of, write_example
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+REPORT = "report"
+_TEAM_HELP = "'example', 'example:walk=POLICY,kick=POLICY,getup=POLICY', or a folder with team.json"
+
+
+def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
+    """Play a match, or report on logs if the first word is ``report``."""
+    first, *others = options.teams
+    if first == REPORT:
+        return _report([Path(each) for each in others], as_json=options.json)
+    if len(others) != 1:
+        raise ValueError("match: name two teams, or 'report' and logs of games")
+    if options.games < 1 or options.parallel < 1:
+        raise ValueError("--games, --parallel: must be at least 1")
+    settings = GameSettings(
+        players=options.players,
+        half_s=options.seconds,
+        limits=Limits(cpu_s=options.cpu_seconds, memory_mb=options.memory_mb),
+    )
+    names = (first, others[0])
+
+    def played(game: int, log: GameLog) -> None:
+        sys.stderr.write(f"game {game}: {log.teams[0]} {log.goals[0]}:{log.goals[1]} {log.teams[1]}\n")
+        for half, notes in enumerate(log.notes.get("halves", []), start=1):
+            for lost in notes["lost"]:
+                who = f"{log.teams[lost['team']]}, player {lost['number']}"
+                sys.stderr.write(f"  half {half}, {lost['clock_s']:.0f} s: lost {who}: {lost['reason']}\n")
+
+    with tempfile.TemporaryDirectory(prefix="naosprint-match-") as scratch:
+        teams = find_teams(names, Path(scratch))
+        shown = (_shown(first), _shown(others[0]))
+        try:
+            logs = play_match(
+                teams,
+                shown,
+                options.games,
+                settings,
+                options.output,
+                parallel=options.parallel,
+                stop=stop,
+                played=played,
+            )
+        except MatchStoppedError:
+            sys.stderr.write(f"stopped; the games that are over are in {options.output}\n")
+            return 1
+    _print(logs, as_json=options.json)
+    return 0
+
+
+def team(options: argparse.Namespace) -> int:
+    """Write the example team to a folder."""
+    if options.folder.exists() and any(options.folder.iterdir()):
+        raise ValueError(f"{options.folder}: is not empty; name a new folder")
+    references = skills_of(options.team)
+    write_example(options.folder, {skill: naopolicies.resolve(each) for skill, each in references.items()})
+    for path in sorted(options.folder.iterdir()):
+        sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def _report(paths: list[Path], *, as_json: bool) -> int:
+    found: list[Path] = []
+    for path in paths:
+        found += sorted(path.glob("game-*.npz")) if path.is_dir() else [path]
+    if not found:
+        raise ValueError(f"match report: name logs of games ({log_name(1)}), or a folder with them")
+    _print([GameLog.load(path) for path in found], as_json=as_json)
+    return 0
+
+
+def _print(logs: list[GameLog], *, as_json: bool) -> None:
+    results = match_results(logs)
+    sys.stdout.write((json.dumps(results, indent=2) if as_json else table(results)) + "\n")
+
+
+def _shown(name: str) -> str:
+    """Return a team's name for people: of a folder its last part."""
+    return Path(name).resolve().name if Path(name).is_dir() else name
+
+
+def add_parsers(commands: Any, stop: Callable[[], Callable[[], bool]]) -> None:
+    """Add the commands; ``stop`` installs the handlers of signals and returns whether one came."""
+    match = commands.add_parser(
+        "match",
+        help="let two teams play on rcssservermj",
+        description="Play games of two teams on real servers, with swapped sides, and print the results; or print "
+        "them again from logs: match report FOLDER.",
+    )
+    match.add_argument("teams", nargs="+", metavar="TEAM", help=f"two teams, each {_TEAM_HELP}; or 'report' and logs")
+    match.add_argument("--games", type=int, default=2, help="number of games (default: 2)")
+    match.add_argument("--players", type=int, default=3, help="players of each team, 1 to 7 (default: 3)")
+    match.add_argument("--seconds", type=float, default=300.0, help="play time of a half (default: 300, at most 300)")
+    match.add_argument("--parallel", type=int, default=1, metavar="N", help="games at a time (default: 1)")
+    match.add_argument("--output", type=Path, default=Path("match"), help="folder for the logs (default: match)")
+    match.add_argument("--cpu-seconds", type=int, default=Limits.cpu_s, help="processor time of an agent in a half")
+    match.add_argument("--memory-mb", type=int, default=Limits.memory_mb, help="memory of an agent, MiB")
+    match.add_argument("--json", action="store_true", help="print the results as JSON")
+    match.set_defaults(run=lambda options: play(options, stop()))
+    write = commands.add_parser(
+        "team", help="write the example team", description="Write the example team to a folder, to change and play it."
+    )
+    write.add_argument("folder", type=Path, help="new folder")
+    write.add_argument("--team", default="example", help="'example' with the policies of its skills")
+    write.set_defaults(run=team)

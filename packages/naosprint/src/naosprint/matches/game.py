@@ -1,0 +1,299 @@
+"""One game on a real rcssservermj: two halves with swapped sides, each on a server of its own, ended by the referee."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from naosim.launchers import ProcessLauncher
+from naosim.mujoco.program import server_launcher
+from naosim.mujoco.world import RCSSSMJ_VERSION
+
+from naosprint.matches.agents import AgentProcess, Limits
+from naosprint.matches.log import GameLog, HalfRecorder, joined
+from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from naosim.launchers import Launcher, ServerHandle
+
+    from naosprint.matches.teams import Team
+
+logger = logging.getLogger(__name__)
+
+RULE_HALF_S = 300
+"""Seconds of a half in the league's rule book."""
+_GAME_OVER = PLAY_MODES.index("GameOver")
+_BEFORE = PLAY_MODES.index("BeforeKickOff")
+_SETTLE_S = 3.0
+"""Simulated seconds from the entry of the last robot to the kick-off; the robots are beamed and stand up in them."""
+_LOOK_S = 1.0
+_QUIET_S = 30.0
+"""Seconds without a frame after which a server has failed: an agent that hangs costs 5, and each has its turn."""
+
+
+class MatchError(RuntimeError):
+    """A game that cannot be played; the message names the team or the server and the reason."""
+
+
+class ServerFailedError(MatchError):
+    """A server that did not start, or ended during a game."""
+
+
+class TeamFailedError(MatchError):
+    """A team of which no player entered the field."""
+
+
+@dataclass(frozen=True)
+class GameSettings:
+    """Settings of a game.
+
+    Attributes:
+        players: players of each team, 1 to 7.
+        half_s: play time of a half, at most the rule book's 300 s.
+        limits: limits of each agent.
+        start_s: seconds in which server and agents have to start.
+        wall_s: seconds that a half may take at most.
+    """
+
+    players: int = 3
+    half_s: float = 300.0
+    limits: Limits = field(default_factory=Limits)
+    start_s: float = 300.0
+    wall_s: float = 14_400.0
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises:
+            ValueError: naming the setting.
+        """
+        if not 1 <= self.players <= 7:
+            raise ValueError(f"players: must be 1 to 7, not {self.players}")
+        if not 1.0 <= self.half_s <= RULE_HALF_S:
+            raise ValueError(f"seconds: a half has 1 to {RULE_HALF_S} seconds, not {self.half_s:g}")
+
+
+def play_game(
+    teams: tuple[Team, Team],
+    names: tuple[str, str],
+    first_left: int,
+    settings: GameSettings,
+    *,
+    on_frame: Callable[[float], None] = lambda _done: None,
+) -> GameLog:
+    """Play a game and return its log.
+
+    Args:
+        teams: both teams.
+        names: their names for people.
+        first_left: team that plays on the left, and kicks off, in the first half; the other does in the second.
+        settings: players, time, limits.
+        on_frame: called with the share of the game that is over; what it raises ends the game.
+
+    Raises:
+        ServerFailedError: a server did not start or ended.
+        TeamFailedError: a team did not enter the field.
+    """
+    halves, notes = [], []
+    for number in range(2):
+
+        def report(done: float, number: int = number) -> None:
+            on_frame((number + done) / 2)
+
+        left = first_left if number == 0 else 1 - first_left
+        with _Half(teams, left, number, settings) as half:
+            halves.append(half.play(report))
+            notes.append(half.notes())
+    summary = {"server": f"rcsssmj {RCSSSMJ_VERSION}", "half_s": settings.half_s, "halves": notes}
+    return joined(halves, names, summary)
+
+
+def _launcher(number: int, half_s: float) -> Launcher:
+    """Return the launcher of a server that plays the last ``half_s`` seconds of a half and then ends the game."""
+    launcher = server_launcher()
+    if not isinstance(launcher, ProcessLauncher):
+        raise MatchError("matches need a server that is a process of this machine; unset NAOSPRINT_RCSSSERVERMJ")
+    play_time = RULE_HALF_S * (number + 1) - half_s
+    more = ("--rules", "ssim", "--phase", str(number), "--time", f"{play_time:g}")
+    return ProcessLauncher(replace(launcher.program, arguments=(*launcher.program.arguments, *more)), launcher.command)
+
+
+class _Half:
+    """One half: a server, its monitor and the agents."""
+
+    def __init__(self, teams: tuple[Team, Team], left: int, number: int, settings: GameSettings) -> None:
+        self._teams, self._left, self._settings = teams, left, settings
+        self._order = (left, 1 - left)
+        """Teams in the order in which they enter: the first plays on the left."""
+        self._names = tuple("left" if team == left else "right" for team in range(2))
+        self._launcher = _launcher(number, settings.half_s)
+        self._server: ServerHandle | None = None
+        self._monitor: _Monitor | None = None
+        self._agents: dict[tuple[str, int], AgentProcess] = {}
+        self._lost: list[dict[str, Any]] = []
+        self._cpu_cycles = 0
+
+    def __enter__(self) -> _Half:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._monitor is not None:
+            self._monitor.close()
+        if self._server is not None:
+            self._server.stop()  # first, so that no agent's end counts as a loss
+        for agent in self._agents.values():
+            agent.stop()
+
+    def play(self, on_frame: Callable[[float], None]) -> HalfRecorder:
+        """Start everything, play until the referee ends the half, and return its frames."""
+        settings = self._settings
+        self._server = self._launcher.start()
+        self._monitor = monitor = _Monitor(self._server, time.monotonic() + settings.start_s)
+        first = self._enter(monitor)
+        roster = [(team, number) for team in range(2) for number in range(1, settings.players + 1)]
+        recorder = HalfRecorder(roster, [(self._names[team], number) for team, number in roster], self._left)
+        kick_off_at, kicked_off = first.time_s + _SETTLE_S, False
+        deadline, looked_at, frame = time.monotonic() + settings.wall_s, 0.0, first
+        while frame.mode != _GAME_OVER:
+            frame = monitor.next(time.monotonic() + _QUIET_S + 5.0 * len(self._agents))
+            if not kicked_off and frame.time_s >= kick_off_at:
+                monitor.send("(kickOff Left)")
+                kicked_off = True
+            if frame.mode != _BEFORE:
+                recorder.add(frame)
+            now = time.monotonic()
+            if now - looked_at > _LOOK_S:
+                looked_at = now
+                self._look(frame)
+                on_frame(min(1.0, len(recorder) * 0.04 / settings.half_s))
+            if now > deadline:
+                raise MatchError(f"the half took more than {settings.wall_s:g} s of wall-clock time")
+        self._look(frame)
+        return recorder
+
+    def _enter(self, monitor: _Monitor) -> Frame:
+        """Start the agents, the left team's first; return the frame in which all that come are on the field."""
+        frame = monitor.next(time.monotonic() + self._settings.start_s)
+        assert self._server is not None
+        for team in self._order:
+            name = self._names[team]
+            for number in range(1, self._settings.players + 1):
+                self._agents[name, number] = AgentProcess(
+                    self._teams[team], name, number, self._settings.players, self._server.address, self._settings.limits
+                )
+            last = team == self._order[1]
+            deadline = time.monotonic() + self._settings.start_s
+            while True:
+                frame = monitor.next(deadline + _QUIET_S)
+                here = {player for player in frame.bodies if player[0] == name}
+                coming = {player for player, agent in self._agents.items() if player[0] == name and agent.alive()}
+                late = time.monotonic() > deadline
+                if not here and (late or not coming):
+                    first = self._agents[name, 1]
+                    raise TeamFailedError(
+                        f"team {'AB'[team]}: no player entered the field; player 1: {first.describe()}"
+                    )
+                if here and (late or not last or coming <= set(frame.bodies)):
+                    break
+        return frame
+
+    def _look(self, frame: Frame) -> None:
+        """Note players that are no longer on the field."""
+        noted = {(each["side"], each["number"]) for each in self._lost}
+        for player, agent in self._agents.items():
+            alive = agent.alive()
+            if player not in noted and (player not in frame.bodies or not alive) and frame.mode != _GAME_OVER:
+                reason = "dropped by the server after 5 s without a message" if alive else agent.describe()
+                team = self._names.index(player[0])
+                self._lost.append(
+                    {"side": player[0], "team": team, "number": player[1], "clock_s": frame.clock_s, "reason": reason}
+                )
+                if alive:
+                    agent.stop()
+        self._cpu_cycles = round(frame.time_s / 0.02)
+
+    def notes(self) -> dict[str, Any]:
+        """Return what happened besides the frames."""
+        enforced: set[str] = set.intersection(*(set(agent.enforced) for agent in self._agents.values()))
+        return {
+            "left": self._left,
+            "lost": self._lost,
+            "enforced": sorted(enforced),
+            "cpu_s": [
+                {"team": self._names.index(name), "number": number, "s": round(agent.cpu_s, 2)}
+                for (name, number), agent in self._agents.items()
+            ],
+            "cycles": self._cpu_cycles,
+        }
+
+
+class _Monitor:
+    """Connection to the monitor port of a server that has run its first cycle."""
+
+    def __init__(self, server: ServerHandle, deadline: float) -> None:
+        self._server, self._stream, self._buffer = server, Stream(), bytearray()
+        pause = threading.Event()
+        while True:
+            if not server.alive() or time.monotonic() > deadline:
+                raise ServerFailedError(f"the server does not start: {server.describe()}")
+            try:
+                if server.owns(server.address.monitor_port):
+                    self._socket = socket.create_connection((server.address.host, server.address.monitor_port), 5.0)
+                    return
+            except OSError as error:
+                logger.debug("monitor port: %s", error)
+            pause.wait(0.1)
+
+    def next(self, deadline: float) -> Frame:
+        """Return the next frame; raise ServerFailedError if the server ends or is silent for too long."""
+        text = self._message(deadline)
+        try:
+            return self._stream.read(text)
+        except StreamError as error:
+            raise ServerFailedError(str(error)) from error
+
+    def send(self, text: str) -> None:
+        """Send a command."""
+        try:
+            self._socket.sendall(len(text).to_bytes(4, "big") + text.encode())
+        except OSError as error:
+            raise ServerFailedError(f"the server ended: {error}; {self._server.describe()}") from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+    def _message(self, deadline: float) -> str:
+        size = int.from_bytes(self._bytes(4, deadline), "big")
+        return self._bytes(size, deadline).decode()
+
+    def _bytes(self, count: int, deadline: float) -> bytes:
+        while len(self._buffer) < count:
+            self._socket.settimeout(1.0)
+            try:
+                data = self._socket.recv(1 << 18)
+            except TimeoutError:
+                if not self._server.alive() or time.monotonic() > deadline:
+                    raise ServerFailedError(f"the server sends nothing: {self._server.describe()}") from None
+                continue
+            except OSError:
+                data = b""
+            if not data:
+                raise ServerFailedError(f"the server ended: {self._server.describe()}")
+            self._buffer += data
+        taken = bytes(self._buffer[:count])
+        del self._buffer[:count]
+        return taken
+
+
+def alternate(games: int) -> Sequence[int]:
+    """Return which team plays on the left in the first half of each game."""
+    return [game % 2 for game in range(games)]

@@ -1,0 +1,102 @@
+"""A match: several games of two teams, who swap the side on which they begin."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from naosprint.matches.game import play_game
+from naosprint.matches.log import GameLog
+from naosprint.matches.teams import find_team
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from naosprint.matches.game import GameSettings
+    from naosprint.matches.teams import Team
+
+
+class MatchStoppedError(Exception):
+    """A match that was stopped on request."""
+
+
+def log_name(game: int) -> str:
+    """Return the name of a game's log; games are counted from 1."""
+    return f"game-{game:03}.npz"
+
+
+def find_teams(names: tuple[str, str], scratch: Path) -> tuple[Team, Team]:
+    """Return the teams that a user names; what has to be written for them goes to ``scratch``."""
+    return (find_team(names[0], scratch / "a"), find_team(names[1], scratch / "b"))
+
+
+def play_match(
+    teams: tuple[Team, Team],
+    names: tuple[str, str],
+    games: int,
+    settings: GameSettings,
+    folder: Path,
+    *,
+    parallel: int = 1,
+    stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda _games: None,
+    played: Callable[[int, GameLog], None] = lambda _game, _log: None,
+) -> list[GameLog]:
+    """Play games and write a log of each to ``folder``; return the logs in order.
+
+    A game whose log is there already is not played again. Team 0 begins on the left in the games with odd numbers.
+
+    Args:
+        teams: both teams.
+        names: their names for people; two teams of the same name get a number.
+        games: number of games.
+        settings: of each game.
+        folder: for the logs; created if need be.
+        parallel: games at a time.
+        stop: whether to end; asked about once a second.
+        progress: called with the number of games played, as a fraction.
+        played: called with number and log of each game that is over.
+
+    Raises:
+        naosprint.matches.game.MatchError: if a game cannot be played; the others are stopped.
+        MatchStoppedError: if ``stop`` returned true.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = names if names[0] != names[1] else (f"{names[0]} 1", f"{names[1]} 2")
+    done = dict.fromkeys(range(1, games + 1), 0.0)
+    failed, lock = threading.Event(), threading.Lock()
+
+    def play(game: int) -> GameLog:
+        path = folder / log_name(game)
+        if not path.exists():
+            log = play_game(teams, shown, (game - 1) % 2, settings, on_frame=lambda share: note(game, share))
+            with tempfile.TemporaryDirectory(dir=folder) as partial:
+                log.save(Path(partial) / path.name)
+                (Path(partial) / path.name).replace(path)
+        log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
+        note(game, 1.0)
+        with lock:
+            played(game, log)
+        return log
+
+    def note(game: int, share: float) -> None:
+        if failed.is_set() or stop():
+            raise MatchStoppedError
+        with lock:
+            done[game] = share
+            progress(sum(done.values()))
+
+    with ThreadPoolExecutor(parallel, thread_name_prefix="game") as pool:
+        futures = [pool.submit(play, game) for game in done]
+        finished, _ = wait(futures, return_when=FIRST_EXCEPTION)
+        errors = [error for future in finished if (error := future.exception()) is not None]
+        if errors:
+            failed.set()
+            for future in futures:
+                future.cancel()
+            # the reason, not what it stopped
+            raise min(errors, key=lambda error: isinstance(error, MatchStoppedError))
+        return [future.result() for future in futures]

@@ -1,0 +1,370 @@
+"""A soccer player on rcssservermj: walks behind the ball, kicks it at the goal, gets up after falls. Needs only NumPy.
+
+    python player.py HOST PORT TEAM NUMBER [PLAYERS]
+
+Beside this file are the exported skills walk.npz, kick.npz and getup.npz and runner.py, which runs them. The player
+uses nothing but what its robot perceives. Everything is in metres, radians and seconds on the team's own field: the
+team plays in the direction of +x, whatever side it has.
+"""
+
+import re
+import select
+import socket
+import sys
+from pathlib import Path
+
+import numpy as np
+from runner import Runner, wrapped
+
+CYCLE_S = 0.02
+GOAL = np.array([27.5, 0.0])  # the opponents'; ours is at -GOAL
+CIRCLE_M = 5.5  # nearer than this to the ball, the referee takes opponents of a free kick off the field
+HOMES = {
+    1: (-25.0, 0.0),
+    2: (-1.2, 0.0),
+    3: (-6.0, 4.0),
+    4: (-6.0, -4.0),
+    5: (-10.0, 8.0),
+    6: (-10.0, -8.0),
+    7: (-14.0, 0.0),
+}
+LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
+KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
+KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
+BEHIND_M = 0.75  # where the striker goes before it turns to the ball
+LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
+
+NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
+JOINT = re.compile(rf"\(HJ \(n (\w+)\)\(ax {NUMBER}\)\(vx {NUMBER}\)\)")
+TORSO = re.compile(r"\(n torso_(?:quat|pos|gyro)\) ?\((?:q|p|rt) ([^)]*)\)")
+BALL = re.compile(rf"\(B \(pol {NUMBER} {NUMBER} {NUMBER}\)\)")
+ROBOT = re.compile(rf"\(P \(team ([^)]*)\) ?\(id (\d+)\) ?\(head \(pol {NUMBER} {NUMBER} {NUMBER}\)\)")
+GAME = re.compile(r"\(pm (\w+)\)(?:\(tl ([^)]*)\))?(?:\(tr ([^)]*)\))?")
+
+
+def turned(angle):
+    """Return the unit vector of a direction."""
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def angle_of(way):
+    """Return the direction of a vector."""
+    return np.arctan2(way[1], way[0])
+
+
+class Memory:
+    """What the robot perceives and remembers."""
+
+    def __init__(self, team, number, camera):
+        self.team, self.number, self.camera = team, number, camera
+        self.side, self.now, self.ball_at, self.robots = 0, 0.0, -1e9, {}
+        self.ball, self.seen, self.velocity, self.mode = np.zeros(2), None, np.zeros(2), "BeforeKickOff"
+
+    def perceive(self, message, names):
+        """Read one message of the server."""
+        self.now += CYCLE_S
+        game = GAME.search(message)
+        self.mode, left = game[1], game[2]
+        self.side = 1.0 if left == self.team else -1.0
+        field = np.array([self.side, self.side, 1.0])
+        joints = {name: (float(angle), float(speed)) for name, angle, speed in JOINT.findall(message)}
+        self.angles, self.speeds = np.array([joints[name] for name in names]).T
+        values = [np.array(text.split(), float) for text in TORSO.findall(message)]
+        self.quaternion, self.position, self.gyro = values
+        self.position = field * self.position
+        if self.side < 0:  # turned by 180 degrees about z: (0, 0, 0, 1) times q
+            w, x, y, z = self.quaternion
+            self.quaternion = np.array([-z, -y, x, w])
+        w, x, y, z = self.quaternion
+        self.yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+        self.up = 1 - 2 * (x * x + y * y)
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        self.rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
+        self.see(message)
+
+    def see(self, message):
+        """Note where ball and robots are."""
+        ball = BALL.search(message)
+        self.seen = None if ball is None else np.array(ball.groups(), float)
+        if self.seen is not None:
+            place, since = self.in_field(self.seen), self.now - self.ball_at
+            velocity = (place - self.ball) / max(since, CYCLE_S) if since < 0.3 else np.zeros(2)
+            self.velocity = self.velocity + 0.3 * (velocity - self.velocity)
+            self.ball, self.ball_at = place, self.now
+        for team, number, *polar in ROBOT.findall(message):
+            self.robots[team == self.team, int(number)] = (self.in_field(np.array(polar, float)), self.now)
+
+    def in_field(self, polar):
+        """Return where something is that the camera sees at (distance, azimuth, elevation in degrees)."""
+        yaw, pitch = np.radians(self.angles[:2])
+        return self.position[:2] + (self.rotation @ self.camera(polar, yaw, pitch))[:2]
+
+    def mates(self, age_s=3.0):
+        """Return where teammates were seen lately, by number."""
+        return {number: place for (own, number), (place, at) in self.robots.items() if own and self.now - at < age_s}
+
+    @property
+    def ours(self):
+        """1 if a set piece is ours, -1 if it is theirs, 0 while the ball is in play."""
+        for name, side in (("left", 1.0), ("right", -1.0)):
+            if self.mode.lower().endswith("_" + name) and not self.mode.startswith("Goal_"):
+                return self.side * side
+        return 0.0
+
+
+class Player:
+    """One player: decides every cycle what its robot does, and which skill does it."""
+
+    def __init__(self, folder, team, number, players):
+        self.number, self.players = number, players
+        self.walk, self.kick, self.getup = (Runner(folder / f"{name}.npz") for name in ("walk", "kick", "getup"))
+        names = [name.replace("e", "j") for name in map(str, self.walk.effector_names)]
+        self.joints = ["q_" + name for name in names]
+        self.world = Memory(team, number, self.kick.kicking.in_torso)
+        self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
+        self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
+
+    # --- what to do -----------------------------------------------------------------------------------------------
+
+    def decide(self):
+        """Return the text that answers the latest message."""
+        world, beam = self.world, ""
+        if world.mode != self.mode:
+            self.note_set_piece()
+            self.beams = 2 if world.mode in ("BeforeKickOff", "Goal_Left", "Goal_Right") else 0
+            self.mode = world.mode
+        if self.beams and world.now > 0.1:
+            self.beams -= 1
+            x, y = self.home()
+            beam = f"(beam {x:.2f} {world.side * y:.2f} 0)"
+            self.change(self.walk)
+            self.rest = 50
+        lies = world.position[2] < LYING_M or world.up < UPRIGHT
+        if self.active is self.getup:
+            self.stood = self.stood + 1 if world.position[2] > 0.58 and world.up > 0.94 else 0
+            if self.stood > 20 or (self.since > 260 and not lies):
+                self.change(self.walk)
+                self.rest = STAND_CYCLES
+            elif self.since > 260:
+                self.change(self.getup)
+        elif lies and not beam:
+            self.change(self.getup)
+        elif self.active is self.kick and (self.kick.kicking.done or self.since > KICK_CYCLES):
+            self.change(self.walk, after=self.kick)
+            self.rest = STAND_CYCLES
+        elif self.active is self.walk and self.rest == 0:
+            self.play()
+        return beam + self.act()
+
+    def change(self, skill, **after):
+        """Continue with another skill, in mid-step if it comes after one that walks."""
+        last = after.pop("after", None)
+        handed = {} if last is None else {"action": last.action, "position": last.position}
+        skill.begin(**handed, **after)
+        self.active, self.since, self.stood, self.command = skill, 0, 0, np.zeros(3)
+
+    def play(self):
+        """Choose the role and what it does now."""
+        world = self.world
+        if self.mode in ("BeforeKickOff", "Goal_Left", "Goal_Right", "GameOver"):
+            self.command = np.zeros(3)
+        elif world.now - world.ball_at > SEARCH_S:
+            self.search()
+        elif world.ours < 0:
+            self.keep_away()
+        elif self.is_striker():
+            self.strike()
+        elif self.number == 1:
+            self.keep_goal()
+        else:
+            self.support()
+
+    def is_striker(self):
+        """Return whether this player goes to the ball: the nearest does, the keeper only near its goal."""
+        world = self.world
+        own = self.cost(self.number, world.position[:2])
+        return all(own <= self.cost(number, place) for number, place in world.mates().items())
+
+    def cost(self, number, place):
+        """Return how far a player of the team is from kicking the ball."""
+        world = self.world
+        ahead = world.ball + 0.5 * world.velocity
+        behind = ahead - BEHIND_M * turned(self.aim())
+        cost = np.hypot(*(behind - place)) - (0.5 if number == self.number else 0.0)
+        if number == 1 and self.players > 1 and np.hypot(*(world.ball + GOAL)) > 9.0:
+            cost += 100.0
+        if number == self.taker and world.now - self.taken_at < 12.0:
+            cost += 50.0  # who takes a set piece must not be the next to touch the ball
+        return cost
+
+    def note_set_piece(self):
+        """Note who has taken a set piece of ours."""
+        world = self.world
+        self.taker = None
+        if (
+            self.world.mode == "PlayOn"
+            and self.mode.lower().rsplit("_", 1)[-1] in ("left", "right")
+            and self.players > 1
+        ):
+            own = (world.side > 0) == self.mode.lower().endswith("left")
+            places = {**world.mates(), self.number: world.position[:2]}
+            if own and not self.mode.startswith("Goal_"):
+                self.taker = min(places, key=lambda number: np.hypot(*(places[number] - world.ball)))
+                self.taken_at = world.now
+
+    def home(self):
+        """Return where the player stands at a kick-off."""
+        x, y = HOMES[self.number if self.players > 1 else 2]
+        theirs = self.world.mode == ("Goal_Left" if self.world.side > 0 else "Goal_Right")
+        before = self.world.mode == "BeforeKickOff" and self.world.side < 0
+        return (min(x, -CIRCLE_M - 1.0), y) if theirs or before else (x, y)
+
+    # --- roles ----------------------------------------------------------------------------------------------------
+
+    def aim(self):
+        """Return the direction in which the ball should go: at the goal, into its middle from afar."""
+        return angle_of(GOAL + np.array([0.5, 0.0]) - self.world.ball)
+
+    def strike(self):
+        """Walk behind the ball and kick it."""
+        world = self.world
+        aim, ball = self.aim(), world.ball + 0.25 * world.velocity
+        way = ball - world.position[:2]
+        ahead, aside = self.along(world.yaw, way)
+        off = wrapped(aim - world.yaw)
+        fresh = world.now - world.ball_at < 0.1 and np.hypot(*world.velocity) < 1.5
+        ready = KICK_AHEAD_M[0] < ahead < KICK_AHEAD_M[1] and abs(aside) < KICK_ASIDE_M and abs(off) < KICK_AIM
+        if ready and fresh and np.hypot(*self.command[:2]) < 1.2:
+            self.change(self.kick, after=self.walk, target=(aim, np.inf))
+            return
+        behind, across = self.along(aim, -way)  # where the robot is, seen from the ball in the direction of the aim
+        if behind > -0.35:  # beside the ball or before it: around it
+            side = np.sign(across) or 1.0
+            target = ball + 0.9 * (side * turned(aim + np.pi / 2) - 0.7 * turned(aim))
+            self.go(target, aim if np.hypot(*(target - world.position[:2])) < 1.0 else None)
+        elif abs(across) > 0.25 or np.hypot(*way) > 1.2:
+            self.go(ball - BEHIND_M * turned(aim), aim)
+        else:
+            self.go(ball - 0.45 * turned(aim), aim, slowest=0.35)
+
+    def support(self):
+        """Stay behind the ball, ready to be the next striker."""
+        world = self.world
+        aside = 3.0 if self.number % 2 else -3.0
+        target = world.ball + np.array([-4.0, aside])
+        self.go(np.clip(target, (-24.0, -16.0), (20.0, 16.0)), angle_of(world.ball - world.position[:2]), near=0.6)
+
+    def keep_goal(self):
+        """Stand between the ball and the goal."""
+        world = self.world
+        way = world.ball + GOAL
+        target = -GOAL + min(2.5, 0.3 * np.hypot(*way)) * way / max(np.hypot(*way), 0.1)
+        self.go(target, angle_of(world.ball - world.position[:2]), near=0.4)
+
+    def keep_away(self):
+        """Stay where the referee leaves opponents of a set piece on the field."""
+        world = self.world
+        if self.number == 1 and self.players > 1:
+            self.keep_goal()
+            return
+        spread = (self.number - 0.5 * self.players) * 2.0
+        away = angle_of(-GOAL - world.ball)
+        target = world.ball + (CIRCLE_M + 1.0) * turned(away) + spread * turned(away + np.pi / 2)
+        if self.mode.startswith("KickOff"):
+            target[0] = min(target[0], -1.0)
+        self.go(np.clip(target, (-26.0, -17.0), (26.0, 17.0)), angle_of(world.ball - world.position[:2]), near=0.6)
+
+    def search(self):
+        """Turn on the spot until the ball is in view."""
+        bearing = wrapped(angle_of(self.world.ball - self.world.position[:2]) - self.world.yaw)
+        self.command = np.array([0.0, 0.0, 1.0 if bearing >= 0 else -1.0])
+
+    # --- walking --------------------------------------------------------------------------------------------------
+
+    def go(self, target, heading=None, near=0.12, slowest=0.0):
+        """Walk to a point: turned ahead from afar, and near it in any direction with the given heading."""
+        world = self.world
+        way = target - world.position[:2]
+        distance = np.hypot(*way)
+        bearing = wrapped(angle_of(way) - world.yaw)
+        if distance < near and heading is not None and abs(wrapped(heading - world.yaw)) < 0.3:
+            self.command = np.zeros(3)
+        elif distance > 1.0 or heading is None:
+            speed = min(2.2, max(0.5, 0.9 * distance)) * max(0.0, np.cos(bearing)) ** 2
+            self.command = np.array([speed, 0.0, np.clip(1.5 * bearing, -1.0, 1.0)])
+        else:
+            ahead, aside = self.along(world.yaw, way)
+            turn = np.clip(1.5 * wrapped(heading - world.yaw), -1.0, 1.0)
+            self.command = np.array([np.clip(1.2 * ahead, slowest, 0.9), np.clip(1.2 * aside, -0.45, 0.45), turn])
+
+    @staticmethod
+    def along(heading, way):
+        """Return a vector's part along a heading and to the left of it."""
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]
+
+    # --- acting ---------------------------------------------------------------------------------------------------
+
+    def act(self):
+        """Return the commands of all joints by the active skill; the head follows the ball."""
+        world, skill = self.world, self.active
+        self.since, self.rest = self.since + 1, max(0, self.rest - 1)
+        more = {}
+        if skill is self.walk and (self.since % 5 == 1 or not self.command.any()):
+            self.sent = self.command
+        if skill is self.walk:
+            more["command"] = self.sent
+        elif skill is self.kick:
+            more["ball"] = world.seen
+        seen = skill.observe(world.position, world.quaternion, world.gyro, world.angles, world.speeds, **more)
+        targets = skill.act(seen)
+        if skill is not self.getup:
+            targets[:2] = self.look()
+        joints = zip(map(str, skill.effector_names), np.degrees(targets), skill.kp, skill.kd)
+        return "".join(f"({name} {target:.3f} 0 {kp:g} {kd:g} 0)" for name, target, kp, kd in joints)
+
+    def look(self):
+        """Return yaw and pitch of the head: to the ball, or around if it is not in view."""
+        world = self.world
+        if self.active is self.kick:
+            return 0.0, LOOK_DOWN
+        way = world.ball - world.position[:2]
+        if world.now - world.ball_at > 0.5:
+            return 1.2 * np.sin(3.0 * world.now), LOOK_AHEAD
+        bearing = wrapped(angle_of(way) - world.yaw)
+        return np.clip(bearing, -1.2, 1.2), LOOK_DOWN if np.hypot(*way) < 2.5 else LOOK_AHEAD
+
+
+def receive(server):
+    """Return the next message."""
+    size = int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big")
+    data = server.recv(size, socket.MSG_WAITALL) if size else b""
+    if not size or len(data) < size:
+        raise ConnectionError("the server closed the connection")
+    return data.decode()
+
+
+def send(server, text):
+    """Send a message."""
+    data = text.encode()
+    server.sendall(len(data).to_bytes(4, "big") + data)
+
+
+def main(host, port, team, number, players="1"):
+    """Play until the server ends the game."""
+    player = Player(Path(__file__).parent, team, int(number), int(players))
+    server = socket.create_connection((host, int(port)))
+    server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    send(server, f"(init {player.walk.model} {team} {number})")
+    try:
+        while True:
+            player.world.perceive(receive(server), player.joints)
+            while select.select([server], [], [], 0)[0]:  # late in real time: the newest message counts
+                player.world.perceive(receive(server), player.joints)
+            send(server, player.decide())
+    except ConnectionError:
+        return
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

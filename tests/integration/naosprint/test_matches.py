@@ -1,0 +1,83 @@
+"""Matches on real rcssservermj processes, with the example team and with agents that fail."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from naosprint.__main__ import main
+from naosprint.matches.game import GameSettings, TeamFailedError
+from naosprint.matches.log import GameLog
+from naosprint.matches.match import play_match
+from naosprint.matches.results import match_results
+from naosprint.matches.stream import PLAY_MODES
+from naosprint.matches.teams import read_team
+
+CRASHING = """
+import socket, sys
+host, port, team, number = sys.argv[1:5]
+def send(text):
+    server.sendall(len(text).to_bytes(4, "big") + text.encode())
+server = socket.create_connection((host, int(port)))
+send(f"(init T1 {team} {number})")
+for cycle in range(10**9):
+    size = int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big")
+    server.recv(size, socket.MSG_WAITALL)
+    if number == "2" and cycle == 250:
+        raise RuntimeError("the knee is broken")
+    send("(he1 0 0 20 1 0)")
+"""
+
+
+def test_a_match_of_the_example_team_and_its_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "logs"
+    teams = ["example", "example:walk=t1-run-robust"]
+    numbers = ["--games", "1", "--players", "1", "--seconds", "6", "--json", "--output", str(folder)]
+    assert main(["match", *teams, *numbers]) == 0
+    played = capsys.readouterr()
+    results = json.loads(played.out)
+    assert main(["match", "report", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == results
+    log = GameLog.load(folder / "game-001.npz")
+    assert log.teams == tuple(teams)
+    assert log.sides == [0, 1]
+    for half in range(2):
+        rows = log.half == half
+        assert PLAY_MODES[log.mode[rows][0]] == "KickOff_Left"
+        assert PLAY_MODES[log.mode[rows][-1]] == "GameOver"
+        assert log.clock_s[rows][-1] == pytest.approx(6.0, abs=0.1)
+    # the team with the kick-off has walked to the ball
+    walker = 0
+    assert log.torso_m[log.half == 0][-1, walker, 0] > log.torso_m[log.half == 0][0, walker, 0] + 0.3
+    assert results["means"][0]["cpu_ms"] > 0.0
+    assert results["means"][0]["lost_players"] == 0.0
+
+
+def write_team(folder: Path, program: str) -> Path:
+    folder.mkdir()
+    (folder / "player.py").write_text(program)
+    command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]
+    (folder / "team.json").write_text(json.dumps({"command": command}))
+    return folder
+
+
+def test_an_agent_that_crashes_loses_its_player_and_not_the_match(tmp_path: Path) -> None:
+    team = read_team(write_team(tmp_path / "crashing", CRASHING))
+    settings = GameSettings(players=2, half_s=4.0)
+    (log,) = play_match((team, team), ("a", "a"), 1, settings, tmp_path / "logs")
+    results = match_results([log])
+    assert results["teams"] == ["a 1", "a 2"]
+    assert [means["lost_players"] for means in results["means"]] == [1.0, 1.0]
+    lost = log.notes["halves"][0]["lost"]
+    assert {each["number"] for each in lost} == {2}
+    assert all("the knee is broken" in each["reason"] for each in lost)
+    robot = log.robots.index((0, 2))
+    assert log.present[0, robot]
+    assert not log.present[log.half == 0][-1, robot]
+
+
+def test_a_team_that_does_not_come_is_named_with_its_words(tmp_path: Path) -> None:
+    team = read_team(write_team(tmp_path / "absent", "raise SystemExit('no licence')"))
+    with pytest.raises(TeamFailedError, match=r"team A: no player entered the field; player 1: .*no licence"):
+        play_match((team, team), ("a", "b"), 1, GameSettings(players=1, half_s=2.0), tmp_path / "logs")
