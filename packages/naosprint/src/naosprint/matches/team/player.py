@@ -120,7 +120,7 @@ class Player:
         self.walk, self.kick, self.getup = (Runner(folder / f"{name}.npz") for name in ("walk", "kick", "getup"))
         names = [name.replace("e", "j") for name in map(str, self.walk.effector_names)]
         self.joints = ["q_" + name for name in names]
-        self.world = Memory(team, number, self.kick.kicking.in_torso)
+        self.world = Memory(team, number, self.kick.ball.in_torso)
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
 
@@ -149,7 +149,7 @@ class Player:
                 self.change(self.getup)
         elif lies and not beam:
             self.change(self.getup)
-        elif self.active is self.kick and (self.kick.kicking.done or self.since > KICK_CYCLES):
+        elif self.active is self.kick and (self.kick.ball.done or self.since > KICK_CYCLES):
             self.change(self.walk, after=self.kick)
             self.rest = STAND_CYCLES
         elif self.active is self.walk and self.rest == 0:
