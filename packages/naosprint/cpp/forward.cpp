@@ -22,7 +22,7 @@ typedef float Unaligned __attribute__((vector_size(4 * kWidth), aligned(4)));
 
 inline Vector load(const float* from) { return *reinterpret_cast<const Unaligned*>(from); }
 inline void store(float* to, Vector value) { *reinterpret_cast<Unaligned*>(to) = value; }
-inline Vector splat(float value) { return Vector{} + value; }
+inline Vector splat(float value) { return value - Vector{}; }  // the sum of 0 and -0 is 0, so adding would take an addition
 
 // tanh to a few units in the last place: rational minimax approximation, as in Eigen. NaN stays NaN.
 inline Vector tanh(Vector x) {

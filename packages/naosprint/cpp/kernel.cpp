@@ -25,9 +25,15 @@ typedef float Vector __attribute__((vector_size(4 * kWidth)));
 typedef float Unaligned __attribute__((vector_size(4 * kWidth), aligned(4)));
 typedef std::int32_t Whole __attribute__((vector_size(4 * kWidth)));
 
+// Ask for numbers that are needed soon.
+inline void prefetch(const float* from, int count) {
+  for (int k = 0; k < count; k += 16) __builtin_prefetch(from + k);
+  __builtin_prefetch(from + count - 1);
+}
+
 inline Vector load(const float* from) { return *reinterpret_cast<const Unaligned*>(from); }
 inline void store(float* to, Vector value) { *reinterpret_cast<Unaligned*>(to) = value; }
-inline Vector splat(float value) { return Vector{} + value; }
+inline Vector splat(float value) { return value - Vector{}; }  // the sum of 0 and -0 is 0, so adding would take an addition
 constexpr int padded(int columns) { return (columns + kPad - 1) / kPad * kPad; }
 
 // C[r, v] (+)= sum over k of A[r, k] B[k, v] for kBlockRows rows and kVectors vectors of columns.
@@ -128,7 +134,7 @@ struct Net {
   std::vector<std::vector<Matrix>> matrices;  // of each layer
   std::vector<std::vector<Tile>> tiles;       // inputs, then the outputs of each layer
   std::vector<float*> bias, bias_gradient;    // of each layer's first half; that of the odd half is zero
-  std::vector<float> output, error;           // of one row, whole
+  std::vector<float> output, error;           // of the rows of a tile, whole
 
   Net(const Network& given, Workspace& workspace) : network(given), halves(given.mirrors.empty() ? 1 : 2) {
     const std::vector<Layer>& layers = network.layers;
@@ -180,7 +186,7 @@ struct Net {
       bias_gradient.push_back(zeros(static_cast<std::size_t>(tiles[l + 1][0].width)));
       for (std::size_t r = 0; r < rows.size(); ++r) bias[l][r] = layer.bias[rows[r].left];
     }
-    output.resize(static_cast<std::size_t>(layers.back().outputs));
+    output.resize(static_cast<std::size_t>(kTile) * layers.back().outputs);
     error.resize(output.size());
   }
 
@@ -261,53 +267,55 @@ struct Net {
     }
   }
 
-  // Add the gradient of all rows. `differentiate(sample, outputs, errors)` fills in the derivatives by one sample's outputs.
-  template <class Differentiate>
-  void pass(const float* observations, const Rows& rows, Differentiate differentiate) {
+  // Add the gradient of all rows. `differentiate(sample, outputs, errors)` fills in the derivatives by one sample's outputs;
+  // `fetch(sample)` asks for the numbers that it will read.
+  template <class Fetch, class Differentiate>
+  void pass(const float* observations, const Rows& rows, Fetch fetch, Differentiate differentiate) {
     for (int first = 0; first < rows.count; first += kTile) {
       const int count = rows.count - first < kTile ? rows.count - first : kTile;
       const std::int64_t* index = rows.index + first;
       gather(observations, index, count);
+      // the rows are anywhere in the rollout: ask for them one tile earlier than they are needed
+      const int whole = network.layers[0].inputs, next = rows.count - first - count < kTile ? rows.count - first - count : kTile;
+      for (int r = 0; r < count; ++r) fetch(index[r]);
+      for (int r = count; r < count + next; ++r) prefetch(observations + index[r] * whole, whole);
       run();
       for (const Tile& tile : tiles.back()) std::memset(tile.errors, 0, sizeof(float) * kTile * tile.width);
-      for (int r = 0; r < count; ++r) {
-        if (halves == 1) {
-          const std::size_t at = static_cast<std::size_t>(r) * tiles.back()[0].width;
-          differentiate(index[r], tiles.back()[0].values + at, tiles.back()[0].errors + at);
-        } else {
-          join(r);
-          differentiate(index[r], output.data(), error.data());
-          part(r);
-        }
-      }
+      const std::size_t width = halves == 1 ? static_cast<std::size_t>(tiles.back()[0].width) : static_cast<std::size_t>(network.layers.back().outputs);
+      const float* outputs = halves == 1 ? tiles.back()[0].values : output.data();
+      float* errors = halves == 1 ? tiles.back()[0].errors : error.data();
+      // row by row, but one step of the work at a time: a processor waits for numbers that were written one by one a moment ago
+      for (int r = 0; halves == 2 && r < count; ++r) join(r, output.data() + r * width);
+      for (int r = 0; r < count; ++r) differentiate(index[r], outputs + r * width, errors + r * width);
+      for (int r = 0; halves == 2 && r < count; ++r) part(r, error.data() + r * width);
       learn();
     }
   }
 
   // Put the outputs of one row together.
-  void join(int row) {
+  void join(int row, float* outputs) const {
     const Mirror& mirror = network.mirrors.back();
     const Tile &even = tiles.back()[0], &odd = tiles.back()[1];
     const float *sums = even.values + static_cast<std::size_t>(row) * even.width, *differences = odd.values + static_cast<std::size_t>(row) * odd.width;
     for (const Mirror::Pair& pair : mirror.pairs) {
-      output[pair.left] = *sums + *differences;
-      output[pair.right] = pair.sign * (*sums++ - *differences++);
+      outputs[pair.left] = *sums + *differences;
+      outputs[pair.right] = pair.sign * (*sums++ - *differences++);
     }
-    for (int single : mirror.even) output[single] = *sums++;
-    for (int single : mirror.odd) output[single] = *differences++;
+    for (int single : mirror.even) outputs[single] = *sums++;
+    for (int single : mirror.odd) outputs[single] = *differences++;
   }
 
   // Take the derivatives of one row apart.
-  void part(int row) {
+  void part(int row, const float* errors) const {
     const Mirror& mirror = network.mirrors.back();
     const Tile &even = tiles.back()[0], &odd = tiles.back()[1];
     float *sums = even.errors + static_cast<std::size_t>(row) * even.width, *differences = odd.errors + static_cast<std::size_t>(row) * odd.width;
     for (const Mirror::Pair& pair : mirror.pairs) {
-      *sums++ = error[pair.left] + pair.sign * error[pair.right];
-      *differences++ = error[pair.left] - pair.sign * error[pair.right];
+      *sums++ = errors[pair.left] + pair.sign * errors[pair.right];
+      *differences++ = errors[pair.left] - pair.sign * errors[pair.right];
     }
-    for (int single : mirror.even) *sums++ = error[single];
-    for (int single : mirror.odd) *differences++ = error[single];
+    for (int single : mirror.even) *sums++ = errors[single];
+    for (int single : mirror.odd) *differences++ = errors[single];
   }
 
   void write_gradient() const {
@@ -405,7 +413,12 @@ ActorResult actor(const Network& network, const float* log_std, float* log_std_g
   double loss = 0.0, kl = 0.0;
   int clipped = 0;
   std::vector<double> spread(static_cast<std::size_t>(actions), 0.0);
-  net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {
+  const auto fetch = [&](std::int64_t sample) {
+    prefetch(rollout.actions + sample * actions, actions);
+    prefetch(rollout.log_probs + sample, 1);
+    prefetch(rollout.advantages + sample, 1);
+  };
+  net.pass(rollout.observations, rows, fetch, [&](std::int64_t sample, const float* output, float* error) {
     const float* action = rollout.actions + sample * actions;
     for (int j = 0; j < actions; ++j) error[j] = (action[j] - output[j]) * precision[j];
     float squares[4] = {};  // explicit, so that the order of summation is fixed
@@ -434,7 +447,8 @@ double critic(const Network& network, const Rollout& rollout, const Rows& rows, 
   Net net(network, workspace);
   const float factor = 2.0f * coefficient / static_cast<float>(rows.count);
   double squares = 0.0;
-  net.pass(rollout.observations, rows, [&](std::int64_t sample, const float* output, float* error) {
+  const auto fetch = [&](std::int64_t sample) { prefetch(rollout.returns + sample, 1); };
+  net.pass(rollout.observations, rows, fetch, [&](std::int64_t sample, const float* output, float* error) {
     const float off = *output - rollout.returns[sample];
     squares += static_cast<double>(off) * static_cast<double>(off);
     *error = factor * off;
