@@ -72,7 +72,7 @@ def test_a_resumed_training_is_one_that_never_stopped(tmp_path: Path, engine: st
 def test_every_cycle_of_moving_robots_is_mj_steps() -> None:
     """A share of what the benchmark holds against MuJoCo."""
     against = runpy.run_path(str(Path(__file__).parents[4] / "benchmarks/engine/against_mujoco.py"))
-    words = [word for name in ("t1-sprint", "t1-getup", "k1-kick") for word in ("--motion", name)]
+    words = [word for name in ("t1-sprint", "t1-getup", "k1-flail", "k1-swing") for word in ("--motion", name)]
     assert against["main"](["--robots", "2", "--cycles", "12", *words]) == 0
     result = against["fuzzed"](against["T1"], 16)
     assert result["changed_by_neighbours"] == result["not_finite_unreported"] == 0 < result["left_to_mujoco"]

@@ -32,6 +32,7 @@ class MujocoBatch:
         truncate: round perceptors toward zero as the server does: torso pose to three decimals, the rest to two.
         threads: threads that step the worlds.
         isa: instruction set of the kernel: ``generic``, ``avx2``, ``avx512``; empty for the best.
+        substeps: substeps of 5 ms in a step; the server's steps have four.
 
     Attributes:
         perceptors: (n, width) arrays by name, in the units of ``robot.perceptors``; every step overwrites them.
@@ -39,7 +40,7 @@ class MujocoBatch:
         rotation: (n, 3, 3) rotations from the torso's frame into the world's.
         bodies: motion of the bodies that the world's scene names, at the end of the step.
         contacts: by part of the robot, (n,) share of the step in which the ball touched it.
-        foot_frames: (n, 4, 2) upward force of the ground on left and right foot in newtons, every 5 ms of the step.
+        foot_frames: (n, substeps, 2) upward force of the ground on left and right foot in newtons, every 5 ms of the step.
         diverged: (n,) worlds whose state is no longer finite; they are not stepped.
         data: the ``MjData`` of every world.
     """
@@ -53,6 +54,7 @@ class MujocoBatch:
         truncate: bool = True,
         threads: int = 1,
         isa: str = "",
+        substeps: int = SUBSTEPS,
     ) -> None:
         from naosim.mujoco._mujoco import Worlds
 
@@ -79,7 +81,7 @@ class MujocoBatch:
             xpos=_addresses(data.xpos.ctypes.data for data in self.data),
             xmat=_addresses(data.xmat.ctypes.data for data in self.data),
             bodies=list(world.moving),
-            substeps=SUBSTEPS,
+            substeps=substeps,
             delay=delay,
             truncate=truncate,
             threads=threads,
