@@ -29,20 +29,23 @@ inline void mark_used(Work& w, int body) {
   for (int b = body; b >= 0; b = kParent[b]) w.used[b] = true;
 }
 
+// The four rows of a contact with impedance rule `c`: D, and the part of -aref that stems from the violation. `speed`: the
+// relative velocity along n, t, s. With -aref = B J v + K imp dist, only the normal has the violation.
+inline void put_rows(const Work& w, Pyramid& p, const Impedance& c, Real dist, Real weight, Vec speed) {
+  Real rest;
+  const Real imp = impedance(c, dist, rest), b = c.b * w.numbers.damping, k = c.k * w.numbers.stiffness;
+  p.d = select(p.exists, pyramid_weight(imp, rest, p.mu, weight), splat(0));
+  p.cn = b * speed.x + k * imp * dist, p.ct = b * speed.y, p.cs = b * speed.z;
+}
+
 // The contact halfway between the floor and the lowest point r of a geom; `number`: which of the geom's points it is.
 inline void put_point(const Shared& m, Work& w, int geom, int number, Vec r, Real dist, Mask exists, Real tx, Real ty) {
-  const Impedance& c = m.floor[geom];
   Point& p = w.pt[w.npt++];
   p.row = points_before(geom) + number, p.body = kGeomBody[geom], p.exists = exists, p.mu = w.numbers.friction[geom];
   p.r = {r.x, r.y, r.z - 0.5 * dist};
   p.tx = tx, p.ty = ty;
-  Real rest;
-  const Real imp = impedance(c, dist, rest);
-  p.d = select(exists, pyramid_weight(imp, rest, p.mu, w.numbers.weight[p.body]), splat(0));
   const Vec v = velocity_at(w.vel[p.body], p.r);
-  p.cn = c.b * v.z + c.k * imp * dist;
-  p.ct = c.b * (tx * v.x + ty * v.y);
-  p.cs = c.b * (tx * v.y - ty * v.x);
+  put_rows(w, p, m.floor[geom], dist, w.numbers.weight[p.body], {v.z, tx * v.x + ty * v.y, tx * v.y - ty * v.x});
   mark_used(w, p.body);
 }
 
@@ -53,54 +56,77 @@ inline Rot axes_of(const Shared& m, const Work& w, int geom) {
   return f[0] == 1.0 && f[4] == 1.0 ? r : times(r, f);
 }
 
-// Geoms against the floor. A box touches with the corners below its centre: one of each of the four opposite pairs. Where the box
-// around a cylinder or a mesh is in the floor, MuJoCo looks for contacts.
+// A box touches with the corners below its centre: one of each of the four opposite pairs. o: its centre.
+inline void box_on_floor(const Shared& m, Work& w, int geom, Vec o, Real height) {
+  const double* size = m.size[geom];
+  const Rot r = axes_of(m, w, geom);
+  const Real zx = r.m[2][0] * size[0], zy = r.m[2][1] * size[1], zz = r.m[2][2] * size[2], one = splat(1);
+  if (!any(height - (abs(zx) + abs(zy) + abs(zz)) < 0.0)) return;
+  for (int p = 0; p < 4; ++p) {
+    // how far the corner is above the centre; below it is the corner or its opposite
+    const double sx = p & 1 ? 1 : -1, sy = p & 2 ? 1 : -1;
+    const Real l = sx * zx + sy * zy - zz, dist = height - abs(l);
+    const Mask exists = dist < 0.0;
+    if (!any(exists)) continue;
+    const double corner[3] = {sx * size[0], sy * size[1], -size[2]};
+    put_point(m, w, geom, p, o + select(l > 0.0, -one, one) * rotate(r, corner), dist, exists, splat(0), one);
+  }
+}
+
+// A sphere touches with its lowest point.
+inline void sphere_on_floor(const Shared& m, Work& w, int geom, Vec o, Real height) {
+  const double radius = m.size[geom][0];
+  const Real dist = height - radius;
+  const Mask exists = dist < 0.0;
+  if (any(exists)) put_point(m, w, geom, 0, {o.x, o.y, o.z - radius}, dist, exists, splat(0), splat(1));
+}
+
+// A capsule touches with the lowest points of the spheres at its ends.
+inline void capsule_on_floor(const Shared& m, const Group& g, Work& w, int geom, Vec o, Real height) {
+  const double *size = m.size[geom], axis[3] = {m.frame[geom][2], m.frame[geom][5], m.frame[geom][8]};
+  const Vec ax = rotate(w.rot[kGeomBody[geom]], axis);
+  if (!any(height - abs(ax.z) * size[1] - size[0] < 0.0)) return;
+  // the first tangent is the horizontal part of the axis, x where there is none
+  const Real n2 = ax.x * ax.x + ax.y * ax.y, n = 1.0 / sqrt(max(n2, splat(1e-30)));
+  const Mask up = n2 < 1e-28;
+  const Real tx = select(up, splat(1), ax.x * n), ty = select(up, splat(0), ax.y * n);
+  for (int s = 1; s >= -1; s -= 2) {
+    const Vec e = o + (s * size[1]) * ax;
+    const Real dist = g.qpos[2] + e.z - size[0];
+    const Mask exists = dist < 0.0;
+    if (any(exists)) put_point(m, w, geom, s < 0, {e.x, e.y, e.z - size[0]}, dist, exists, tx, ty);
+  }
+}
+
+// Half the diagonal of the box around a geom.
+inline double reach_of_hull(const Shared& m, int geom) {
+  const double* h = m.hull[geom];
+  return __builtin_sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2]);
+}
+
+// Lanes in which the box around a cylinder or a mesh is in the floor: there MuJoCo looks for contacts.
+inline Mask hull_in_floor(const Shared& m, const Group& g, const Work& w, int geom) {
+  const int b = kGeomBody[geom];
+  const double* h = m.hull[geom];
+  const Real centre = g.qpos[2] + w.r[b].z + rotate(w.rot[b], m.middle[geom]).z;
+  if (!any(centre < reach_of_hull(m, geom))) return Mask{};
+  const Rot a = axes_of(m, w, geom);
+  return centre - (abs(a.m[2][0]) * h[0] + abs(a.m[2][1]) * h[1] + abs(a.m[2][2]) * h[2]) < 1e-9;
+}
+
+// Geoms against the floor.
 inline void collide_floor(const Shared& m, const Group& g, Work& w) {
-  const Real z0 = g.qpos[2], zero = splat(0), one = splat(1);
   for (int k = 0; k < kGeoms; ++k) {
-    const int b = kGeomBody[k];
-    const double* size = m.size[k];
     if (kGeomShape[k] == kCylinder || kGeomShape[k] == kMesh) {
-      const Real centre = z0 + w.r[b].z + rotate(w.rot[b], m.middle[k]).z;
-      const double reach = __builtin_sqrt(m.hull[k][0] * m.hull[k][0] + m.hull[k][1] * m.hull[k][1] + m.hull[k][2] * m.hull[k][2]);
-      if (!any(centre < reach)) continue;
-      const Rot a = axes_of(m, w, k);
-      w.searched |= centre - (abs(a.m[2][0]) * m.hull[k][0] + abs(a.m[2][1]) * m.hull[k][1] + abs(a.m[2][2]) * m.hull[k][2]) < 1e-9;
+      w.searched |= hull_in_floor(m, g, w, k);
       continue;
     }
-    const Rot r = kGeomShape[k] == kBox ? axes_of(m, w, k) : w.rot[b];
+    const int b = kGeomBody[k];
     const Vec o = w.r[b] + rotate(w.rot[b], m.offset[k]);
-    const Real height = z0 + o.z;
-    if (kGeomShape[k] == kBox) {
-      const Real zx = r.m[2][0] * size[0], zy = r.m[2][1] * size[1], zz = r.m[2][2] * size[2];
-      if (!any(height - (abs(zx) + abs(zy) + abs(zz)) < 0.0)) continue;
-      for (int p = 0; p < 4; ++p) {
-        const double sx = p & 1 ? 1 : -1, sy = p & 2 ? 1 : -1;
-        const Real l = sx * zx + sy * zy - zz, dist = height - abs(l);
-        const Mask exists = dist < 0.0;
-        if (!any(exists)) continue;
-        const double corner[3] = {sx * size[0], sy * size[1], -size[2]};
-        put_point(m, w, k, p, o + select(l > 0.0, -one, one) * rotate(r, corner), dist, exists, zero, one);
-      }
-    } else if (kGeomShape[k] == kSphere) {
-      const Real dist = height - size[0];
-      const Mask exists = dist < 0.0;
-      if (any(exists)) put_point(m, w, k, 0, {o.x, o.y, o.z - size[0]}, dist, exists, zero, one);
-    } else {
-      const double axis[3] = {m.frame[k][2], m.frame[k][5], m.frame[k][8]};
-      const Vec ax = rotate(r, axis);
-      if (!any(height - abs(ax.z) * size[1] - size[0] < 0.0)) continue;
-      // the first tangent is the horizontal part of the capsule's axis
-      const Real n2 = ax.x * ax.x + ax.y * ax.y, n = 1.0 / sqrt(max(n2, splat(1e-30)));
-      const Mask up = n2 < 1e-28;
-      const Real tx = select(up, one, ax.x * n), ty = select(up, zero, ax.y * n);
-      for (int s = 1; s >= -1; s -= 2) {
-        const Vec e = o + (s * size[1]) * ax;
-        const Real dist = z0 + e.z - size[0];
-        const Mask exists = dist < 0.0;
-        if (any(exists)) put_point(m, w, k, s < 0, {e.x, e.y, e.z - size[0]}, dist, exists, tx, ty);
-      }
-    }
+    const Real height = g.qpos[2] + o.z;
+    if (kGeomShape[k] == kBox) box_on_floor(m, w, k, o, height);
+    else if (kGeomShape[k] == kSphere) sphere_on_floor(m, w, k, o, height);
+    else capsule_on_floor(m, g, w, k, o, height);
   }
 }
 
@@ -111,6 +137,7 @@ inline void collide_limits(const Shared& m, const Group& g, Work& w) {
     const Real dl = g.qpos[7 + j] - m.low[j], dh = m.high[j] - g.qpos[7 + j], dist = min(dl, dh);
     const Mask on = dist < 0.0;
     if (!any(on)) continue;
+    // J is 1 at the lower limit, -1 at the upper; 1 / D = (1 - imp) / imp times the joint's inverse weight
     Real rest;
     const Real imp = impedance(m.limit, dist, rest), s = select(dl < dh, splat(1), splat(-1));
     const int k = w.nlim++;
@@ -231,81 +258,92 @@ inline Mask separated(Vec d, const Rot& A, const double* sa, bool cylinder_a, co
   return found;
 }
 
-// Self contacts of spheres and capsules. Where boxes, or the boxes around other shapes, are touched, MuJoCo looks for contacts.
-inline void collide_self(const Shared& m, Work& w) {
-  const auto reach = [&](int k) {
-    const double* s = is_round(k) ? m.size[k] : m.hull[k];
-    return kGeomShape[k] == kSphere ? s[0] : kGeomShape[k] == kCapsule ? s[0] + s[1] : __builtin_sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
-  };
+// The geoms of a group: centres, half axes of capsules, axes of what is not round, and radii of the spheres around them.
+struct Placed {
   Rot axes[kGeoms];
   Vec o[kGeoms], ax[kGeoms];
-  double farthest[kGeoms];
+  double reach[kGeoms];
+};
+inline void place_geoms(const Shared& m, const Work& w, Placed& at) {
   for (int k = 0; k < kGeoms; ++k) {
     const int b = kGeomBody[k];
-    o[k] = w.r[b] + rotate(w.rot[b], is_round(k) ? m.offset[k] : m.middle[k]);
-    if (!is_round(k)) axes[k] = axes_of(m, w, k);
-    const double axis[3] = {m.frame[k][2] * m.size[k][1], m.frame[k][5] * m.size[k][1], m.frame[k][8] * m.size[k][1]};
-    ax[k] = kGeomShape[k] == kCapsule ? rotate(w.rot[b], axis) : zero_vec();
-    farthest[k] = reach(k);
+    const double* s = m.size[k];
+    at.o[k] = w.r[b] + rotate(w.rot[b], is_round(k) ? m.offset[k] : m.middle[k]);
+    if (!is_round(k)) at.axes[k] = axes_of(m, w, k);
+    const double axis[3] = {m.frame[k][2] * s[1], m.frame[k][5] * s[1], m.frame[k][8] * s[1]};
+    at.ax[k] = kGeomShape[k] == kCapsule ? rotate(w.rot[b], axis) : zero_vec();
+    at.reach[k] = kGeomShape[k] == kSphere ? s[0] : kGeomShape[k] == kCapsule ? s[0] + s[1] : reach_of_hull(m, k);
   }
+}
+
+// Lanes in which two geoms may touch, of which g2 is not round: there MuJoCo looks for contacts. d = o1 - o2.
+inline Mask may_touch(const Shared& m, const Placed& at, int g1, int g2, Vec d) {
+  const double *h1 = m.hull[g1], *h2 = m.hull[g2];
+  if (is_round(g1)) return near_box(inverse_rotate(at.axes[g2], d), inverse_rotate(at.axes[g2], at.ax[g1]), m.size[g1][0], h2);
+  Mask touch = boxes_touch(at.axes[g1], at.axes[g2], d, h1, h2);
+  const bool c1 = kGeomShape[g1] == kCylinder, c2 = kGeomShape[g2] == kCylinder;
+  if ((c1 || c2) && any(touch)) touch &= ~separated(d, at.axes[g1], h1, c1, at.axes[g2], h2, c2);
+  return touch;
+}
+
+// Where two segments o + x a, x in [-1, 1], are nearest, as mjraw_CapsuleCapsule; the first may be a point. d = o1 - o2.
+inline void nearest(Vec d, Vec a1, Vec a2, bool point, Real& x1, Real& x2) {
+  const Real one = splat(1), ma = dot(a1, a1), mb = -dot(a1, a2), mc = dot(a2, a2), u = -dot(a1, d), v = dot(a2, d);
+  x1 = splat(0);
+  if (point) {
+    x2 = clamp(v / mc, -one, one);
+    return;
+  }
+  // of the two lines
+  const Real det = 1.0 / (ma * mc - mb * mb);
+  x1 = (mc * u - mb * v) * det, x2 = (ma * v - mb * u) * det;
+  // where the first ends, the point of the second line that is nearest to its end
+  Mask high = x1 > 1.0, low = x1 < -1.0;
+  x2 = select(high, (v - mb) / mc, select(low, (v + mb) / mc, x2));
+  x1 = select(high, one, select(low, -one, x1));
+  // where the second ends, the point of the first segment that is nearest to its end
+  high = x2 > 1.0, low = x2 < -1.0;
+  x1 = select(high, clamp((u - mb) / ma, -one, one), select(low, clamp((u + mb) / ma, -one, one), x1));
+  x2 = select(high, one, select(low, -one, x2));
+}
+
+// The contact of two spheres or capsules. `row`: where the robot's memory has it.
+inline void round_contact(const Shared& m, Work& w, const Placed& at, int g1, int g2, int row, Vec d) {
+  Real x1, x2;
+  nearest(d, at.ax[g1], at.ax[g2], kGeomShape[g1] == kSphere, x1, x2);
+  const Vec p1 = at.o[g1] + x1 * at.ax[g1], e = (at.o[g2] + x2 * at.ax[g2]) - p1;
+  const Real len2 = dot(e, e);
+  const double radius = m.size[g1][0], near = radius + m.size[g2][0];
+  const Mask exists = len2 < near * near;
+  if (!any(exists)) return;
+  const int a = kGeomBody[g1], b = kGeomBody[g2];
+  const Real len = sqrt(len2), dist = len - near;
+  Pair& p = w.pr[w.npr++];
+  p.row = row, p.a = a, p.b = b, p.exists = exists, p.level = kBetween.of[a][b].level;
+  p.n = (1.0 / len) * e;
+  p.r = p1 + (radius + 0.5 * dist) * p.n;
+  frame_of(p.n, p.t, p.s);
+  p.mu = max(w.numbers.friction[g1], w.numbers.friction[g2]);
+  const Vec v = velocity_at(w.vel[b], p.r) - velocity_at(w.vel[a], p.r);
+  put_rows(w, p, m.pair[g1][g2], dist, w.numbers.weight[a] + w.numbers.weight[b], {dot(p.n, v), dot(p.t, v), dot(p.s, v)});
+  mark_used(w, a), mark_used(w, b);
+  if (p.level > w.pattern) w.pattern = p.level;
+}
+
+// Self contacts of spheres and capsules. Where boxes, or the boxes around other shapes, are touched, MuJoCo looks for contacts.
+inline void collide_self(const Shared& m, Work& w) {
+  Placed at;
+  place_geoms(m, w, at);
   for (int i = 0; i < kGeoms; ++i)
     for (int j = i + 1; j < kGeoms; ++j) {
       if (m.collides[i][j] == 0.0) continue;
       const bool swapped = kGeomShape[i] > kGeomShape[j];  // the simpler shape first, as in MuJoCo
       const int g1 = swapped ? j : i, g2 = swapped ? i : j;
-      const Vec d = o[g1] - o[g2];
-      const double apart = farthest[g1] + farthest[g2];
+      const Vec d = at.o[g1] - at.o[g2];
+      const double apart = at.reach[g1] + at.reach[g2];
       if (!any(dot(d, d) < apart * apart)) continue;
-      const int a = kGeomBody[g1], b = kGeomBody[g2];
-      const double *s1 = m.size[g1], *s2 = m.size[g2];
-      if (!is_round(g2)) {
-        if (!is_round(g1)) {
-          const bool c1 = kGeomShape[g1] == kCylinder, c2 = kGeomShape[g2] == kCylinder;
-          Mask touch = boxes_touch(axes[g1], axes[g2], d, m.hull[g1], m.hull[g2]);
-          if ((c1 || c2) && any(touch)) touch &= ~separated(d, axes[g1], m.hull[g1], c1, axes[g2], m.hull[g2], c2);
-          w.searched |= touch;
-        }
-        else w.searched |= near_box(inverse_rotate(axes[g2], d), inverse_rotate(axes[g2], ax[g1]), s1[0], m.hull[g2]);
-        continue;
-      }
-      // nearest points of two segments o + x ax, x in [-1, 1], as mjraw_CapsuleCapsule
-      const Vec a1 = ax[g1], a2 = ax[g2];
-      const Real one = splat(1), ma = dot(a1, a1), mb = -dot(a1, a2), mc = dot(a2, a2), u = -dot(a1, d), v = dot(a2, d);
-      Real x1 = splat(0), x2;
-      if (kGeomShape[g1] == kSphere) {
-        x2 = clamp(v / mc, -one, one);
-      } else {
-        const Real det = 1.0 / (ma * mc - mb * mb);
-        x1 = (mc * u - mb * v) * det, x2 = (ma * v - mb * u) * det;
-        Mask high = x1 > 1.0, low = x1 < -1.0;
-        x2 = select(high, (v - mb) / mc, select(low, (v + mb) / mc, x2));
-        x1 = select(high, one, select(low, -one, x1));
-        high = x2 > 1.0, low = x2 < -1.0;
-        x1 = select(high, clamp((u - mb) / ma, -one, one), select(low, clamp((u + mb) / ma, -one, one), x1));
-        x2 = select(high, one, select(low, -one, x2));
-      }
-      const Vec p1 = o[g1] + x1 * a1, e = (o[g2] + x2 * a2) - p1;
-      const Real len2 = dot(e, e);
-      const double near = s1[0] + s2[0];
-      const Mask exists = len2 < near * near;
-      if (!any(exists)) continue;
-      const Real len = sqrt(len2), dist = len - near;
-      const Impedance& c = m.pair[g1][g2];
-      Pair& p = w.pr[w.npr++];
-      p.row = pair_row(i, j), p.a = a, p.b = b, p.exists = exists, p.level = kBetween.of[a][b].level;
-      p.n = (1.0 / len) * e;
-      p.r = p1 + (s1[0] + 0.5 * dist) * p.n;
-      frame_of(p.n, p.t, p.s);
-      Real rest;
-      const Real imp = impedance(c, dist, rest);
-      p.mu = max(w.numbers.friction[g1], w.numbers.friction[g2]);
-      p.d = select(exists, pyramid_weight(imp, rest, p.mu, w.numbers.weight[a] + w.numbers.weight[b]), splat(0));
-      const Vec v_ab = velocity_at(w.vel[b], p.r) - velocity_at(w.vel[a], p.r);
-      p.cn = c.b * dot(p.n, v_ab) + c.k * imp * dist;
-      p.ct = c.b * dot(p.t, v_ab);
-      p.cs = c.b * dot(p.s, v_ab);
-      mark_used(w, a), mark_used(w, b);
-      if (p.level > w.pattern) w.pattern = p.level;
+      if (is_round(g2)) round_contact(m, w, at, g1, g2, pair_row(i, j), d);
+      else w.searched |= may_touch(m, at, g1, g2, d);
     }
 }
 
@@ -322,50 +360,52 @@ inline Contact& contact_of(Work& w, long key, int a, int b, int dim) {
   return c;
 }
 
+// The ball's contact with the floor, in six dimensions.
+inline void ball_on_floor(const Shared& m, const Group& g, Work& w) {
+  const double radius = m.ball.radius;
+  const Real dist = g.ball[2] - radius, z = splat(0), one = splat(1);
+  const Mask exists = dist < 0.0;
+  if (!any(exists)) return;
+  Contact& c = contact_of(w, 0, -1, kBall, 6);
+  c.exists = exists;
+  c.ball = {z, z, -radius - 0.5 * dist};
+  c.n = {z, z, one}, c.t = {z, one, z}, c.s = {-one, z, z};
+  for (int k = 0; k < 5; ++k) c.mu[k] = splat(m.ball.friction[k]);
+  const Impedance& p = m.ball.floor;
+  Real rest;
+  const Real imp = impedance(p, dist, rest);
+  c.d = select(exists, pyramid_weight(imp, rest, c.mu[0], splat(1.0 / m.ball.mass)), z);
+  const Vec spin = load(g.qvel + kSpeeds + 3), at = load(g.qvel + kSpeeds) + cross(spin, c.ball);
+  c.c[0] = p.b * at.z + p.k * imp * dist;
+  c.c[1] = p.b * at.y, c.c[2] = -(p.b * at.x), c.c[3] = p.b * spin.z, c.c[4] = p.b * spin.y, c.c[5] = -(p.b * spin.x);
+}
+
+// Lanes in which the ball may touch a geom.
+inline Mask ball_near(const Shared& m, const Work& w, int geom) {
+  const Rot& body = w.rot[kGeomBody[geom]];
+  const Vec d = w.ball - w.r[kGeomBody[geom]];
+  const double radius = m.ball.radius;
+  if (!is_round(geom)) {
+    const Vec e = d - rotate(body, m.middle[geom]);
+    const double reach = reach_of_hull(m, geom) + radius;
+    if (!any(dot(e, e) < reach * reach)) return Mask{};
+    return near_box(inverse_rotate(axes_of(m, w, geom), e), zero_vec(), radius, m.hull[geom]);
+  }
+  const double length = kGeomShape[geom] == kCapsule ? m.size[geom][1] : 0.0, reach = m.size[geom][0] + length + radius;
+  const Vec e = d - rotate(body, m.offset[geom]);
+  if (!any(dot(e, e) < reach * reach)) return Mask{};
+  const double axis[3] = {m.frame[geom][2], m.frame[geom][5], m.frame[geom][8]};
+  const Vec ax = rotate(body, axis), f = e - clamp(dot(ax, e), splat(-length), splat(length)) * ax;
+  const double near = m.size[geom][0] + radius + 1e-9;
+  return dot(f, f) < near * near;
+}
+
 // The ball on the floor; near the robot or a goal, MuJoCo looks for contacts. So it does near goals for the robot.
 inline void collide_ball(const Shared& m, const Group& g, Work& w) {
   for (Mask& part : w.touching) part = Mask{};
-  const Vec place = load(g.ball);
-  const double radius = m.ball.radius;
-  const Real dist = place.z - radius;
-  const Mask exists = dist < 0.0;
-  if (any(exists)) {
-    Contact& c = contact_of(w, 0, -1, kBall, 6);
-    const Impedance& p = m.ball.floor;
-    const Real* v = g.qvel + kSpeeds;
-    Real rest;
-    const Real imp = impedance(p, dist, rest), z = splat(0), one = splat(1);
-    c.exists = exists;
-    c.ball = {z, z, -radius - 0.5 * dist};
-    c.n = {z, z, one}, c.t = {z, one, z}, c.s = {-one, z, z};
-    for (int k = 0; k < 5; ++k) c.mu[k] = splat(m.ball.friction[k]);
-    c.d = select(exists, pyramid_weight(imp, rest, c.mu[0], splat(1.0 / m.ball.mass)), z);
-    const Vec at = load(v) + cross(load(v + 3), c.ball), spin = load(v + 3);
-    c.c[0] = p.b * at.z + p.k * imp * dist;
-    c.c[1] = p.b * at.y, c.c[2] = -(p.b * at.x), c.c[3] = p.b * spin.z, c.c[4] = p.b * spin.y, c.c[5] = -(p.b * spin.x);
-  }
+  ball_on_floor(m, g, w);
   if (any(dot(w.ball, w.ball) < 4.0))
-    for (int k = 0; k < kGeoms; ++k) {
-      const Rot& body = w.rot[kGeomBody[k]];
-      const Vec d = w.ball - w.r[kGeomBody[k]];
-      if (is_round(k)) {  // as near to the box around it
-        const Vec e = d - rotate(body, m.offset[k]);
-        const double reach = m.size[k][0] + (kGeomShape[k] == kCapsule ? m.size[k][1] : 0.0) + radius;
-        if (!any(dot(e, e) < reach * reach)) continue;
-        const double axis[3] = {m.frame[k][2], m.frame[k][5], m.frame[k][8]};
-        const Vec ax = rotate(body, axis);
-        const Real half = splat(kGeomShape[k] == kCapsule ? m.size[k][1] : 0.0), along = clamp(dot(ax, e), -half, half);
-        const Vec f = e - along * ax;
-        const double near = m.size[k][0] + radius + 1e-9;
-        w.searched |= dot(f, f) < near * near;
-      } else {
-        const Vec e = d - rotate(body, m.middle[k]);
-        const double* h = m.hull[k];
-        const double reach = __builtin_sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2]) + radius;
-        if (!any(dot(e, e) < reach * reach)) continue;
-        w.searched |= near_box(inverse_rotate(axes_of(m, w, k), e), zero_vec(), radius, h);
-      }
-    }
+    for (int k = 0; k < kGeoms; ++k) w.searched |= ball_near(m, w, k);
   for (int k = 0; k < m.goals; ++k) {
     const double* low = m.goal[k];
     const double* high = low + 3;
@@ -373,7 +413,7 @@ inline void collide_ball(const Shared& m, const Group& g, Work& w) {
       return (p.x > low[0] - reach) & (p.x < high[0] + reach) & (p.y > low[1] - reach) & (p.y < high[1] + reach) & (p.z > low[2] - reach) &
              (p.z < high[2] + reach);
     };
-    w.searched |= within(place, radius + 1e-9) | within(load(g.qpos), kReach);
+    w.searched |= within(load(g.ball), m.ball.radius + 1e-9) | within(load(g.qpos), kReach);
   }
 }
 
@@ -385,6 +425,47 @@ struct Found {
 static_assert(sizeof(Found) == 576, "mjContact has another size");
 constexpr std::size_t kCount = 161576, kContacts = 162432;
 
+// The impedance rule of a contact that MuJoCo found, from its solref and solimp.
+inline Impedance rule_of(const Found& f, double step) {
+  Impedance p = {std::min(std::max(f.solimp[0], 1e-4), 0.9999), std::min(std::max(f.solimp[1], 1e-4), 0.9999), f.solimp[2], 0.0, 0.0};
+  if (f.solref[0] > 0.0) {
+    const double time = std::max(f.solref[0], 2.0 * step);
+    p.k = 1.0 / (p.d1 * p.d1 * time * time * f.solref[1] * f.solref[1]), p.b = 2.0 / (p.d1 * time);
+  } else {  // stiffness and damping themselves
+    p.k = -f.solref[0] / (p.d1 * p.d1), p.b = -f.solref[1] / p.d1;
+  }
+  return p;
+}
+
+// Add a contact that MuJoCo found for one lane, of bodies a and b.
+inline void put_found(const Shared& m, const Library& mujoco, const Robot& robot, const Group& g, Work& w, int lane, const Found& f, int a, int b, int same) {
+  Contact& c = contact_of(w, (long(f.geom[0]) * 1024 + f.geom[1] + 1) * 64 + same, a, b, f.dim);
+  c.exists[lane] = -1;
+  // the point about the torso's origin and about the ball's centre, and the frame
+  const auto put = [&](Vec& to, const double* from) { to.x[lane] = from[0], to.y[lane] = from[1], to.z[lane] = from[2]; };
+  double r[3], ball[3];
+  for (int k = 0; k < 3; ++k) r[k] = f.pos[k] - robot.qpos[k], ball[k] = robot.ball_qpos != nullptr ? f.pos[k] - robot.ball_qpos[k] : 0.0;
+  put(c.r, r), put(c.ball, ball), put(c.n, f.frame), put(c.t, f.frame + 3), put(c.s, f.frame + 6);
+  for (int k = 0; k < f.dim - 1; ++k) c.mu[k][lane] = f.friction[k];
+  // D of its rows
+  const Impedance p = rule_of(f, mujoco.step);
+  Real rest;
+  const Real imp = impedance(p, splat(f.dist), rest);
+  const auto weight = [&](int body) { return body < 0 ? 0.0 : body == kBall ? 1.0 / m.ball.mass : w.numbers.weight[body][lane]; };
+  c.d[lane] = pyramid_weight(imp, rest, splat(f.friction[0]), splat(weight(a) + weight(b)))[lane];
+  // -aref = B J v + K imp dist, of the motion of b at the point relative to that of a
+  const auto motion = [&](int body, Vec& v, Vec& spin) {
+    v = spin = zero_vec();
+    if (body == kBall) spin = load(g.qvel + kSpeeds + 3), v = load(g.qvel + kSpeeds) + cross(spin, c.ball);
+    else if (body >= 0) spin = w.vel[body].w, v = velocity_at(w.vel[body], c.r);
+  };
+  Vec va, wa, vb, wb;
+  motion(a, va, wa), motion(b, vb, wb);
+  const Vec v = vb - va, spin = wb - wa;
+  const Real along[6] = {dot(c.n, v), dot(c.t, v), dot(c.s, v), dot(c.n, spin), dot(c.t, spin), dot(c.s, spin)};
+  for (int k = 0; k < f.dim; ++k) c.c[k][lane] = p.b * along[k][lane] + (k ? 0.0 : p.k * imp[lane] * f.dist);
+}
+
 // Let MuJoCo find the contacts that are not computed above, and add them to the lane's.
 inline void search(const Shared& m, const Library& mujoco, const Robot& robot, const Group& g, Work& w, int lane) {
   mujoco.kinematics(robot.model, robot.data);
@@ -392,50 +473,24 @@ inline void search(const Shared& m, const Library& mujoco, const Robot& robot, c
   const char* data = static_cast<const char*>(robot.data);
   const int count = *reinterpret_cast<const int*>(data + kCount);
   const Found* found = *reinterpret_cast<const Found* const*>(data + kContacts);
+  // the kernel's number of a geom, kGeoms of the ball, -1 of the surroundings; and of its body
   const auto geom_of = [&](int id) { return id >= mujoco.first_geom ? id - mujoco.first_geom : id == mujoco.ball ? kGeoms : -1; };
-  int same = 0;
+  const auto body_of = [](int k) { return k < 0 ? -1 : k == kGeoms ? kBall : kGeomBody[k]; };
+  const auto plain = [](int k) { return k >= 0 && k < kGeoms && is_round(k); };
+  int same = 0;  // number of the contact among those of its two geoms
   for (int i = 0; i < count; ++i) {
     const Found& f = found[i];
     same = i && f.geom[0] == found[i - 1].geom[0] && f.geom[1] == found[i - 1].geom[1] ? same + 1 : 0;
     const int ga = geom_of(f.geom[0]), gb = geom_of(f.geom[1]);
-    const auto plain = [](int k) { return k >= 0 && k < kGeoms && is_round(k); };
+    // those of spheres and capsules, and what of boxes and the ball touches the floor, are known
     const bool floor = f.geom[0] == 0;
     if (f.exclude || (plain(ga) && plain(gb)) || (floor && (gb == kGeoms || plain(gb) || (gb >= 0 && kGeomShape[gb] == kBox)))) continue;
-    const auto body_of = [](int k) { return k < 0 ? -1 : k == kGeoms ? kBall : kGeomBody[k]; };
     const int a = body_of(ga), b = body_of(gb);
-    Contact& c = contact_of(w, (long(f.geom[0]) * 1024 + f.geom[1] + 1) * 64 + same, a, b, f.dim);
-    const auto put = [&](Vec& to, const double* from) { to.x[lane] = from[0], to.y[lane] = from[1], to.z[lane] = from[2]; };
-    c.exists[lane] = -1;
-    double r[3], ball[3];
-    for (int k = 0; k < 3; ++k) r[k] = f.pos[k] - robot.qpos[k], ball[k] = robot.ball_qpos != nullptr ? f.pos[k] - robot.ball_qpos[k] : 0.0;
-    put(c.r, r), put(c.ball, ball), put(c.n, f.frame), put(c.t, f.frame + 3), put(c.s, f.frame + 6);
-    for (int k = 0; k < f.dim - 1; ++k) c.mu[k][lane] = f.friction[k];
-    Impedance p = {std::min(std::max(f.solimp[0], 1e-4), 0.9999), std::min(std::max(f.solimp[1], 1e-4), 0.9999), f.solimp[2], 0.0, 0.0};
-    if (f.solref[0] > 0.0) {
-      const double time = std::max(f.solref[0], 2.0 * mujoco.step);
-      p.k = 1.0 / (p.d1 * p.d1 * time * time * f.solref[1] * f.solref[1]), p.b = 2.0 / (p.d1 * time);
-    } else {
-      p.k = -f.solref[0] / (p.d1 * p.d1), p.b = -f.solref[1] / p.d1;
-    }
-    Real rest;
-    const Real imp = impedance(p, splat(f.dist), rest);
-    const auto weight = [&](int body) { return body < 0 ? 0.0 : body == kBall ? 1.0 / m.ball.mass : w.numbers.weight[body][lane]; };
-    c.d[lane] = pyramid_weight(imp, rest, splat(f.friction[0]), splat(weight(a) + weight(b)))[lane];
-    const auto motion = [&](int body, Vec& v, Vec& spin) {  // of the point of contact
-      v = spin = zero_vec();
-      if (body == kBall) spin = load(g.qvel + kSpeeds + 3), v = load(g.qvel + kSpeeds) + cross(spin, c.ball);
-      else if (body >= 0) spin = w.vel[body].w, v = velocity_at(w.vel[body], c.r);
-    };
-    Vec va, wa, vb, wb;
-    motion(a, va, wa), motion(b, vb, wb);
-    const Vec v = vb - va, spin = wb - wa;
-    const Real along[6] = {dot(c.n, v), dot(c.t, v), dot(c.s, v), dot(c.n, spin), dot(c.t, spin), dot(c.s, spin)};
-    for (int k = 0; k < f.dim; ++k) c.c[k][lane] = p.b * along[k][lane] + (k ? 0.0 : p.k * imp[lane] * f.dist);
-    if (a == kBall || b == kBall) {
-      const int other = a == kBall ? b : a;
-      for (int part = 0; other >= 0 && part < int(m.ball.count); ++part)
-        if (int(m.ball.parts[other]) >> part & 1) w.touching[part][lane] -= 1;
-    }
+    put_found(m, mujoco, robot, g, w, lane, f, a, b, same);
+    if (a != kBall && b != kBall) continue;
+    const int other = a == kBall ? b : a;
+    for (int part = 0; other >= 0 && part < int(m.ball.count); ++part)
+      if (int(m.ball.parts[other]) >> part & 1) w.touching[part][lane] -= 1;
   }
 }
 

@@ -176,7 +176,7 @@ inline void velocities(const Group& g, Work& w) {
 }
 
 // Inertias of the bodies about the torso's origin: I_o = R I_c R^T + m (c^2 1 - c c^T).
-inline void inertias(const Shared& m, Work& w) {
+inline void inertias(Work& w) {
   for (int b = 0; b < kBodies; ++b) {
     const Rot& r = w.rot[b];
     const Real* I = w.numbers.inertia[b];
@@ -187,7 +187,7 @@ inline void inertias(const Shared& m, Work& w) {
       t[i][2] = r.m[i][0] * I[4] + r.m[i][1] * I[5] + r.m[i][2] * I[2];
     }
     const auto e = [&](int i, int j) { return t[i][0] * r.m[j][0] + t[i][1] * r.m[j][1] + t[i][2] * r.m[j][2]; };
-    const Vec c = w.r[b] + rotate(r, m.centre[b]);
+    const Vec c = w.r[b] + r * load(w.numbers.centre[b]);
     const Real mass = w.numbers.mass[b];
     const Vec h = mass * c;
     w.mass[b] = mass, w.hm[b] = h;
@@ -230,7 +230,7 @@ inline void forces(const Shared& m, const Group& g, Work& w) {
     const Spatial l = apply(w.mass[b], w.hm[b], w.I[b], w.vel[b]), f = apply(w.mass[b], w.hm[b], w.I[b], w.acc[b]);
     w.frc[b] = {f.w + cross(w.vel[b].w, l.w) + cross(w.vel[b].v, l.v), f.v + cross(w.vel[b].w, l.v)};
     if (!in_air) continue;
-    const Vec c = w.r[b] + rotate(w.rot[b], m.centre[b]), spin = w.vel[b].w;
+    const Vec c = w.r[b] + w.rot[b] * load(w.numbers.centre[b]), spin = w.vel[b].w;
     w.frc[b] = w.frc[b] - air(m, times(w.rot[b], m.principal[b]), m.box[b], c, spin, w.vel[b].v + cross(spin, c));
   }
   if (w.speeds == kAll) {
@@ -243,7 +243,8 @@ inline void forces(const Shared& m, const Group& g, Work& w) {
   for (int b = kBodies - 1; b > 0; --b) {
     const int j = b - 1;
     const Real bias = dot(w.ax[b], w.frc[b].w) + dot(w.sv[b], w.frc[b].v), v = qd[5 + b];
-    const Real motor = clamp((g.target[j] - g.qpos[6 + b]) * m.kp[j] - v * m.kd[j], splat(-m.torque[j]), splat(m.torque[j]));
+    const Real wanted = (g.target[j] - g.qpos[6 + b]) * w.numbers.kp[j] - v * w.numbers.kd[j];
+    const Real motor = clamp(wanted, splat(-m.torque[j]), splat(m.torque[j]));
     w.fs[5 + b] = motor - v * m.damping[5 + b] - bias;
     w.frc[kParent[b]] = w.frc[kParent[b]] + w.frc[b];
   }

@@ -156,7 +156,7 @@ void substep(const void* shared, const Library& mujoco, Robot* const* robots, in
   gather(m, robots, count, all);
   kinematics(m, g, w);
   velocities(g, w);
-  inertias(m, w);
+  inertias(w);
   forces(m, g, w);
   inertia(m, w);
   collide(m, mujoco, robots, count, g, w);

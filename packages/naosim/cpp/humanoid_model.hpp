@@ -41,10 +41,10 @@ struct Shared {
   double friction_loss, friction_d0, friction_b;  // N m; friction rows have one impedance
   double density, viscosity;
   double position[kBodies][3], turn[kBodies][9];          // of a body in its parent's frame
-  double centre[kBodies][3], principal[kBodies][9];       // of mass; inertial axes, body frame
+  double principal[kBodies][9];                           // inertial axes, body frame
   double box[kBodies][3];                                 // sides of the box with the body's inertia, for the air
   double armature[kSpeeds], damping[kSpeeds];
-  double kp[kJoints], kd[kJoints], torque[kJoints], low[kJoints], high[kJoints];
+  double torque[kJoints], low[kJoints], high[kJoints];
   double size[kGeoms][3], offset[kGeoms][3], frame[kGeoms][9];
   double hull[kGeoms][3], middle[kGeoms][3];              // half sides and centre, body frame, of the box around a geom
   Impedance floor[kGeoms];
@@ -66,8 +66,11 @@ template <class Real>
 struct VariedOf {
   Real gravity, scale;                       // scale: 1 / (mean inertia * speeds), MuJoCo's unit of the gradient
   Real mass[kBodies], inertia[kBodies][6];   // xx yy zz xy xz yz about the centre of mass, body axes
+  Real centre[kBodies][3];                   // of mass, body frame
   Real weight[kBodies];                      // translational body_invweight0
   Real friction[kGeoms], joint_weight[kJoints];
+  Real kp[kJoints], kd[kJoints];             // gains of the motors
+  Real stiffness, damping;                   // factors of K and B of the contacts that the kernel finds
 };
 using Varied = VariedOf<double>;
 

@@ -123,12 +123,25 @@ inline Vec pyramid_force(Pyramid& p, bool first, Mask& changed) {
   return {f[0] + f[1] + f[2] + f[3], p.mu * (f[0] - f[1]), p.mu * (f[2] - f[3])};
 }
 
-// The gradient M a - fs - J^T f at the current J a - aref, and the lanes whose active rows have changed. At the first look, rows
-// that the robot remembers are active as in its last substep: the next step of Newton's method then ends at the minimum of that set.
-inline Mask gradient(const Shared& m, Work& w, bool first) {
-  Mask changed = Mask{};
+// The same of a contact of 3 or 6 dimensions: its force along n, t, s and its torque about them.
+inline void contact_force(Contact& c, Mask& changed, Real* f) {
   const Real zero = splat(0);
-  for (int i = 0; i < w.speeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
+  for (int k = 0; k < 6; ++k) f[k] = zero;
+  for (int k = 1; k < c.dim; ++k) {
+    const Real side = c.mu[k - 1] * c.u[k], x[2] = {c.u[0] + side, c.u[0] - side};
+    Real r[2];
+    for (int i = 0; i < 2; ++i) {
+      const Mask active = (x[i] < 0.0) & c.exists;
+      changed |= active ^ c.active[2 * k - 2 + i];
+      c.active[2 * k - 2 + i] = active;
+      r[i] = active ? -c.d * x[i] : zero;
+    }
+    f[0] += r[0] + r[1], f[k] = c.mu[k - 1] * (r[0] - r[1]);
+  }
+}
+
+// Active rows of all contacts, and their forces on the bodies.
+inline void contact_forces(Work& w, bool first, Mask& changed) {
   for (int b = 0; b < kBodies; ++b)
     if (w.used[b]) w.wr[b] = {zero_vec(), zero_vec()};
   w.wr[kBall] = {zero_vec(), zero_vec()};
@@ -138,7 +151,7 @@ inline Mask gradient(const Shared& m, Work& w, bool first) {
     Spatial& on = w.wr[p.body];
     on.v = on.v + force, on.w = on.w + cross(p.r, force);
   }
-  for (int i = 0; i < w.npr; ++i) {  // pairs of geoms
+  for (int i = 0; i < w.npr; ++i) {  // pairs of geoms: equal and opposite
     Pair& p = w.pr[i];
     const Vec f = pyramid_force(p, first, changed), force = f.x * p.n + f.y * p.t + f.z * p.s, torque = cross(p.r, force);
     Spatial &on_a = w.wr[p.a], &on_b = w.wr[p.b];
@@ -146,31 +159,28 @@ inline Mask gradient(const Shared& m, Work& w, bool first) {
     on_a.v = on_a.v - force, on_a.w = on_a.w - torque;
   }
   for (Contact& c : w.more) {  // contacts that MuJoCo found, and the ball's
-    Real f[6] = {zero, zero, zero, zero, zero, zero};
-    for (int k = 1; k < c.dim; ++k) {
-      const Real side = c.mu[k - 1] * c.u[k], x[2] = {c.u[0] + side, c.u[0] - side};
-      Real r[2];
-      for (int i = 0; i < 2; ++i) {
-        const Mask active = (x[i] < 0.0) & c.exists;
-        changed |= active ^ c.active[2 * k - 2 + i];
-        c.active[2 * k - 2 + i] = active;
-        r[i] = active ? -c.d * x[i] : zero;
-      }
-      f[0] += r[0] + r[1], f[k] = c.mu[k - 1] * (r[0] - r[1]);
-    }
+    Real f[6];
+    contact_force(c, changed, f);
     const Vec force = f[0] * c.n + f[1] * c.t + f[2] * c.s, torque = f[3] * c.n + f[4] * c.t + f[5] * c.s;
     push(w, c.b, c, force, torque, 1.0), push(w, c.a, c, force, torque, -1.0);
   }
-  subtract_forces(w);
-  for (int k = 0; k < w.nlim; ++k) {  // joint limits
+}
+
+// Active joint limits, which push back: g -= J f with f = -D x, x = J a - aref < 0.
+inline void limit_forces(Work& w, Mask& changed) {
+  for (int k = 0; k < w.nlim; ++k) {
     const int j = w.lim[k];
     const Real x = w.lim_s[k] * w.a[6 + j] + w.lim_c[k];
     const Mask active = (x < 0.0) & (w.lim_d[k] > 0.0);
     changed |= active ^ w.lim_act[k];
     w.lim_act[k] = active;
-    w.g[6 + j] += active ? w.lim_d[k] * w.lim_s[k] * x : zero;
+    w.g[6 + j] += active ? w.lim_d[k] * w.lim_s[k] * x : splat(0);
   }
-  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {  // joint friction
+}
+
+// Zones of the joints' friction: |D x| below the friction loss, or sliding forward or backward; and their forces.
+inline void friction_forces(const Shared& m, Work& w, bool first, Mask& changed) {
+  for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) {
     const Real x = w.a[6 + j] + w.fc[j];
     Mask quadratic = abs(x) * w.fd[j] < m.friction_loss, forward = x > 0.0;
     if (first) {
@@ -181,6 +191,17 @@ inline Mask gradient(const Shared& m, Work& w, bool first) {
     w.zone[j][0] = quadratic, w.zone[j][1] = forward;
     w.g[6 + j] += quadratic ? w.fd[j] * x : forward ? splat(m.friction_loss) : splat(-m.friction_loss);
   }
+}
+
+// The gradient M a - fs - J^T f at the current J a - aref, and the lanes whose active rows have changed. At the first look, rows
+// that the robot remembers are active as in its last substep: the next step of Newton's method then ends at the minimum of that set.
+inline Mask gradient(const Shared& m, Work& w, bool first) {
+  Mask changed = Mask{};
+  for (int i = 0; i < w.speeds; ++i) w.g[i] = w.Ma[i] - w.fs[i];
+  contact_forces(w, first, changed);
+  subtract_forces(w);
+  limit_forces(w, changed);
+  friction_forces(m, w, first, changed);
   return changed;
 }
 
@@ -345,13 +366,16 @@ inline void add_floor(Work& w) {
 // H = M + J^T D J.
 inline void hessian(const Shared& m, Work& w) {
   const Real zero = splat(0);
+  // M, and zeros where contacts fill in
   if (w.pattern == 1) zero_fill(w.H);
   else if (w.pattern == 2) for (int i = 0; i < at(kSpeeds, 0); ++i) w.H[i] = zero;
   copy_tree_fast(w.M, w.H);
+  // J^T D J of the floor; of friction within its quadratic zone and of limits, which touch the diagonal only; of self contacts
   add_floor(w);
   for (int j = 0; m.friction_loss > 0.0 && j < kJoints; ++j) w.H[at(6 + j, 6 + j)] += w.zone[j][0] ? w.fd[j] : zero;
   for (int k = 0; k < w.nlim; ++k) w.H[at(6 + w.lim[k], 6 + w.lim[k])] += w.lim_act[k] ? w.lim_d[k] : zero;
   for (int i = 0; i < w.npr; ++i) add_pair(w, w.pr[i]);
+  // the ball's rows, and what MuJoCo found
   if (w.speeds == kAll) {
     for (int i = at(kSpeeds, 0); i < kEntries; ++i) w.H[i] = zero;
     for (int k = 0; k < 6; ++k) w.H[at(kSpeeds + k, kSpeeds + k)] = splat(k < 3 ? m.ball.mass : m.ball.inertia);
@@ -460,10 +484,32 @@ inline Real line_search(const Shared& m, const Work& w, Mask done) {
 
 // --- Newton's method ------------------------------------------------------------------------------------------------------------------
 
+// a += step p, and what depends on it linearly; a lane that is done keeps its numbers, whatever its neighbours' steps are.
+inline void move(Work& w, Real full, Mask done) {
+  const Real step = select(done, splat(0), full);
+  for (int i = 0; i < w.speeds; ++i) {
+    w.a[i] = select(done, w.a[i], w.a[i] + step * w.p[i]);
+    w.Ma[i] = select(done, w.Ma[i], w.Ma[i] + step * w.Mp[i]);
+  }
+  const auto pyramid = [&](Pyramid& p) { p.un += step * p.pn, p.ut += step * p.pt, p.us += step * p.ps; };
+  for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
+  for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
+  for (Contact& c : w.more)
+    for (int k = 0; k < c.dim; ++k) c.u[k] += step * c.du[k];
+}
+
+// Lanes whose gradient vanishes, in MuJoCo's unit.
+inline Mask flat(const Work& w) {
+  Real gg = splat(0);
+  for (int i = 0; i < w.speeds; ++i) gg += w.g[i] * w.g[i];
+  return sqrt(gg) * w.numbers.scale < kTolerance;
+}
+
 // Minimise the cost from the last substep's accelerations and active rows. Each step solves H p = -g and moves to a + p, from the third
 // on to the minimum along p. A lane is done when its gradient vanishes, or when a full step leaves the active rows as they were: then
 // a + p is the minimum. Lanes that do not get there are flagged.
 inline void newton(const Shared& m, const Group& g, Work& w) {
+  // the start: M a and J a - aref at the last substep's accelerations, and the rows of joint friction
   for (int i = 0; i < w.speeds; ++i) w.a[i] = g.warm[i];
   multiply(m, w, w.a, w.Ma);
   residuals(w, w.a);
@@ -475,30 +521,21 @@ inline void newton(const Shared& m, const Group& g, Work& w) {
   Mask done = w.flagged;
   for (int& count : w.iterations) count = 0;
   for (int iteration = 0; iteration < kMostIterations; ++iteration) {
-    if (iteration) {  // the first gradient is that of the remembered rows
-      Real gg = splat(0);
-      for (int i = 0; i < w.speeds; ++i) gg += w.g[i] * w.g[i];
-      done |= sqrt(gg) * w.numbers.scale < kTolerance;
-    }
+    if (iteration) done |= flat(w);  // the first gradient is that of the remembered rows
     const unsigned left = bits(~done);
     if (left == 0) break;
     for (int l = 0; l < kLanes; ++l) w.iterations[l] += left >> l & 1u;
-    // p = -H^-1 g
+    // the direction p = -H^-1 g
     hessian(m, w);
     factor(w);
     for (int i = 0; i < w.speeds; ++i) w.p[i] = -w.g[i];
     solve(w, w.p);
+    // M p and J p, of which the line search and the move are made
     multiply(m, w, w.p, w.Mp);
     directions(w, w.p);
     const Real full = iteration < kFullSteps ? splat(1) : line_search(m, w, done);
-    // a += step p, and what depends on it linearly; a lane that is done keeps its numbers, whatever its neighbours' steps are
-    const Real step = select(done, splat(0), full);
-    for (int i = 0; i < w.speeds; ++i) w.a[i] = select(done, w.a[i], w.a[i] + step * w.p[i]), w.Ma[i] = select(done, w.Ma[i], w.Ma[i] + step * w.Mp[i]);
-    const auto pyramid = [&](Pyramid& p) { p.un += step * p.pn, p.ut += step * p.pt, p.us += step * p.ps; };
-    for (int i = 0; i < w.npt; ++i) pyramid(w.pt[i]);
-    for (int i = 0; i < w.npr; ++i) pyramid(w.pr[i]);
-    for (Contact& c : w.more)
-      for (int k = 0; k < c.dim; ++k) c.u[k] += step * c.du[k];
+    move(w, full, done);
+    // the same active rows after a full step: the minimum of their quadratic function is that of the cost
     const Mask changed = gradient(m, w, false);
     done |= ~changed & (abs(full - 1.0) < 1e-9);
   }
