@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosim.simulator import BALL, STEP_S, TOUCHING, Ability, Simulator, SimulatorClosedError, Starts
+from naosim.simulator import BALL, STEP_S, TOUCHING, Ability, Simulator, SimulatorClosedError, Starts, Variation
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -289,16 +289,18 @@ def latency_is_what_it_says(subject: Subject) -> None:
 def abilities_are_as_declared(subject: Subject) -> None:
     """Check that the simulator can do what its kind declares, and raises ValueError for everything else."""
 
-    def vary(simulator: Simulator, mass_variation: float = 0.0, friction: float = 1.0, gravity: float = 1.0) -> None:
-        rng = np.random.default_rng(0)
-        simulator.vary(mass_variation, np.full(N, friction), np.full(N, gravity), rng)
+    def vary(simulator: Simulator, **differences: float) -> None:
+        simulator.vary([Variation(**differences)] * N, np.random.default_rng(0))
 
     everyone, level = np.arange(N), np.array([[np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]])
     uses: Mapping[Ability, Callable[[Simulator], object]] = {
         Ability.PUSHES: lambda simulator: simulator.push(np.full((N, 2), 0.1), slice(0, N)),
-        Ability.MASSES: lambda simulator: vary(simulator, mass_variation=0.1),
+        Ability.MASSES: lambda simulator: vary(simulator, masses=0.1),
         Ability.FRICTION: lambda simulator: vary(simulator, friction=0.9),
         Ability.GRAVITY: lambda simulator: vary(simulator, gravity=0.9),
+        Ability.GAINS: lambda simulator: vary(simulator, gains=0.1),
+        Ability.CENTRES: lambda simulator: vary(simulator, centre_m=0.01),
+        Ability.STIFFNESS: lambda simulator: vary(simulator, stiffness=0.8),
         Ability.TORQUES: lambda simulator: simulator.torque_shares(slice(0, N)),
         Ability.LYING: lambda simulator: simulator.load_starts(
             Starts(simulator.robot.nominal[None], POSITION_M, HEADING_RAD, level)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from naosim.robots.description import PerceptorDescription, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from naosim.robots import Robot
@@ -94,12 +94,36 @@ class Ability(StrEnum):
     """:meth:`Simulator.vary` with other friction."""
     GRAVITY = "other gravity"
     """:meth:`Simulator.vary` with other gravity."""
+    GAINS = "other motor gains"
+    """:meth:`Simulator.vary` with other motor gains."""
+    CENTRES = "other centres of mass"
+    """:meth:`Simulator.vary` with another centre of mass of the torso."""
+    STIFFNESS = "other contact stiffness"
+    """:meth:`Simulator.vary` with softer or stiffer contacts."""
     TORQUES = "motor torques"
     """:meth:`Simulator.torque_shares`."""
     LYING = "lying starts"
     """Starts with ``orientations``."""
     MOVING = "moving starts"
     """:meth:`Simulator.set_motion`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """How a robot and its world differ from the nominal ones."""
+
+    masses: float = 0.0
+    """Largest fraction by which the mass of a body differs."""
+    gains: float = 0.0
+    """Largest fraction by which the stiffness and the damping of a motor differ."""
+    centre_m: float = 0.0
+    """Largest distance by which the torso's centre of mass is shifted along each axis, metres."""
+    friction: float = 1.0
+    """Factor of the friction between robot and ground."""
+    gravity: float = 1.0
+    """Factor of gravity."""
+    stiffness: float = 1.0
+    """Factor of the stiffness of the robot's contacts; their damping has its root as a factor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,29 +489,21 @@ class Simulator(ABC):
         """
         del rows, episodes
 
-    def vary(
-        self,
-        mass_variation: float,
-        frictions: Floats,
-        gravities: Floats,
-        rng: np.random.Generator,
-        rows: Ints | None = None,
-    ) -> None:
+    def vary(self, variations: Sequence[Variation], rng: np.random.Generator, rows: Ints | None = None) -> None:
         """Change the robots' bodies and worlds from now on.
 
         Args:
-            mass_variation: largest fraction by which the mass of a body differs.
-            frictions: (k,) factors of the friction between robot and ground.
-            gravities: (k,) factors of gravity.
-            rng: draws the masses.
+            variations: one for each robot.
+            rng: draws what differs from joint to joint and from body to body.
             rows: (k,) robots; default all.
 
         Raises:
-            ValueError: if the simulator has fixed bodies and a fixed world.
+            ValueError: if the simulator has fixed bodies and a fixed world, or cannot have these.
         """
         raise ValueError(
-            f"mass_variation, friction_min, friction_max, gravity_min: {type(self).__name__} cannot change masses, "
-            "friction or gravity; leave them out"
+            f"mass_variation, gain_variation, centre_of_mass_m, friction_min, friction_max, stiffness_min, "
+            f"stiffness_max, gravity_min: {type(self).__name__} cannot change masses, gains, contacts or gravity; "
+            "leave them out"
         )
 
     # lost robots

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from naosim.mujoco import batch as batches
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.humanoid import topology_difference
 from naosim.mujoco.world import SUBSTEPS, MujocoWorld, library, world_of
 from naosim.robots.booster import K1, T1
-from naosim.simulator import Scene
+from naosim.simulator import Scene, Variation
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -56,8 +55,8 @@ def violent(rng: np.random.Generator, world: MujocoWorld, robot: Robot, data: An
     data.qpos[2] = max(data.qpos[2], rng.uniform(0.09, 0.115))
 
 
-def filled(world: MujocoWorld, robot: Robot, n: int = N, threads: int = 1, isa: str = "", seed: int = 3) -> MujocoBatch:
-    batch = MujocoBatch(world, n, delay=0, truncate=False, threads=threads, isa=isa)
+def filled(world: MujocoWorld, robot: Robot, n: int = N, seed: int = 3, **options: Any) -> MujocoBatch:
+    batch = MujocoBatch(world, n, delay=0, truncate=False, **options)
     rng = np.random.default_rng(seed)
     for row, data in enumerate(batch.data):
         violent(rng, world, robot, data, row)
@@ -92,18 +91,21 @@ def compared(batch: MujocoBatch, worlds: list[MujocoWorld], targets: np.ndarray,
 
 @pytest.mark.parametrize("varied", [False, True])
 @pytest.mark.parametrize(("robot", "scene"), CASES)
-def test_a_substep_is_mj_steps_from_violent_states(
-    robot: Robot, scene: Scene, varied: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Floor, limits, self contacts, ball, goals, friction, air, sensors; with other masses, friction and gravity.
+def test_a_substep_is_mj_steps_from_violent_states(robot: Robot, scene: Scene, varied: bool) -> None:
+    """Floor, limits, self contacts, ball, goals, friction, air, sensors; with another robot on another ground.
 
     One substep at a time: MuJoCo's contacts of meshes and posts jump with the last digit of a pose.
     """
-    monkeypatch.setattr(batches, "SUBSTEPS", 1)
     rng = np.random.default_rng(8)
     world = world_of(robot, engine="fast", scene=scene)
-    batch = filled(world, robot, 24, seed=4 + varied)
-    worlds = [world.varied(0.2, factor, 1.1 * factor, rng) for factor in (0.8, 1.2)] if varied else [world] * 2
+    batch = filled(world, robot, 24, seed=4 + varied, substeps=1)
+    worlds = [world] * 2
+    if varied:
+        others = [
+            Variation(0.2, 0.3, 0.02, friction=factor, gravity=1.1 * factor, stiffness=stiffness)
+            for factor, stiffness in ((0.8, 0.3), (1.2, 1.0 if robot == K1 else 3.0))
+        ]
+        worlds = [world.varied(other, rng) for other in others]
     worlds *= batch.n // 2
     for row, each in enumerate(worlds):
         batch.set_world(row, each)
@@ -196,17 +198,34 @@ def test_a_broken_robot_is_left_to_mujoco_and_its_neighbours_keep_their_bits(rob
     assert broken.left_to_mujoco > whole.left_to_mujoco == 0
 
 
-def test_a_robot_with_gains_or_centres_of_its_own_is_refused() -> None:
+def test_robots_differ_in_what_is_not_shared_only() -> None:
     world = world_of(T1, engine="fast")
     batch = MujocoBatch(world, 2, delay=0)
-    batch.set_world(0, world.varied(0.2, 0.5, 1.1, np.random.default_rng(1)))
-    with pytest.raises(ValueError, match="world: actuator_gainprm differ"):
-        batch.set_world(0, world.with_gains(np.ones(23), np.ones(23)))
-    for name in ("body_ipos", "geom_solref"):
+    batch.set_world(0, world.varied(Variation(0.2, 0.2, 0.01, 0.5, 1.1, 2.0), np.random.default_rng(1)))
+    for name in ("body_pos", "geom_solref"):
         model = copy.copy(world.model)
         getattr(model, name)[5] += 0.01
         with pytest.raises(ValueError, match=f"world: {name} differ"):
             batch.set_world(1, replace(world, model=model))
+
+
+def test_a_variation_of_nothing_changes_no_bit() -> None:
+    world = world_of(T1, engine="fast")
+    usual, varied = filled(world, T1), filled(world, T1)
+    for row in range(N):
+        varied.set_world(row, world.varied(Variation(), np.random.default_rng(row)))
+    for batch in (usual, varied):
+        for _ in range(5):
+            batch.step(np.tile(T1.nominal, (N, 1)))
+    np.testing.assert_array_equal(usual.save(), varied.save())
+
+
+@pytest.mark.parametrize(("robot", "most"), [(T1, 4), (K1, 1)])
+def test_contacts_cannot_be_stiffer_than_the_steps_allow(robot: Robot, most: int) -> None:
+    world = world_of(robot, engine="mujoco")
+    world.varied(Variation(stiffness=most), np.random.default_rng(0))
+    with pytest.raises(ValueError, match=f"stiffness_max: contacts of robot {robot.name} can be at most {most} times"):
+        world.varied(Variation(stiffness=1.1 * most), np.random.default_rng(0))
 
 
 def test_another_topology_is_refused() -> None:

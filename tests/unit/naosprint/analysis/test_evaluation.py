@@ -224,6 +224,9 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
             {
                 "name": "velocity",
                 "mass_variation": 0.2,
+                "gain_variation": 0.2,
+                "centre_of_mass_m": 0.01,
+                "stiffness_min": 0.5,
                 "friction_min": 0.7,
                 "gravity_min": 0.9,
                 "extra_delay_max": 2,
@@ -233,7 +236,7 @@ def test_episode_does_not_depend_on_its_neighbours(checkpoint: Path) -> None:
         ),
         ("sprint", {"name": "sprint1", "sensor_noise": 1.0}, False),
     ],
-    ids=["pushes, noise and commands", "masses, friction, gravity, delay", "exploration of a NAO"],
+    ids=["pushes, noise and commands", "another robot, friction, gravity, delay", "exploration of a NAO"],
 )
 def test_the_number_of_environments_changes_no_result(policy: str, task: dict[str, Any], deterministic: bool) -> None:
     """Random numbers follow from seed and episode, not from the robot that happens to run it."""

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
 from naosim.robots.booster import T1
 from naosim.simspark.embedded import EmbeddedSimulator
+from naosim.simulator import Variation
 from naospec import EvaluationSpec, TrainingSpec
 from naosprint.tasks.disturbances import NOISE, DisturbanceSettings
 from naosprint.tasks.environment import Environment
@@ -19,10 +21,11 @@ from pydantic import ValidationError
 NAO = robots.get("nao-0")
 
 
-def environment_of(n: int = 4, seed: int = 0, **settings: Any) -> Environment:
+def environment_of(n: int = 4, seed: int = 0, engine: Engine = "mujoco", **settings: Any) -> Environment:
     """Return n robots T1 at their starts."""
     parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), T1)
-    environment = Environment(MujocoSimulator(T1, n), Sprint1, parameters, seed)
+    simulator = MujocoSimulator(T1, n, BoosterEmbeddedParameters(engine=engine))
+    environment = Environment(simulator, Sprint1, parameters, seed)
     environment.load_starts(environment.task.starts(1, 0, 0.0))
     environment.restart(np.arange(n), np.zeros(n, dtype=np.int64))
     return environment
@@ -73,7 +76,7 @@ def test_every_robot_has_its_own_masses_and_friction() -> None:
     assert isinstance(simulator, MujocoSimulator)
     usual = simulator.world
     rng = np.random.default_rng(0)
-    varied = [usual.varied(0.1, 0.6, 1.0, rng) for _ in range(20)]
+    varied = [usual.varied(Variation(masses=0.1, friction=0.6), rng) for _ in range(20)]
     robot = [body for body in range(usual.model.nbody) if usual.model.body(body).name.startswith("robot-")]
     ratios = np.array([world.model.body_mass[robot] / usual.model.body_mass[robot] for world in varied])
     assert 0.9 <= ratios.min() < 0.92 and 1.08 < ratios.max() <= 1.1
@@ -87,6 +90,38 @@ def test_every_robot_has_its_own_masses_and_friction() -> None:
     np.testing.assert_array_equal(again, heights)
     other = run(environment_of(8, seed=1, mass_variation=0.1, friction_min=0.6, friction_max=1.4), 30)[-1, :, 2]
     assert not np.array_equal(other, heights)
+
+
+@pytest.mark.parametrize("engine", ["fast", "mujoco"])
+def test_every_robot_has_its_own_gains_centre_of_mass_and_contacts(engine: Engine) -> None:
+    settings = {"gain_variation": 0.2, "centre_of_mass_m": 0.02, "stiffness_min": 0.25, "stiffness_max": 4.0}
+    environment = environment_of(24, engine=engine, **settings)
+    simulator = environment.simulator
+    assert isinstance(simulator, MujocoSimulator)
+    usual, models = simulator.world.model, simulator.batch._models
+    kp = simulator.batch.kp / usual.actuator_gainprm[1::3, 0]
+    kd = simulator.batch.kd / usual.actuator_gainprm[2::3, 0]
+    for factors in (kp, kd):
+        assert 0.8 <= factors.min() < 0.82 and 1.18 < factors.max() <= 1.2
+        assert len(np.unique(factors)) == factors.size
+    torso = usual.body("robot-torso").id
+    shifts = np.array([model.body_ipos[torso] - usual.body_ipos[torso] for model in models])
+    assert 0.018 < np.abs(shifts).max() <= 0.02 and len(np.unique(shifts)) == shifts.size
+    times = np.array([model.geom_solref[simulator.world.geoms[0], 0] for model in models])
+    assert 0.01 <= times.min() < 0.012 and 0.035 < times.max() <= 0.04
+    assert [block.names for block in environment.disturbances.critic_blocks()] == [
+        ("friction", "gravity"),
+        ("contact_stiffness",),
+    ]
+
+
+@pytest.mark.parametrize("engine", ["fast", "mujoco"])
+def test_softer_soles_sink_deeper(engine: Engine) -> None:
+    heights = [
+        run(environment_of(1, engine=engine, stiffness_min=factor, stiffness_max=factor), 20)[-1, 0, 2]
+        for factor in (0.5, 1.0, 2.0)
+    ]
+    assert (np.diff(heights) > 5e-4).all()
 
 
 def test_the_ground_is_as_slippery_as_set() -> None:
@@ -209,7 +244,15 @@ def test_impossible_disturbances_are_refused() -> None:
     with pytest.raises(ValidationError, match="extra_delay: 2 is above extra_delay_max, 1; exchange them"):
         DisturbanceSettings(name="sprint1", extra_delay=2, extra_delay_max=1)
     nao = EmbeddedSimulator(NAO, 1)
-    for settings, named in (({"push_mps": 0.1}, "push_mps"), ({"mass_variation": 0.1}, "mass_variation")):
+    with pytest.raises(ValidationError, match="stiffness_min: 2"):
+        DisturbanceSettings(name="sprint1", stiffness_min=2.0)
+    for settings, named in (
+        ({"push_mps": 0.1}, "push_mps"),
+        ({"mass_variation": 0.1}, "mass_variation"),
+        ({"gain_variation": 0.1}, "gain_variation"),
+        ({"centre_of_mass_m": 0.01}, "centre_of_mass_m"),
+        ({"stiffness_min": 0.5}, "stiffness_min"),
+    ):
         parameters = Sprint1.resolve(SprintSettings(name="sprint1", **settings), NAO)
         with pytest.raises(ValueError, match=named):
             Environment(nao, Sprint1, parameters)

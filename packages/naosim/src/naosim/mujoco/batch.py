@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.mujoco.humanoid import SHARED, Parts, shared_numbers, topology_difference, varied_numbers
-from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, MujocoWorld, library
+from naosim.mujoco.world import BALL_JOINT, SUBSTEPS, MujocoWorld, contact_parameters, library, motor_gains
 from naosim.simulator import TOUCHING, BodyState, RobotMotion
 
 if TYPE_CHECKING:
@@ -40,9 +40,11 @@ class MujocoBatch:
         rotation: (n, 3, 3) rotations from the torso's frame into the world's.
         bodies: motion of the bodies that the world's scene names, at the end of the step.
         contacts: by part of the robot, (n,) share of the step in which the ball touched it.
-        foot_frames: (n, substeps, 2) upward force of the ground on left and right foot in newtons, every 5 ms of the step.
+        foot_frames: (n, substeps, 2) upward forces of the ground on left and right foot in newtons, every 5 ms.
         diverged: (n,) worlds whose state is no longer finite; they are not stepped.
         data: the ``MjData`` of every world.
+        kp: (n, J) stiffness of the motors in N m/rad.
+        kd: (n, J) their damping in N m s/rad.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class MujocoBatch:
         self.n = n
         self.world = world
         self._models = [world.model] * n
+        self.kp, self.kd = (np.repeat(each[None], n, axis=0) for each in motor_gains(world.model))
         self.data = [world.new_data() for _ in range(n)]
         signature = int(mujoco.mjtState.mjSTATE_INTEGRATION.value)
         self._worlds = Worlds(
@@ -159,12 +162,15 @@ class MujocoBatch:
             ValueError: if it differs in what a kernel has once for all robots of a batch.
         """
         shared = [name for name in SHARED if not np.array_equal(*(getattr(w.model, name) for w in (world, self.world)))]
+        if not np.allclose(world.model.geom_solref, contact_parameters(self.world, world.stiffness), rtol=1e-12):
+            shared.append("geom_solref")
         if self._kernel and shared:
             raise ValueError(
                 f"world: {', '.join(shared)} differ, which robots of a batch share in the fast engine; only masses, "
-                "friction and gravity may"
+                "centres of mass, gains, friction, gravity and the stiffness of contacts may"
             )
         self._models[row] = world.model  # the loop has only its address
+        self.kp[row], self.kd[row] = motor_gains(world.model)
         self._worlds.set_model(row, world.model._address)
         if self._kernel:
             self._worlds.set_numbers(row, varied_numbers(world))

@@ -14,10 +14,10 @@ from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, torque_shares,
 from naosim.simulator import CONTACT_N, PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from naosim.robots import Robot
-    from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts
+    from naosim.simulator import Bytes, Flags, Floats, Ints, RobotMotion, Scene, Starts, Variation
 
 _MUJOCO = BoosterEmbeddedParameters(engine="mujoco")
 
@@ -250,7 +250,8 @@ class MujocoSimulator(Simulator):
         joints = self.world.joints
         sensed = np.array([data.sensordata[13 : 13 + 2 * joints] for data in chosen])
         targets = np.array([data.ctrl[1::3] for data in chosen])
-        return torque_shares(self.robot, targets, sensed[:, :joints], sensed[:, joints:])
+        kp, kd = self.batch.kp[rows], self.batch.kd[rows]
+        return torque_shares(self.robot, targets, sensed[:, :joints], sensed[:, joints:], kp, kd)
 
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""
@@ -274,19 +275,12 @@ class MujocoSimulator(Simulator):
             data.qvel[first] += x
             data.qvel[first + 1] += y
 
-    def vary(
-        self,
-        mass_variation: float,
-        frictions: Floats,
-        gravities: Floats,
-        rng: np.random.Generator,
-        rows: Ints | None = None,
-    ) -> None:
-        """Give robots bodies of other masses, other friction and other gravity."""
+    def vary(self, variations: Sequence[Variation], rng: np.random.Generator, rows: Ints | None = None) -> None:
+        """Give robots other bodies, gains, contacts, friction and gravity."""
         self.require_open()
         numbers = range(self.n) if rows is None else rows.tolist()
-        for row, friction, gravity in zip(numbers, frictions.tolist(), gravities.tolist(), strict=True):
-            self.batch.set_world(row, self.world.varied(mass_variation, friction, gravity, rng))
+        for row, variation in zip(numbers, variations, strict=True):
+            self.batch.set_world(row, self.world.varied(variation, rng))
 
     # worlds can diverge
 

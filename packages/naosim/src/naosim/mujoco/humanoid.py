@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from naosim.mujoco.world import FEET, FOREARMS, PREFIX, SHANKS, library
+from naosim.mujoco.world import FEET, FOREARMS, PREFIX, SHANKS, library, motor_gains
 from naosim.simulator import TOUCHING
 
 if TYPE_CHECKING:
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _LIMITS = (1e-4, 0.9999)  # mjMINIMP, mjMAXIMP
-SHARED = (
-    *("actuator_gainprm", "body_pos", "body_ipos", "dof_damping", "dof_armature", "dof_frictionloss", "jnt_range"),
-    *("geom_size", "geom_solref", "geom_solimp"),
-)
+SHARED = (*("body_pos", "dof_damping", "dof_armature", "dof_frictionloss", "jnt_range", "geom_size", "geom_solimp"),)
 """Arrays of a model that are numbers of the whole batch, and that randomisation might change."""
 
 _CONTACT_COUNT, _CONTACTS = 161576, 162432
@@ -99,13 +96,10 @@ def shared_numbers(world: MujocoWorld) -> Floats:
         [model.opt.density, model.opt.viscosity],
         model.body_pos[at.bodies],
         _rotations(model.body_quat[at.bodies]),
-        model.body_ipos[at.bodies],
         _rotations(model.body_iquat[at.bodies]),
         _sides(inertia, mass),
         model.dof_armature[at.speeds],
         model.dof_damping[at.speeds],
-        model.actuator_gainprm[1::3, 0],
-        model.actuator_gainprm[2::3, 0],
         model.jnt_actfrcrange[at.joints, 1],
         model.jnt_range[at.joints, 0],
         model.jnt_range[at.joints, 1],
@@ -132,9 +126,12 @@ def varied_numbers(world: MujocoWorld) -> Floats:
         [model.opt.gravity[2], 1.0 / (model.stat.meaninertia * model.nv)],
         model.body_mass[at.bodies],
         inertia[:, (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)],
+        model.body_ipos[at.bodies],
         model.body_invweight0[at.bodies, 0],
         model.geom_friction[at.geoms, 0],
         model.dof_invweight0[at.hinges],
+        *motor_gains(model),
+        [world.stiffness, np.sqrt(world.stiffness)],
     ]
     return np.concatenate([np.ravel(part) for part in parts])
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from naosim.fields import RCSSSERVERMJ
-from naosim.simulator import BALL, PLAIN, TOUCHING, Scene
+from naosim.simulator import BALL, PLAIN, TOUCHING, Scene, Variation
 
 if TYPE_CHECKING:
     from naosim.mujoco.kinds import Engine
@@ -117,6 +117,8 @@ class MujocoWorld:
     """Model of the robot, ``T1`` or ``K1``."""
     kernel: bool = False
     """Whether the robot's kernel steps the world instead of ``mj_step``."""
+    stiffness: float = 1.0
+    """Factor of the stiffness of the robot's contacts; their damping has its root as a factor."""
 
     @property
     def ball(self) -> bool:
@@ -134,18 +136,29 @@ class MujocoWorld:
         set_gains(model, kp, kd)
         return replace(self, model=model)
 
-    def varied(self, mass_variation: float, friction: float, gravity: float, rng: np.random.Generator) -> MujocoWorld:
-        """Return the world with other masses of the robot's bodies; friction and gravity are multiplied."""
+    def varied(self, variation: Variation, rng: np.random.Generator) -> MujocoWorld:
+        """Return the world with another robot and other ground.
+
+        Raises:
+            ValueError: if contacts cannot be so stiff with MuJoCo's steps.
+        """
         mujoco = library()
         model = copy.copy(self.model)
         bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(PREFIX)]
-        factors = 1.0 + mass_variation * rng.uniform(-1.0, 1.0, len(bodies))
+        factors = 1.0 + variation.masses * rng.uniform(-1.0, 1.0, len(bodies))
         model.body_mass[bodies] *= factors
         model.body_inertia[bodies] *= factors[:, None]
-        model.geom_friction[self.geoms, 0] *= friction
-        model.opt.gravity *= gravity
+        if variation.gains:
+            kp, kd = 1.0 + variation.gains * rng.uniform(-1.0, 1.0, (2, self.joints))
+            stiffness, damping = motor_gains(model)
+            set_gains(model, kp * stiffness, kd * damping)
+        if variation.centre_m:
+            model.body_ipos[model.body(PREFIX + "torso").id] += variation.centre_m * rng.uniform(-1.0, 1.0, 3)
+        model.geom_friction[self.geoms, 0] *= variation.friction
+        model.opt.gravity *= variation.gravity
+        model.geom_solref[:] = contact_parameters(self, variation.stiffness)
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        return replace(self, model=model)
+        return replace(self, model=model, stiffness=variation.stiffness)
 
     def new_data(self, ball_position: tuple[float, float] = PARKED_BALL_M) -> Any:
         """Return an ``MjData`` with the robot where it was attached and the ball on the ground."""
@@ -174,10 +187,37 @@ class MujocoWorld:
         return np.array([geom for geom, name in enumerate(names) if name.startswith(PREFIX)], dtype=np.int64)
 
 
+def contact_parameters(world: MujocoWorld, factor: float) -> Floats:
+    """Return the (G, 2) ``geom_solref`` with which a robot's contacts are ``factor`` times as stiff.
+
+    Their time constants are shortened, and their damping has the root of the factor as a factor.
+
+    Raises:
+        ValueError: if a time constant were below two steps, which is MuJoCo's limit.
+    """
+    parameters, limit = world.model.geom_solref.copy(), 2.0 * world.model.opt.timestep
+    if factor == 1.0:
+        return np.asarray(parameters)
+    times = np.maximum(parameters[world.geoms, 0], limit)
+    most = float(np.min((times / limit) ** 2))
+    if factor > most * (1.0 + 1e-9):
+        raise ValueError(
+            f"stiffness_max: contacts of robot {world.robot.lower()} can be at most {most:g} times as stiff with "
+            f"MuJoCo's steps of {500.0 * limit:g} ms, got {factor:g}; use a smaller stiffness_max"
+        )
+    parameters[world.geoms, 0] = times / math.sqrt(factor)
+    return np.asarray(parameters)
+
+
 def set_gains(model: Any, kp: Floats, kd: Floats) -> None:
     """Set (J,) motor gains of a model's position and velocity actuators, as the server does."""
     model.actuator_gainprm[1::3, 0], model.actuator_biasprm[1::3, 1] = kp, -kp
     model.actuator_gainprm[2::3, 0], model.actuator_biasprm[2::3, 2] = kd, -kd
+
+
+def motor_gains(model: Any) -> tuple[Floats, Floats]:
+    """Return (J,) stiffness in N m/rad and (J,) damping in N m s/rad of a model's motors."""
+    return model.actuator_gainprm[1::3, 0], model.actuator_gainprm[2::3, 0]
 
 
 def gains(robot: Robot) -> tuple[Floats, Floats]:
@@ -187,16 +227,17 @@ def gains(robot: Robot) -> tuple[Floats, Floats]:
     return np.array(kp), np.array(kd)
 
 
-def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats) -> Floats:
+def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats, kp: Floats, kd: Floats) -> Floats:
     """Return the (k, J) share of its torque limit that each motor applies, from -1 to 1.
 
     Args:
-        robot: the robot, with its gains.
+        robot: the robot, with its torque limits.
         targets: (k, J) target angles in radians.
         angles: (k, J) joint angles in radians.
         speeds: (k, J) joint speeds in rad/s.
+        kp: (J,) or (k, J) stiffness of the motors in N m/rad.
+        kd: (J,) or (k, J) damping in N m s/rad.
     """
-    kp, kd = gains(robot)
     limits = np.array([joint.max_torque for joint in robot.joints])
     shares: Floats = np.clip((kp * (targets - angles) - kd * speeds) / limits, -1.0, 1.0)
     return shares

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from naosim.simulator import Ability
+from naosim.simulator import Ability, Variation
 from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -64,6 +64,23 @@ class DisturbanceSettings(TaskSettings):
         description="Each body's mass differs by up to this fraction, drawn for each robot.",
         json_schema_extra={"needs": Ability.MASSES},
     )
+    gain_variation: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.5,
+        title="Gain variation",
+        description="Stiffness and damping of each motor differ by up to this fraction, drawn for each robot.",
+        json_schema_extra={"needs": Ability.GAINS},
+    )
+    centre_of_mass_m: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        title="Centre of mass",
+        description="The torso's centre of mass is shifted by up to this distance along each axis, drawn for each "
+        "robot.",
+        json_schema_extra={"unit": "m", "needs": Ability.CENTRES},
+    )
     friction_min: float = Field(
         default=1.0,
         gt=0.0,
@@ -79,6 +96,23 @@ class DisturbanceSettings(TaskSettings):
         title="Highest friction",
         description="Upper end of that factor.",
         json_schema_extra={"needs": Ability.FRICTION},
+    )
+    stiffness_min: float = Field(
+        default=1.0,
+        ge=0.05,
+        le=4.0,
+        title="Softest contacts",
+        description="Lower end of the factor of the stiffness of the robot's contacts with the ground and itself, "
+        "drawn for each robot; their damping has its root as a factor.",
+        json_schema_extra={"needs": Ability.STIFFNESS},
+    )
+    stiffness_max: float = Field(
+        default=1.0,
+        ge=0.05,
+        le=4.0,
+        title="Stiffest contacts",
+        description="Upper end of that factor; at most 4 for a T1 and 1 for a K1, by the steps of MuJoCo.",
+        json_schema_extra={"needs": Ability.STIFFNESS},
     )
     gravity_min: float = Field(
         default=1.0,
@@ -122,12 +156,16 @@ class DisturbanceSettings(TaskSettings):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.friction_min > self.friction_max:
-            raise PydanticCustomError(
-                "range",
-                "friction_min: {low} is above friction_max, {high}; exchange them",
-                {"low": self.friction_min, "high": self.friction_max},
-            )
+        for name, low, high in (
+            ("friction", self.friction_min, self.friction_max),
+            ("stiffness", self.stiffness_min, self.stiffness_max),
+        ):
+            if low > high:
+                raise PydanticCustomError(
+                    "range",
+                    "{name}_min: {low} is above {name}_max, {high}; exchange them",
+                    {"name": name, "low": low, "high": high},
+                )
         if self.extra_delay_max is not None and self.extra_delay > self.extra_delay_max:
             raise PydanticCustomError(
                 "range",
@@ -149,7 +187,7 @@ class Disturbances:
 
     Args:
         settings: what to disturb, and how much.
-        simulator: the robots; their masses, friction and gravity are drawn now.
+        simulator: the robots; how their bodies and worlds differ is drawn now.
         seed: seed of all draws.
         streams: (n,) whose random numbers each robot gets, see ``World.streams``; by default its own.
 
@@ -181,6 +219,7 @@ class Disturbances:
             if settings.sensor_noise and name in NOISE
         }
         self._world: FloatArray = np.ones((n, 2))  # factors of friction and gravity
+        self._stiffness: FloatArray = np.ones((n, 1))  # factor of that of contacts
         self._acts: FloatArray = np.full((n, 1), float(self._least))  # the delay as an observation
         self.arrays: dict[str, AnyArray] = {}
         if settings.push_mps or self._noise:
@@ -189,15 +228,21 @@ class Disturbances:
             self.arrays["waiting"] = self._waiting
         if self._drawn:
             self.arrays.update(delay=self._delay, episode=self._episode, acts=self._acts)
+        self._softens = (settings.stiffness_min, settings.stiffness_max) != (1.0, 1.0)
         self._varies = bool(
-            settings.mass_variation or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
+            settings.mass_variation
+            or settings.gain_variation
+            or settings.centre_of_mass_m
+            or self._softens
+            or (settings.friction_min, settings.friction_max, settings.gravity_min) != (1, 1, 1)
         )
         if self._varies:
             rng = np.random.default_rng([_STREAM, seed])
             frictions = rng.uniform(settings.friction_min, settings.friction_max, n)
             gravities, rows = np.linspace(settings.gravity_min, 1.0, n), np.flatnonzero(self._disturbed)
             self._world[rows] = np.stack([frictions, gravities], axis=1)[rows]
-            simulator.vary(settings.mass_variation, self._world[rows, 0], self._world[rows, 1], rng, rows)
+            self._draw_stiffness(rows, rng)
+            simulator.vary([self._variation(row) for row in rows.tolist()], rng, rows)
         if settings.push_mps:
             simulator.push(np.zeros((n, 2)), slice(0, n))
 
@@ -208,17 +253,33 @@ class Disturbances:
         self._episode[rows] = 0
         self._disturbed[rows] = self._draw_disturbed(rows)
         if self._varies:
-            for row, episode, disturbed in zip(
-                rows.tolist(), episodes.tolist(), self._disturbed[rows].tolist(), strict=True
-            ):
+            for row, episode in zip(rows.tolist(), episodes.tolist(), strict=True):
                 rng = np.random.default_rng([_STREAM, self._seed, episode])
-                friction = rng.uniform(settings.friction_min, settings.friction_max, 1)
-                gravity = rng.uniform(settings.gravity_min, 1.0, 1)
-                if not disturbed:
-                    friction[:] = gravity[:] = 1.0
-                masses = settings.mass_variation if disturbed else 0.0
-                self._world[row] = float(friction[0]), float(gravity[0])
-                self._simulator.vary(masses, friction, gravity, rng, np.array([row]))
+                friction = float(rng.uniform(settings.friction_min, settings.friction_max))
+                gravity = float(rng.uniform(settings.gravity_min, 1.0))
+                self._world[row] = (friction, gravity) if self._disturbed[row] else 1.0
+                self._draw_stiffness(np.array([row]), rng)
+                self._simulator.vary([self._variation(row)], rng, np.array([row]))
+
+    def _draw_stiffness(self, rows: IntArray, rng: np.random.Generator) -> None:
+        """Draw how soft the contacts of the robots ``rows`` are: as often below as above the middle factor."""
+        if self._softens:
+            low, high = np.log(self._settings.stiffness_min), np.log(self._settings.stiffness_max)
+            factors = np.exp(rng.uniform(low, high, len(rows)))
+            self._stiffness[rows, 0] = np.where(self._disturbed[rows], factors, 1.0)
+
+    def _variation(self, row: int) -> Variation:
+        """Return how a robot differs from the nominal one; an undisturbed one does not."""
+        settings, disturbed = self._settings, bool(self._disturbed[row])
+        friction, gravity = self._world[row].tolist()
+        return Variation(
+            masses=settings.mass_variation if disturbed else 0.0,
+            gains=settings.gain_variation if disturbed else 0.0,
+            centre_m=settings.centre_of_mass_m if disturbed else 0.0,
+            friction=friction,
+            gravity=gravity,
+            stiffness=float(self._stiffness[row, 0]),
+        )
 
     def _draw_disturbed(self, rows: slice | IntArray) -> BoolArray:
         """Return which of the (k,) robots ``rows`` are disturbed at all."""
@@ -238,11 +299,15 @@ class Disturbances:
             self._acts[rows, 0] = self._delay[rows]
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
-        """Return what disturbs the robots, for critics: factors of friction and gravity, and the delay in steps."""
-        names, arrays = (("friction", "gravity"), ("extra_delay",)), (self._world, self._acts)
+        """Return what disturbs the robots, for critics: factors of friction, gravity and stiffness, and the delay."""
+        named = (
+            (("friction", "gravity"), self._world, self._varies),
+            (("contact_stiffness",), self._stiffness, self._softens),
+            (("extra_delay",), self._acts, self._most > 0),
+        )
         return [
-            ObservationBlock(each, lambda rows, array=array: array[rows], operation=columns(array))  # type: ignore[misc]
-            for each, array, needed in zip(names, arrays, (self._varies, self._most > 0), strict=True)
+            ObservationBlock(names, lambda rows, array=array: array[rows], operation=columns(array))  # type: ignore[misc]
+            for names, array, needed in named
             if needed
         ]
 
