@@ -14,6 +14,7 @@ import argparse
 import os
 import platform
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,8 @@ from against_mujoco import POLICIES, driven
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
-from naosim.mujoco.world import MUJOCO_VERSION
-from naosim.robots.booster import ROBOTS
+from naosim.mujoco.world import MUJOCO_VERSION, world_of
+from naosim.robots.booster import ROBOTS, T1
 from naosim.robots.description import Robot
 from naosim.simulator import Starts
 from naospec.json_text import json_text
@@ -80,12 +81,22 @@ def measure(robot: Robot, motion: str, engine: Engine) -> dict[str, Any]:
     }
 
 
-def measure_driven(name: str) -> dict[str, Any]:
+def instruction_sets() -> list[str]:
+    """Return those that this processor has, of what the engine is compiled for."""
+    world, found = world_of(T1, engine="fast"), []
+    for name in ("avx512", "avx2", "generic"):
+        with suppress(ValueError):
+            MujocoBatch(world, 1, delay=0, isa=name)
+            found.append(name)
+    return found
+
+
+def measure_driven(name: str, isa: str) -> dict[str, Any]:
     """Return cycles per CPU second of the fast engine and of the bare loop, in states to which a policy drives."""
     seconds: dict[str, list[float]] = {"loop": [], "bare": []}
     batches: dict[str, MujocoBatch] = {}
     for step, (source, world, advance) in enumerate(driven(name, ROBOTS_AT_ONCE, STEPS)):
-        batches = batches or {each: MujocoBatch(world, ROBOTS_AT_ONCE, delay=0) for each in seconds}
+        batches = batches or {each: MujocoBatch(world, ROBOTS_AT_ONCE, delay=0, isa=isa) for each in seconds}
         states = source.save()
         advance()
         for batch in batches.values():
@@ -104,6 +115,7 @@ def measure_driven(name: str) -> dict[str, Any]:
         "robot": name.partition("-")[0],
         "motion": name,
         "engine": "fast",
+        "instructions": isa,
         "loop_cycles_per_s": round(ROBOTS_AT_ONCE / medians["loop"]),
         "bare_cycles_per_s": round(ROBOTS_AT_ONCE / medians["bare"]),
         "ratio": round(medians["bare"] / medians["loop"], 4),
@@ -116,9 +128,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=Path(__file__).with_name("results_mujoco.json"))
     arguments = parser.parse_args()
     results = []
-    print(f"{'robot':<6}{'motion':<12}{'engine':<8}{'loop cycles/s':>14}{'bare cycles/s':>14}{'ratio':>8}")
+    print(f"{'robot':<6}{'motion':<12}{'engine':<16}{'loop cycles/s':>14}{'bare cycles/s':>14}{'ratio':>8}")
     measurements = [
-        *(partial(measure_driven, name) for name in POLICIES),
+        *(partial(measure_driven, name, isa) for name in POLICIES for isa in instruction_sets()),
         *(
             partial(measure, robot, motion, engine)
             for robot in ROBOTS
@@ -130,7 +142,7 @@ def main() -> None:
         result = one()
         results.append(result)
         print(
-            f"{result['robot']:<6}{result['motion']:<12}{result['engine']:<8}"
+            f"{result['robot']:<6}{result['motion']:<12}{result['engine']} {result.get('instructions', ''):<10}"
             f"{result['loop_cycles_per_s']:>14,}{result['bare_cycles_per_s']:>14,}{result['ratio']:>8.2f}"
         )
     document = {
