@@ -172,12 +172,13 @@ def loop(policy: str, simulated_by: str, seconds: float) -> dict[str, Any]:
     spec, rows = spec_of(policy, engine=simulated_by), Rows()
 
     def stop() -> bool:
-        return len(rows.rows) > 1 and rows.rows[-1]["time_s"] - rows.rows[0]["time_s"] > 1.25 * seconds
+        return len(rows.rows) > 3 and rows.rows[-1]["time_s"] - rows.rows[0]["time_s"] > 1.25 * seconds
 
     with tempfile.TemporaryDirectory() as folder:
         train(spec, workdir=Path(folder), reporter=rows, stop=stop, initial_policy=naopolicies.folder(policy))
     late = [k for k, row in enumerate(rows.rows) if row["time_s"] - rows.rows[0]["time_s"] >= seconds / 4.0]
-    first, last = late[0], late[-1]
+    last = len(rows.rows) - 1
+    first = min(late[0], last - 2)
     steps = rows.rows[last]["step"] - rows.rows[first]["step"]
     chosen = rows.rows[first + 1 : last + 1]
     shares = {name: float(np.mean([row[f"{name}_s"] for row in chosen])) for name in ("collect", "learn")}
