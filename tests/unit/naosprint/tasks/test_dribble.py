@@ -174,5 +174,18 @@ def test_results_count_lines_within_the_corridor() -> None:
     assert found["farthest_m"] == pytest.approx(0.7, abs=1e-3)
 
 
+def test_a_ball_may_roll_on_at_a_corner_and_nowhere_else() -> None:
+    def wide_at(metres: float) -> Any:
+        trace = trace_of((10.0, 0.0, 0.5), (10.0, 0.0, 0.5))
+        for number in (1, 2):
+            row = np.flatnonzero(trace[:, 3] == number)[round(10 * metres)]
+            left = (0.0, 1.0) if number == 1 else (-1.0, 0.0)
+            trace[row, :2] += 0.9 * np.array(left)
+        return trace
+
+    assert (summary(wide_at(1.0))["line_rate"], summary(wide_at(1.0))["corner_rate"]) == (0.0, 1.0)
+    assert (summary(wide_at(3.0))["line_rate"], summary(wide_at(3.0))["corner_rate"]) == (0.0, 0.0)
+
+
 def test_an_evaluation_without_a_corner_has_none() -> None:
     assert "corner_rate" not in summary(trace_of((4.0, 0.0, 0.7)))

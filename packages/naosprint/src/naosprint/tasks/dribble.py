@@ -33,6 +33,9 @@ LEG_M = 10.0
 CORRIDOR_HALF_M = 0.75
 """Half the width of the corridor around a line, metres."""
 
+CORNER_M = 2.0
+"""Way along the second line within which the ball may be outside the corridor: it rolls on while the robot turns."""
+
 LEAD_M = 0.8
 """Distance of the ball ahead of the torso from which an opponent could take it, metres."""
 
@@ -74,7 +77,8 @@ CORNER = Metric(
     "corner_rate",
     "Around a corner",
     "%",
-    "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m through a corridor of 1.5 m.",
+    "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m, from the third metre on in a corridor of "
+    "1.5 m.",
     1,
     "higher",
     "rate",
@@ -431,7 +435,7 @@ class Dribble(BallTask[DribbleSettings]):
     def summarize(self, episodes: Episodes, statistics: Statistics) -> tuple[Sequence[Result], Sequence[ResultTable]]:
         """Return how often the ball is dribbled along a line and around a corner, how fast, and how close."""
         first = [_Leg.of(trace, 1) for trace in episodes.trace]
-        second = [_Leg.of(trace, 2) for trace in episodes.trace]
+        second = [_Leg.of(trace, 2, CORNER_M) for trace in episodes.trace]
         begun = [leg for leg in second if leg is not None]
         legs = [leg for leg in (*first, *begun) if leg is not None]
         passed = [leg for leg in legs if leg.passed]
@@ -459,15 +463,16 @@ class _Leg:
         farthest: largest distance of the ball ahead of the torso, metres.
     """
 
-    def __init__(self, rows: FloatArray, *, over: bool) -> None:
+    def __init__(self, rows: FloatArray, free_m: float, *, over: bool) -> None:
         ball, line, direction = rows[:, :2], rows[0, 4:6], rows[0, 6]
         reached, offset = along(np.array(direction), ball - line)
-        self.passed = bool((over or reached[-1] >= LEG_M) and np.abs(offset).max() <= CORRIDOR_HALF_M)
+        inside = (np.abs(offset) <= CORRIDOR_HALF_M) | (np.maximum.accumulate(reached) < free_m)
+        self.passed = bool((over or reached[-1] >= LEG_M) and inside.all())
         self.seconds = len(rows) * STEP_S
         self.farthest = float(rows[1:, 2].max()) if len(rows) > 1 else 0.0
 
     @classmethod
-    def of(cls, trace: FloatArray, number: int) -> Self | None:
-        """Return line ``number`` of an episode, None if it has not begun."""
+    def of(cls, trace: FloatArray, number: int, free_m: float = 0.0) -> Self | None:
+        """Return line ``number`` of an episode, None if it has not begun; its corridor begins after ``free_m``."""
         rows = trace[trace[:, 3] == number]
-        return cls(rows, over=trace[-1, 3] > number) if len(rows) else None
+        return cls(rows, free_m, over=trace[-1, 3] > number) if len(rows) else None
