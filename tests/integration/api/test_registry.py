@@ -303,3 +303,118 @@ def test_the_lineage_begins_with_that_of_a_bundled_policy(
     bundled = naopolicies.card("sprint")
     assert (card["parent_policy"], card["steps"]) == ("sprint", bundled["steps"] + 100)
     assert card["lineage"][:-1] == bundled["lineage"]
+
+
+# --- requirements of aliases ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def measure(sessions: Sessions, store: ArtifactStore) -> Callable[..., None]:
+    """Record an evaluation with one result and its interval, under some conditions."""
+    count = itertools.count(1)
+
+    def measure(lease: Lease, checkpoint_id: str, value: float, *, episodes: int = 200, **conditions: float) -> None:
+        key = f"jobs/{lease.job_id}/evaluations/{checkpoint_id}-measured-{next(count)}"
+        files = [store.put_bytes(f"{key}/replay.json", b'{"frames": []}').model_dump()]
+        interval = [value - 0.01, value + 0.01]
+        result = {"name": "fall_rate", "title": "Falls", "value": value, "interval": interval, "better": "lower"}
+        summary = {"episodes": episodes, "results": [result], "headline": ["fall_rate"], "tables": []}
+        spec = EvaluationSpec(episodes=episodes, task={"name": "sprint1", **conditions} if conditions else None)
+        records.record_evaluation(
+            sessions, lease, checkpoint_id=checkpoint_id, spec=spec, summary=summary, key=key, manifest={"files": files}
+        )
+
+    return measure
+
+
+def refused(client: httpx.Client, name: str, version: int) -> str:
+    """Return why `best` cannot name a version."""
+    answer = client.put(f"/policies/{name}/aliases/best", json={"version": version})
+    assert answer.status_code == 409, answer.text
+    return str(answer.json()["detail"])
+
+
+def test_an_alias_requires_results(
+    client: httpx.Client, name: str, train: Callable[..., Any], measure: Callable[..., None]
+) -> None:
+    lease, (first, second, third) = train(1024, 2048, 3072)
+    for checkpoint in (first, second):
+        register(client, name, lease, checkpoint)
+    shaken = {"start_noise_deg": 8.0, "fall_penalty_m": 1.0}
+    wanted = [{"result": "fall_rate", "most": 0.03, "episodes": 200, "conditions": shaken}]
+    path = f"/policies/{name}/aliases/best"
+    answer = client.put(f"{path}/requirements", json={"requirements": wanted})
+    assert answer.status_code == 200, answer.text
+    (kept,) = answer.json()["requirements"]["best"]
+    assert {key: kept[key] for key in wanted[0]} == wanted[0]
+
+    measure(lease, first, 0.01)  # not from such starts
+    measure(lease, first, 0.01, episodes=50, **shaken)  # too short
+    measure(lease, first, 0.01, start_noise_deg=8.0)  # other conditions
+    bound = "fall_rate <= 0.03 with fall_penalty_m=1.0 start_noise_deg=8.0"
+    assert refused(client, name, 1) == (
+        f"{name}@1 cannot be best: {bound}: no evaluation of 200 episodes or more says so; run one"
+    )
+    measure(lease, first, 0.05, **shaken)
+    assert refused(client, name, 1) == f"{name}@1 cannot be best: {bound}: it is 0.05"
+    measure(lease, first, 0.02, **shaken)  # the newest counts
+    assert client.put(path, json={"version": 1}).status_code == 200
+
+    body = {"job_id": lease.job_id, "checkpoint_id": third, "aliases": ["best"]}
+    answer = client.post(f"/policies/{name}/versions", json=body)
+    assert (answer.status_code, "cannot be best" in answer.json()["detail"]) == (409, True)
+    assert len(client.get(f"/policies/{name}/versions").json()["items"]) == 2, "nothing of it is left"
+
+    assert client.put(f"{path}/requirements", json={"requirements": []}).json()["requirements"] == {}
+    assert client.put(path, json={"version": 2}).status_code == 200
+
+
+def test_a_successor_is_no_worse(
+    client: httpx.Client, name: str, train: Callable[..., Any], measure: Callable[..., None]
+) -> None:
+    lease, checkpoints = train(1024, 2048, 3072)
+    for checkpoint in checkpoints:
+        register(client, name, lease, checkpoint)
+    path = f"/policies/{name}/aliases/best"
+    wanted = {"requirements": [{"result": "fall_rate", "no_worse": True}]}
+    assert client.put(f"{path}/requirements", json=wanted).status_code == 200
+    measure(lease, checkpoints[0], 0.10)
+    assert client.put(path, json={"version": 1}).status_code == 200, "the first has no predecessor"
+    measure(lease, checkpoints[1], 0.115)
+    assert client.put(path, json={"version": 2}).status_code == 200, "the intervals overlap"
+    measure(lease, checkpoints[2], 0.14)
+    assert refused(client, name, 3).endswith("fall_rate not worse than now: it is 0.14, that of version 2 is 0.115")
+    measure(lease, checkpoints[2], 0.05)
+    assert client.put(path, json={"version": 3}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("requirement", "message"),
+    [
+        ({"result": "fall_rate"}, "give most, least or no_worse"),
+        ({"result": "fall_rate", "most": 0.1, "conditions": {"friction": 0.6}}, "friction"),
+        ({"result": "fall_rate", "most": 0.1, "conditions": {"start_noise_deg": "low"}}, "start_noise_deg"),
+        ({"result": "fall_rate", "most": 0.1, "conditions": {"friction_min": 0.6}}, "needs other friction"),
+        ({"result": "fall_rate", "most": 0.1, "simulator": "nowhere"}, "nowhere"),
+        ({"result": "Fall rate", "most": 0.1}, "result"),
+    ],
+)
+def test_a_requirement_that_nothing_could_meet_is_refused(
+    client: httpx.Client, name: str, train: Callable[..., Any], requirement: dict[str, Any], message: str
+) -> None:
+    lease, (checkpoint,) = train(1024)
+    register(client, name, lease, checkpoint)
+    body = {"requirements": [requirement]}
+    answer = client.put(f"/policies/{name}/aliases/best/requirements", json=body)
+    assert answer.status_code == 422, answer.text
+    assert message in answer.text
+
+
+def test_only_its_owner_sets_what_an_alias_requires(
+    client: httpx.Client, name: str, train: Callable[..., Any], make_client: Callable[..., httpx.Client]
+) -> None:
+    lease, (checkpoint,) = train(1024)
+    register(client, name, lease, checkpoint)
+    path, body = f"/policies/{name}/aliases/best/requirements", {"requirements": []}
+    assert make_client("mallory", "submit").put(path, json=body).status_code == 404
+    assert client.put("/policies/sprint/aliases/best/requirements", json=body).status_code == 409

@@ -90,6 +90,21 @@ def test_a_policy_from_registration_to_deletion(
     assert [(card["version"], card["aliases"]) for card in versions] == [(2, ["best", "match"]), (1, [])]
     assert "best" in naoctl("policies", "promote", "fast@2", "match", "--remove")
 
+    words = ("policies", "require", "fast", "match")
+    starts = ("--with", "start_noise_deg=8", "--with", "fall_penalty_m=1")
+    assert "requires: nothing" in naoctl(*words)
+    naoctl(*words, "fall_rate<=0.03", *starts, "--episodes", "1000")
+    required = naoctl(*words, "top_speed_mps=now")
+    assert "fall_rate <= 0.03 in 1,000 episodes with fall_penalty_m=1 start_noise_deg=8" in required
+    assert "top_speed_mps not worse than now in 100 episodes" in required
+    assert "match requires" in naoctl("policies", "show", "fast")
+    assert "cannot be match" in naoctl("policies", "promote", "fast@2", "match", code=6)
+    assert "is no bound" in naoctl(*words, "fall_rate=0.03", code=2)
+    shaken = json.loads(naoctl("eval", "fast@2", *starts, "--episodes", "7", "--no-wait", "--json"))["spec"]
+    assert (shaken["task"]["start_noise_deg"], shaken["episodes"]) == (8.0, 7)
+    assert "start_noise" in naoctl("eval", "fast@2", "--with", "start_noise=1", "--no-wait", code=2)
+    assert "requires: nothing" in naoctl(*words, "--clear")
+
     naoctl("download", "fast@1")
     verify_checkpoint(tmp_path / "fast-1" / "checkpoint")
     assert (tmp_path / "fast-1" / "evaluation" / "evaluation.json").read_bytes() == b"{}"

@@ -440,6 +440,8 @@ class PolicyRecord(Base):
     name: Mapped[str] = mapped_column(String(60))
     last_number: Mapped[int] = mapped_column(Integer, server_default=text("0"))
     """Number of the last version that was registered; numbers are not used again."""
+    requirements: Mapped[dict[str, Any]] = mapped_column(JSONB, server_default=text("'{}'"))
+    """By alias, what versions need: lists of `naojobs.promotion.Requirement`."""
     created_at: Mapped[datetime] = mapped_column(server_default=func.now())
 
     __table_args__ = (UniqueConstraint("owner", "name"),)

@@ -17,6 +17,7 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.dialects.postgresql import insert
 from sqlalchemy.orm import Session
 
+from naojobs import promotion
 from naojobs.changes import add_event, lock
 from naojobs.checkpoints import trained_checkpoint
 from naojobs.database import Sessions, storable
@@ -24,6 +25,7 @@ from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lineage import lineage_of, trained_by
 from naojobs.models import Checkpoint, Job, PolicyAlias, PolicyRecord, PolicyVersion
+from naojobs.promotion import Requirement
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 
 LATEST = "latest"
@@ -72,7 +74,8 @@ def register(
 
     Raises:
         NotFoundError: there is no such job or checkpoint.
-        ConflictError: the job has no checkpoint yet, the policy has this one already, or the key was used before.
+        ConflictError: the job has no checkpoint yet, the policy has this one already, the key was used before, or the
+            version has not what one of its aliases requires.
         InvalidError: the name is a bundled policy's, or this version cannot read the job's specification.
         QuotaError: the owner has as many versions, or as long notes, as `limits` allow.
     """
@@ -131,7 +134,7 @@ def register(
         session.add(version)
         session.flush()
         for alias in wanted.aliases:
-            _point(session, policy, alias, version.number)
+            _point(session, policy, alias, version)
         reference = f"{name}@{version.number}"
         data = {"policy": reference, "checkpoint_id": checkpoint.id, "step": checkpoint.step}
         add_event(session, job, "registered", f"step {checkpoint.step} is policy {reference}", data)
@@ -151,8 +154,9 @@ def _checkpoint(session: Session, wanted: Registration) -> Checkpoint:
     return checkpoint
 
 
-def _point(session: Session, policy: PolicyRecord, alias: str, number: int) -> None:
-    statement = insert(PolicyAlias).values(policy_id=policy.id, name=alias, number=number)
+def _point(session: Session, policy: PolicyRecord, alias: str, version: PolicyVersion) -> None:
+    promotion.check(session, policy, alias, version)
+    statement = insert(PolicyAlias).values(policy_id=policy.id, name=alias, number=version.number)
     session.execute(
         statement.on_conflict_do_update(
             index_elements=[PolicyAlias.policy_id, PolicyAlias.name], set_={"number": statement.excluded.number}
@@ -210,12 +214,25 @@ def aliases_of(session: Session, policy_ids: Sequence[str]) -> dict[str, dict[st
 
 
 def promote(sessions: Sessions, policy_id: str, alias: str, number: int) -> None:
-    """Point an alias at a version; it leaves the one that it named before. Raises NotFoundError."""
+    """Point an alias at a version; it leaves the one that it named before.
+
+    Raises NotFoundError, and ConflictError if the version has not what the alias requires.
+    """
     with sessions.begin() as session:
         policy = _locked(session, policy_id)
-        if session.get(PolicyVersion, (policy_id, number)) is None:
+        version = session.get(PolicyVersion, (policy_id, number))
+        if version is None:
             raise NotFoundError(f"policy {policy.name} has no version {number}")
-        _point(session, policy, alias, number)
+        _point(session, policy, alias, version)
+
+
+def require(sessions: Sessions, policy_id: str, alias: str, requirements: Sequence[Requirement]) -> None:
+    """Replace what an alias requires of the versions that it will name; it keeps the one that it names now.
+
+    Raises NotFoundError, and InvalidError if the policy's task has not the settings of a condition.
+    """
+    with sessions.begin() as session:
+        promotion.require(session, _locked(session, policy_id), alias, requirements)
 
 
 def remove_alias(sessions: Sessions, policy_id: str, alias: str) -> None:

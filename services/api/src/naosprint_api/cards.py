@@ -11,6 +11,7 @@ import naopolicies
 from naojobs.database import Sessions
 from naojobs.models import Checkpoint, PolicyRecord, PolicyVersion
 from naojobs.policies import aliases_of
+from naojobs.promotion import requirements_of
 from naojobs.store import StoreManifest
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
@@ -119,7 +120,8 @@ def version_details(sessions: Sessions, policy: PolicyRecord, version: PolicyVer
         (card,) = _cards(session, [(policy, version)])
         checkpoint = session.get_one(Checkpoint, version.checkpoint_id)
     files = files_view(StoreManifest.model_validate(checkpoint.manifest), f"/checkpoints/{checkpoint.id}")
-    return PolicyDetails(**dict(card), spec=version.spec, files=files)
+    required = {alias: requirements_of(policy, alias) for alias in policy.requirements}
+    return PolicyDetails(**dict(card), spec=version.spec, files=files, requirements=required)
 
 
 def _cards(session: Session, rows: Sequence[tuple[PolicyRecord, PolicyVersion]]) -> list[PolicyCard]:

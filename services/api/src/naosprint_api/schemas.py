@@ -7,6 +7,7 @@ from typing import Annotated, Any, Generic, Literal, Self, TypeVar
 
 from naojobs.models import DEFAULT_TIME_LIMIT_S, StudyState, TrialState
 from naojobs.policies import Registration, check_alias
+from naojobs.promotion import MOST_REQUIREMENTS, Requirement
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
@@ -460,6 +461,14 @@ class AliasSet(_Request):
     version: int = Field(ge=1, le=2**31 - 1, description="Number of the version.")
 
 
+class RequirementsSet(_Request):
+    """What an alias requires."""
+
+    requirements: list[Requirement] = Field(
+        max_length=MOST_REQUIREMENTS, description="All of them have to be met; empty for none."
+    )
+
+
 class PolicyCard(BaseModel):
     """Version of a registered policy, or a bundled policy: its training and its evaluation."""
 
@@ -507,6 +516,9 @@ class PolicyDetails(PolicyCard):
 
     spec: TrainingDocument = Field(description="Specification of the last job of the lineage.")
     files: list[FilePublic] = Field(description="Files of its checkpoint.")
+    requirements: dict[str, list[Requirement]] = Field(
+        default_factory=dict, description="By alias, what a version needs before the alias names it."
+    )
 
 
 class TokenCreate(_Request):

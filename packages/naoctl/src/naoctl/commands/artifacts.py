@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -29,6 +29,7 @@ from rich.progress import (
 from naoctl.client import Client
 from naoctl.commands.submit import EVAL_PREFIX, EVALUATION_SETTINGS
 from naoctl.context import Context, JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
+from naoctl.descriptions import section_name
 from naoctl.errors import CliError, ExitCode, InvalidInput
 from naoctl.evaluations import headline, job_evaluation
 from naoctl.follow import ENDED
@@ -53,6 +54,10 @@ CheckpointOption = Annotated[
 OutputOption = Annotated[
     Path | None,
     typer.Option("--output", "-o", metavar="FOLDER", help="Output folder (default: named after the job)."),
+]
+Conditions = Annotated[
+    list[str] | None,
+    typer.Option("--with", metavar="NAME=VALUE", help="Setting of the task, such as friction_min=0.6; repeatable."),
 ]
 Job = Annotated[
     str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
@@ -389,6 +394,7 @@ def evaluate(
         typer.Option(metavar="SECONDS", min=1, help="Time limit of the evaluation.", show_default="6 hours"),
     ] = None,
     show: Annotated[bool, typer.Option("--list", help="List the job's evaluations instead.")] = False,
+    conditions: Conditions = None,
     as_json: JsonFlag = False,
     evaluation: dict[str, Any] = {},  # noqa: B006 - filled by with_parameters
 ) -> None:
@@ -415,6 +421,9 @@ def evaluate(
             values = parse_flags(EVALUATION_SETTINGS, evaluation, prefix=EVAL_PREFIX)
             from_flags = {name: EVALUATION_SETTINGS[name] for name in values}
             body["spec"] = build(EvaluationSpec, values, from_flags=from_flags).model_dump(mode="json")
+        if conditions:
+            name = last_task(found["spec"])
+            body["spec"] = {**body.get("spec", {}), "task": {"name": name, **condition_values(conditions)}}
         asked = client.post(f"/jobs/{found['id']}/evaluations", body)
         if wait:
             try:
@@ -427,6 +436,30 @@ def evaluate(
         show_evaluation(context, asked)
     if asked["state"] in EXIT_CODES:
         raise typer.Exit(EXIT_CODES[asked["state"]])
+
+
+def condition_values(conditions: Sequence[str] | None) -> dict[str, Any]:
+    """Return settings of a task by name, numbers where they are numbers.
+
+    Raises:
+        InvalidInput: if one is not NAME=VALUE.
+    """
+    found: dict[str, Any] = {}
+    for text in conditions or ():
+        name, sign, value = text.partition("=")
+        if not sign or not name:
+            raise InvalidInput(f"--with: {text!r} is not NAME=VALUE", fix="Write for example --with friction_min=0.6.")
+        try:
+            found[name] = json.loads(value)
+        except ValueError:
+            found[name] = value
+    return found
+
+
+def last_task(spec: Mapping[str, Any]) -> str:
+    """Return the name of the task of a specification's last stage."""
+    stages = [stage.get("task") or {} for stage in spec.get("stages") or []]
+    return next((stage["name"] for stage in reversed(stages) if stage.get("name")), section_name(spec, "task"))
 
 
 def _interrupted(client: Client, evaluation: dict[str, Any]) -> NoReturn:

@@ -1,13 +1,14 @@
-"""Commands for registered policies: ``register``, ``show``, ``versions``, ``compare``, ``promote``, ``delete``."""
+"""Commands for registered policies: ``register``, ``show``, ``compare``, ``promote``, ``require`` and their like."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 
-from naoctl.commands.artifacts import choose_checkpoint
+from naoctl.commands.artifacts import Conditions, choose_checkpoint, condition_values
 from naoctl.commands.jobs import add_settings, settings_of
 from naoctl.commands.submit import hand_in
 from naoctl.context import JsonFlag, complete_job, context_of, find_job, stdin_is_terminal
@@ -18,6 +19,7 @@ from naoctl.render import MISSING, ago, cell, duration, listing, pairs
 
 POLICY_HELP = "A bundled or registered policy: NAME, NAME@VERSION or NAME@ALIAS."
 Policy = Annotated[str, typer.Argument(metavar="POLICY", help=POLICY_HELP)]
+_BOUND = re.compile(r"([a-z][a-z0-9_]*)(<=|>=|=)(now|-?\d+(?:\.\d+)?)")
 DIGEST_DIGITS = 12
 """Leading digits of a digest that displays show."""
 
@@ -77,6 +79,7 @@ def show_policy(ctx: typer.Context, policy: Policy, as_json: JsonFlag = False) -
     ]
     if card["created_at"]:
         rows.append(("Registered", ago(card["created_at"])))
+    rows += [(f"{alias} requires", "; ".join(texts)) for alias, texts in _requirements(card).items()]
     if card["notes"]:
         rows.append(("Notes", cell(card["notes"])))
     rows.append(("Episodes", f"{card['episodes']:,}" if card["episodes"] else "not evaluated yet"))
@@ -208,6 +211,74 @@ def promote(
         context.out.print(f"{card['reference']} has the aliases: {', '.join(card['aliases']) or 'none'}")
 
 
+def require(
+    ctx: typer.Context,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a registered policy.")],
+    alias: Annotated[str, typer.Argument(metavar="ALIAS", help="Alias, such as best or match.")],
+    bounds: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="BOUND...", help="'RESULT<=X', 'RESULT>=X', or 'RESULT=now' for no worse than now."),
+    ] = None,
+    conditions: Conditions = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes that the evaluation needs at least.")] = 100,
+    simulator: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Where they have to run.", show_default="that of the training")
+    ] = None,
+    clear: Annotated[bool, typer.Option("--clear", help="Remove what the alias required before.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Set what a version needs before an alias names it: `naoctl policies require fast best 'fall_rate<=0.03'`.
+
+    Bounds are added to those that the alias has; without any they are listed.
+    """
+    context = context_of(ctx)
+    shared = {"conditions": condition_values(conditions), "episodes": episodes, "simulator": simulator}
+    wanted = [{**_bound(text), **shared} for text in bounds or ()]
+    with context.client() as client:
+        card = known_policy(client, name)
+        if wanted or clear:
+            kept = [] if clear else card["requirements"].get(alias, [])
+            body = {"requirements": [*kept, *wanted]}
+            path = f"{policy_path(card['name'])}/aliases/{alias}/requirements"
+            card = client.request("PUT", path, json_body=body)
+    if as_json:
+        context.json(card["requirements"].get(alias, []))
+        return
+    texts = _requirements(card).get(alias, [])
+    context.out.print(f"{card['name']}@{alias} requires: {'; '.join(texts) or 'nothing'}", markup=False)
+
+
+def _bound(text: str) -> dict[str, Any]:
+    """Return a bound of a result as the API takes it."""
+    found = _BOUND.fullmatch(text.replace(" ", ""))
+    if found is None or (found[2] == "=") != (found[3] == "now"):
+        raise InvalidInput(
+            f"{text!r} is no bound", fix="Write for example 'fall_rate<=0.03', 'top_speed_mps>=4' or 'fall_rate=now'."
+        )
+    result, sign, value = found.groups()
+    if value == "now":
+        return {"result": result, "no_worse": True}
+    return {"result": result, "most" if sign == "<=" else "least": float(value)}
+
+
+def _requirements(card: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return what aliases require, in words."""
+    return {
+        alias: [_requirement_text(each) for each in requirements]
+        for alias, requirements in card.get("requirements", {}).items()
+    }
+
+
+def _requirement_text(each: Mapping[str, Any]) -> str:
+    """Return a requirement in words: ``fall_rate <= 0.03 in 1,000 episodes with friction_min=0.6``."""
+    bounds = [f"{sign} {each[key]:g}" for sign, key in (("<=", "most"), (">=", "least")) if each[key] is not None]
+    bounds += ["not worse than now"] * each["no_worse"]
+    settings = " ".join(f"{name}={value}" for name, value in sorted(each["conditions"].items()))
+    place = f" on {each['simulator']}" if each["simulator"] else ""
+    with_settings = f" with {settings}" if settings else ""
+    return f"{each['result']} {' and '.join(bounds)} in {each['episodes']:,} episodes{with_settings}{place}"
+
+
 def delete_policy(
     ctx: typer.Context,
     policy: Annotated[
@@ -244,6 +315,7 @@ def register(app: typer.Typer) -> None:
         ("versions", list_versions),
         ("compare", compare_policies),
         ("promote", promote),
+        ("require", require),
         ("delete", delete_policy),
     ):
         app.command(name)(function)

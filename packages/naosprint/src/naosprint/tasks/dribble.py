@@ -77,8 +77,8 @@ CORNER = Metric(
     "corner_rate",
     "Around a corner",
     "%",
-    "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m, from the third metre on in a corridor of "
-    "1.5 m.",
+    "Fraction of the turns of 90 degrees after which the ball is dribbled 10 m, from the third metre on in a corridor "
+    "of 1.5 m.",
     1,
     "higher",
     "rate",

@@ -19,7 +19,7 @@ from naosprint_api.downloads import send_file
 from naosprint_api.patterns import ALIAS, PLACE, PLAIN, POLICY, REFERENCE
 from naosprint_api.problems import responses
 from naosprint_api.routes.artifacts import finished
-from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, PolicyPage, VersionCreate
+from naosprint_api.schemas import AliasSet, PolicyCard, PolicyDetails, PolicyPage, RequirementsSet, VersionCreate
 from naosprint_api.service import Service
 
 router = APIRouter(tags=["policies"], route_class=CountedRoute)
@@ -174,6 +174,24 @@ def set_alias(
     policy = _own(service, principal, name, owner)
     policies.promote(service.sessions, policy.id, alias, body.version)
     return get_policy(f"{name}@{body.version}", principal, service, policy.owner)
+
+
+@router.put("/policies/{name}/aliases/{alias}/requirements", responses=_CONTROL)
+def set_requirements(
+    name: Name,
+    alias: Annotated[Alias, AfterValidator(policies.check_alias)],
+    body: RequirementsSet,
+    principal: Submitter,
+    service: ServiceDep,
+    owner: Owner = None,
+) -> PolicyDetails:
+    """Replace what an alias requires of the versions that it will name; an empty list removes it.
+
+    A version that lacks a result, or has a worse one, is refused with the requirement, its value, and what to run.
+    """
+    policy = _own(service, principal, name, owner)
+    policies.require(service.sessions, policy.id, alias, body.requirements)
+    return get_policy(name, principal, service, policy.owner)
 
 
 @router.delete("/policies/{name}/aliases/{alias}", status_code=204, responses=_READ)

@@ -1,0 +1,178 @@
+"""What a version of a policy needs before an alias names it: results of evaluations under conditions of a team.
+
+A requirement is about one result: a bound, or that it is not worse than that of the version which the alias names now.
+It counts evaluations of the version's own checkpoint under exactly its conditions, so that a team can require few falls
+on a slippery floor, and speed on a normal one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
+
+from naospec import EvaluationSpec, TrainingSpec, read_stored
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from naojobs.errors import ConflictError, InvalidError
+from naojobs.models import Evaluation, PolicyAlias, PolicyRecord, PolicyVersion
+from naojobs.states import WorkState
+
+MOST_REQUIREMENTS = 50
+"""Largest number of requirements of one alias."""
+
+Plain = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,59}$")]
+
+
+class Requirement(BaseModel):
+    """One result that a version needs."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    result: Plain = Field(description="Name of a result, for example fall_rate.")
+    most: float | None = Field(None, allow_inf_nan=False, description="Largest value that passes; shares as 0 to 1.")
+    least: float | None = Field(None, allow_inf_nan=False, description="Smallest value that passes.")
+    no_worse: bool = Field(
+        False, description="Whether the interval may not lie on the worse side of that of the alias's present version."
+    )
+    episodes: int = Field(100, ge=1, le=1_000_000, description="Episodes that the evaluation needs at least.")
+    simulator: Annotated[str, StringConstraints(max_length=40)] | None = Field(
+        None, description="Where the episodes have to run; left out: where the policy was trained."
+    )
+    conditions: dict[Plain, bool | int | float | str] = Field(
+        default_factory=dict,
+        max_length=20,
+        description="Settings of the task in the evaluation, for example friction_min; none: as trained, undisturbed.",
+    )
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.most is None and self.least is None and not self.no_worse:
+            raise PydanticCustomError("empty", "{result}: give most, least or no_worse", {"result": self.result})
+        return self
+
+    def specification(self, task: str) -> EvaluationSpec:
+        """Return the evaluation that it is about.
+
+        Raises:
+            pydantic.ValidationError: if the task has not these settings.
+        """
+        section = {"name": task, **self.conditions} if self.conditions else None
+        return EvaluationSpec(episodes=self.episodes, simulator=self.simulator, task=section)
+
+    def __str__(self) -> str:
+        """Return it in words: ``fall_rate <= 0.03 with friction_min=0.6``."""
+        limits = (("<=", self.most), (">=", self.least))
+        bounds = [f"{sign} {value:g}" for sign, value in limits if value is not None]
+        bounds += ["not worse than now"] * self.no_worse
+        settings = " ".join(f"{name}={value}" for name, value in sorted(self.conditions.items()))
+        place = f" in simulator {self.simulator}" * (self.simulator is not None)
+        return f"{self.result} {' and '.join(bounds)}{f' with {settings}' * bool(settings)}{place}"
+
+
+def require(session: Session, policy: PolicyRecord, alias: str, requirements: Sequence[Requirement]) -> None:
+    """Replace what an alias requires; an empty sequence removes it.
+
+    Raises:
+        InvalidError: if the policy's task has not the settings of a condition, or its robot cannot meet it.
+    """
+    newest = session.scalars(
+        select(PolicyVersion).where(PolicyVersion.policy_id == policy.id).order_by(PolicyVersion.number.desc()).limit(1)
+    ).one()
+    trained = read_stored(TrainingSpec, newest.spec)
+    for number, requirement in enumerate(requirements):
+        try:
+            requirement.specification(trained.stage_specs[-1].task.name).applied_to(trained)
+        except ValidationError as error:
+            problem = error.errors()[0]
+            place = ".".join(str(part) for part in problem["loc"])
+            raise InvalidError(f"{requirement.result}: {place}: {problem['msg']}", f"requirements.{number}") from None
+    others = {name: kept for name, kept in policy.requirements.items() if name != alias}
+    wanted = {alias: [each.model_dump(mode="json") for each in requirements]} if requirements else {}
+    policy.requirements = {**others, **wanted}
+
+
+def requirements_of(policy: PolicyRecord, alias: str) -> list[Requirement]:
+    """Return what an alias requires."""
+    return [Requirement.model_validate(each) for each in policy.requirements.get(alias, [])]
+
+
+def check(session: Session, policy: PolicyRecord, alias: str, version: PolicyVersion) -> None:
+    """Check that a version has what an alias requires.
+
+    Raises:
+        ConflictError: naming every requirement that it does not meet, its value, and what to run where it is missing.
+    """
+    now = session.get(PolicyAlias, (policy.id, alias))
+    before = None if now is None else session.get(PolicyVersion, (policy.id, now.number))
+    unmet = [
+        text
+        for requirement in requirements_of(policy, alias)
+        if (text := _unmet(session, requirement, version, before)) is not None
+    ]
+    if unmet:
+        raise ConflictError(f"{policy.name}@{version.number} cannot be {alias}: {'; '.join(unmet)}", "version")
+
+
+def _unmet(
+    session: Session, requirement: Requirement, version: PolicyVersion, before: PolicyVersion | None
+) -> str | None:
+    """Return what is missing or wrong; None if the requirement is met."""
+    result = _result(session, requirement, version)
+    if result is None:
+        return f"{requirement}: no evaluation of {requirement.episodes:,} episodes or more says so; run one"
+    value = float(result["value"])
+    if requirement.most is not None and value > requirement.most:
+        return f"{requirement}: it is {value:g}"
+    if requirement.least is not None and value < requirement.least:
+        return f"{requirement}: it is {value:g}"
+    if requirement.no_worse and before is not None and before.number != version.number:
+        standing = _result(session, requirement, before)
+        if standing is None:
+            return f"{requirement}: version {before.number}, which it names now, has no such evaluation; run one"
+        if _worse(result, standing):
+            return f"{requirement}: it is {value:g}, that of version {before.number} is {standing['value']:g}"
+    return None
+
+
+def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:
+    """Return whether a result's interval lies on the worse side of another's."""
+    low, high = result.get("interval") or (result["value"],) * 2
+    standing_low, standing_high = standing.get("interval") or (standing["value"],) * 2
+    lower_is_better = result.get("better") == "lower"
+    return bool(low > standing_high if lower_is_better else high < standing_low)
+
+
+def _result(session: Session, requirement: Requirement, version: PolicyVersion) -> dict[str, Any] | None:
+    """Return the result of the newest evaluation of a version that the requirement is about."""
+    wanted = requirement.specification(_task(version))
+    rows = session.execute(
+        select(Evaluation.spec, Evaluation.summary)
+        .where(Evaluation.checkpoint_id == version.checkpoint_id, Evaluation.state == WorkState.SUCCEEDED)
+        .order_by(Evaluation.created_at.desc())
+    )
+    for document, summary in rows:
+        try:
+            spec = read_stored(EvaluationSpec, document)
+        except ValidationError:
+            continue  # of plug-ins that are gone
+        if _conditions(spec) != _conditions(wanted) or spec.episodes < requirement.episodes:
+            continue
+        for result in (summary or {}).get("results", []):
+            if result["name"] == requirement.result and result.get("value") is not None:
+                found: dict[str, Any] = result
+                return found
+    return None
+
+
+def _conditions(spec: EvaluationSpec) -> dict[str, Any]:
+    """Return what has to be equal in two evaluations for their results to compare."""
+    task = None if spec.task is None else spec.task.model_dump(exclude={"version"})
+    return {"task": task, "simulator": spec.simulator, "engine": spec.engine, "deterministic": spec.deterministic}
+
+
+def _task(version: PolicyVersion) -> str:
+    """Return the task that a version was last trained for."""
+    return read_stored(TrainingSpec, version.spec).stage_specs[-1].task.name
