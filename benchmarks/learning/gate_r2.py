@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from naosprint.analysis.results import by_name
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.velocity import Velocity
+from points import Point, at_least, at_most
 
 EPISODES, STEPS, SEED = 200, 500, 90_000
 """Episodes of a command, steps of an episode, and a seed that no training uses."""
@@ -41,25 +42,6 @@ FAST_MPS, CHANGE_S, REACHED_MPS, STOPPED_MPS = 2.5, 1.5, 2.25, 0.25
 """Start and stop: from standing to nine tenths of 2.5 m/s, and down to a tenth of it, in 1.5 s each."""
 
 STRAIGHT = {"sideways_max_mps": 0.0, "turn_max_rad_s": 0.0}
-
-
-@dataclass(frozen=True)
-class Point:
-    """One line of the gate.
-
-    Attributes:
-        command: what the robot has to do.
-        name: what is measured.
-        value: the measurement.
-        bound: its bound, with the sign of the side that passes.
-        passed: whether it passes.
-    """
-
-    command: str
-    name: str
-    value: float | None
-    bound: str
-    passed: bool
 
 
 def command(forward: float, **others: Any) -> dict[str, Any]:
@@ -78,16 +60,6 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "turn, up to 1 rad/s": command(0.5, turn_max_rad_s=1.0),
     "abrupt changes, 0 to 2 m/s every second": command(0.0, forward_max_mps=2.0, command_steps=50),
 }
-
-
-def at_least(command: str, name: str, value: float | None, bound: float) -> Point:
-    """Return a point that large values pass."""
-    return Point(command, name, value, f">= {bound:g}", value is not None and value >= bound)
-
-
-def at_most(command: str, name: str, value: float | None, bound: float) -> Point:
-    """Return a point that small values pass."""
-    return Point(command, name, value, f"<= {bound:g}", value is not None and value <= bound)
 
 
 def steady(checkpoint: Path, name: str, options: argparse.Namespace) -> list[Point]:
@@ -187,9 +159,7 @@ def main() -> int:
         found[policy] = points
         print(f"{policy}, {options.simulator}, {options.episodes} episodes a command")
         for point in points:
-            value = "none" if point.value is None else f"{point.value:.3f}"
-            mark = "pass" if point.passed else "FAIL"
-            print(f"  {mark}  {point.command:<42}{point.name:<32}{value:>8}  {point.bound}", flush=True)
+            print(point, flush=True)
     if options.json:
         document = {name: [asdict(point) for point in points] for name, points in found.items()}
         options.json.write_text(json_text(document), encoding="utf-8")

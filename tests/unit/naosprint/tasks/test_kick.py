@@ -295,7 +295,7 @@ def episodes_of(*kicks: tuple[float, float, float, bool]) -> Episodes:
 
 def test_results_follow_from_the_balls_ways() -> None:
     kicks = episodes_of(
-        (0.0, 6.0, np.inf, False), (4.0, 8.0, np.inf, False), (9.0, 6.0, 5.5, False), (0.0, 9.0, 9.0, True)
+        (0.0, 6.0, np.inf, False), (4.0, 8.1, np.inf, False), (9.0, 6.0, 5.5, False), (0.0, 9.0, 9.0, True)
     )
     task = task_of(environment_of(1))
     results, tables = task.summarize(kicks, Statistics(0.95, 100, 0))
@@ -305,6 +305,15 @@ def test_results_follow_from_the_balls_ways() -> None:
     assert found["fall_rate"] == 0.25
     assert found["stop_error_deg"] == pytest.approx(2.0)
     assert found["distance_error"] == pytest.approx(6.0 / 5.5 - 1.0)
-    assert found["power_distance_m"] == pytest.approx(7.0)
+    assert found["power_distance_m"] == pytest.approx(7.05)
+    # far enough and upright is the second power kick alone, 4 degrees off; three kicks had to go that far
+    assert found["goal_rate"] == pytest.approx(1 / 3)
     corridors = tables[0].columns["Aligned"]
     assert [result.value for result in corridors] == [0.75, 0.5, 0.5]
+
+
+def test_kicks_that_need_not_go_far_have_no_rate_of_far_ones() -> None:
+    """An evaluation of short passes only has no corridor of 5 m and no goal."""
+    results, _ = task_of(environment_of(1)).summarize(episodes_of((0.0, 3.0, 3.0, False)), Statistics(0.95, 100, 0))
+    found = {result.metric.name: result.value for result in results}
+    assert (found["corridor_5_rate"], found["goal_rate"]) == (None, None)

@@ -99,5 +99,7 @@ class Statistics:
     def rate(self, metric: Metric, flags: BoolArray) -> Result:
         """Return the fraction of true values, with Wilson's interval."""
         count, n = int(flags.sum()), len(flags)
+        if not n:
+            return Result(metric, None)
         interval = wilson(count, n, self.confidence)
         return Result(metric, count / n, interval=interval, count=count, episodes=n)

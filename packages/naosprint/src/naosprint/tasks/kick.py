@@ -39,6 +39,9 @@ CORRIDORS_M = (2.0, 3.5, 5.0)
 CORRIDOR_HALF_M = 0.5
 """Half the corridors' width, metres."""
 
+GOAL_M, GOAL_HALF_M = 8.0, 1.83
+"""Distance of a goal, and half its width, metres."""
+
 UPRIGHT_S = 3.0
 """Time after the touch at which a robot has to be upright, seconds."""
 
@@ -137,6 +140,19 @@ CORRIDOR_5 = Metric(
     "Corridor of 5 m",
     "%",
     "Fraction of those kicks through a corridor of 5 m.",
+    1,
+    "higher",
+    "rate",
+    False,
+)
+
+
+GOAL = Metric(
+    "goal_rate",
+    "Into a goal 8 m away",
+    "%",
+    "Fraction of the kicks that are to go at least 8 m, cross the line of a goal of 3.66 m there, and leave the robot "
+    "upright.",
     1,
     "higher",
     "rate",
@@ -276,7 +292,7 @@ class Kick(BallTask[KickSettings]):
     summary = "Kick a ball to a commanded point, from walking, and keep standing."
     Parameters = KickSettings
     metrics = (CONTACT, LAUNCH_ERROR, ROLL, ROLL_ERROR, KICK_FALLS)
-    results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, POWER, DISTANCE)
+    results = (UPRIGHT_RATE, CORRIDOR_5, STOP_ERROR, STOP_ERROR_90, DISTANCE_ERROR, GOAL, POWER, DISTANCE)
     ends = (FALL, End("done", "Kick"), End("missed", "No kick"))
     trace = ("ball_x", "ball_y", "touched", "direction", "distance", "aligned", "launch_error")
     presentation = Presentation(
@@ -642,6 +658,15 @@ class _Kicks:
             dtype=np.bool_,
         )
 
+    def scored(self, chosen: BoolArray) -> BoolArray:
+        """Return which of the chosen kicks of at least 8 m cross a goal's line there."""
+        far = np.flatnonzero(chosen & (self._distance >= GOAL_M)).tolist()
+        return np.array([self._scores(i) for i in far], dtype=np.bool_)
+
+    def _scores(self, i: int) -> bool:
+        beyond = np.flatnonzero(self._along[i] >= GOAL_M)
+        return bool(len(beyond) and self._upright[i] and abs(self._across[i][beyond[0]]) <= GOAL_HALF_M)
+
     def _passes(self, i: int, length: float) -> bool:
         beyond = np.flatnonzero(self._along[i] >= length)
         if not len(beyond) or not self._upright[i]:
@@ -662,6 +687,7 @@ class _Kicks:
             statistics.median(STOP_ERROR, errors),
             Result(STOP_ERROR_90, worst, episodes=len(errors)),
             statistics.median(DISTANCE_ERROR, asked),
+            statistics.rate(GOAL, self.scored(chosen)),
             statistics.mean(POWER, self._rolled[kicked & self._power]),
             statistics.mean(DISTANCE, self._rolled[kicked]),
         )
