@@ -129,6 +129,11 @@ class S3Server:
             "NAOSPRINT_S3_SECRET_ACCESS_KEY": self.SECRET_ACCESS_KEY,
         }
 
+    def stored(self, prefix: str) -> list[str]:
+        """Return the names of the files below a prefix on the server's disk; its listings can be a moment late."""
+        folder = self._folder / "bucket" / "some" / "prefix"
+        return sorted(str(path.relative_to(folder)) for path in (folder / prefix).rglob("*") if path.is_file())
+
     def start(self) -> None:
         """Start it and wait until it answers."""
         # The quotes are part of the value: without them it is split at the comma.

@@ -104,10 +104,13 @@ def test_a_signed_address_opens_one_file_and_only_that(store: ArtifactStore) -> 
     assert httpx.get(url.split("?")[0]).status_code in (400, 403)
 
 
-def test_it_can_be_tried_out_by_many_and_leaves_nothing(store: ArtifactStore) -> None:
+def test_it_can_be_tried_out_by_many_and_leaves_nothing(store: ArtifactStore, s3_server: S3Server) -> None:
+    store.put_bytes("probes-of-another/a", b"a")
     for _ in range(3):
         store.check()
-    assert store.list("probes") == []
+    assert s3_server.stored("probes") == []
+    assert s3_server.stored("probes-of-another") == ["probes-of-another/a"], "files are found where they are looked for"
+    store.delete_prefix("probes-of-another")
 
 
 def test_what_is_missing_is_missing(store: ArtifactStore) -> None:
