@@ -16,6 +16,7 @@ from naosprint.matches.game import GameSettings
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import MatchStoppedError, find_teams, log_name, play_match
 from naosprint.matches.results import match_results, table
+from naosprint.matches.sequential import Gate, Verdict
 from naosprint.matches.teams import skills_of, write_example
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
         half_s=options.seconds,
         limits=Limits(cpu_s=options.cpu_seconds, memory_mb=options.memory_mb),
     )
-    names = (first, others[0])
+    names, gate = (first, others[0]), Gate()
 
     def played(game: int, log: GameLog) -> None:
         sys.stderr.write(f"game {game}: {log.teams[0]} {log.goals[0]}:{log.goals[1]} {log.teams[1]}\n")
@@ -61,12 +62,21 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
                 parallel=options.parallel,
                 stop=stop,
                 played=played,
+                enough=lambda logs: options.gate and gate.verdict(_differences(logs)) is not Verdict.OPEN,
             )
         except MatchStoppedError:
             sys.stderr.write(f"stopped; the games that are over are in {options.output}\n")
             return 1
     _print(logs, as_json=options.json)
-    return 0
+    if not options.gate:
+        return 0
+    verdict = gate.verdict(_differences(logs))
+    sys.stderr.write(f"{shown[0]} {verdict} against {shown[1]}, after {len(logs)} of at most {options.games} games\n")
+    return 0 if verdict is Verdict.HOLDS else 1
+
+
+def _differences(logs: list[GameLog]) -> list[int]:
+    return [log.goals[0] - log.goals[1] for log in logs]
 
 
 def team(options: argparse.Namespace) -> int:
@@ -116,6 +126,12 @@ def add_parsers(commands: Any, stop: Callable[[], Callable[[], bool]]) -> None:
     match.add_argument("--output", type=Path, default=Path("match"), help="folder for the logs (default: match)")
     match.add_argument("--cpu-seconds", type=int, default=Limits.cpu_s, help="processor time of an agent in a half")
     match.add_argument("--memory-mb", type=int, default=Limits.memory_mb, help="memory of an agent, MiB")
+    match.add_argument(
+        "--gate",
+        action="store_true",
+        help="stop as soon as a sequential test has decided whether the first team does not lose; exit code 1 if it "
+        "does, or if --games were too few",
+    )
     match.add_argument("--json", action="store_true", help="print the results as JSON")
     match.set_defaults(run=lambda options: play(options, stop()))
     write = commands.add_parser(

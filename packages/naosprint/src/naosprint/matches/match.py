@@ -44,6 +44,7 @@ def play_match(
     stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda _games: None,
     played: Callable[[int, GameLog], None] = lambda _game, _log: None,
+    enough: Callable[[list[GameLog]], bool] = lambda _logs: False,
 ) -> list[GameLog]:
     """Play games and write a log of each to ``folder``; return the logs in order.
 
@@ -59,6 +60,8 @@ def play_match(
         stop: whether to end; asked about once a second.
         progress: called with the number of games played, as a fraction.
         played: called with number and log of each game that is over.
+        enough: called with the logs of the first games, without a gap, whenever there is one more; if it returns true,
+            they are all that is returned, and no other game is played to its end.
 
     Raises:
         naosprint.matches.game.MatchError: if a game cannot be played; the others are stopped.
@@ -67,7 +70,9 @@ def play_match(
     folder.mkdir(parents=True, exist_ok=True)
     shown = names if names[0] != names[1] else (f"{names[0]} 1", f"{names[1]} 2")
     done = dict.fromkeys(range(1, games + 1), 0.0)
-    failed, lock = threading.Event(), threading.Lock()
+    ended, lock = threading.Event(), threading.Lock()
+    logs: dict[int, GameLog] = {}
+    first: list[GameLog] = []
 
     def play(game: int) -> GameLog:
         path = folder / log_name(game)
@@ -79,11 +84,19 @@ def play_match(
         log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
         note(game, 1.0)
         with lock:
+            if ended.is_set():
+                raise MatchStoppedError
             played(game, log)
+            logs[game] = log
+            while len(first) + 1 in logs:
+                first.append(logs[len(first) + 1])
+                if enough(list(first)):
+                    ended.set()
+                    break
         return log
 
     def note(game: int, share: float) -> None:
-        if failed.is_set() or stop():
+        if ended.is_set() or stop():
             raise MatchStoppedError
         with lock:
             done[game] = share
@@ -92,11 +105,13 @@ def play_match(
     with ThreadPoolExecutor(parallel, thread_name_prefix="game") as pool:
         futures = [pool.submit(play, game) for game in done]
         finished, _ = wait(futures, return_when=FIRST_EXCEPTION)
-        errors = [error for future in finished if (error := future.exception()) is not None]
-        if errors:
-            failed.set()
-            for future in futures:
-                future.cancel()
-            # the reason, not what it stopped
-            raise min(errors, key=lambda error: isinstance(error, MatchStoppedError))
-        return [future.result() for future in futures]
+        decided = ended.is_set()
+        ended.set()
+        for future in futures:
+            future.cancel()
+        errors = [error for future in finished if not future.cancelled() and (error := future.exception()) is not None]
+        # the reason, not what it stopped
+        error = min(errors, key=lambda error: isinstance(error, MatchStoppedError), default=None)
+        if error is not None and not (decided and isinstance(error, MatchStoppedError)):
+            raise error
+    return first
