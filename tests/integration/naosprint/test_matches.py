@@ -14,6 +14,8 @@ from naosprint.matches.results import match_results
 from naosprint.matches.stream import PLAY_MODES
 from naosprint.matches.teams import read_team
 
+pytestmark = pytest.mark.timeout(600)  # seconds of play on servers that share a busy machine
+
 CRASHING = """
 import socket, sys
 host, port, team, number = sys.argv[1:5]
@@ -21,10 +23,11 @@ def send(text):
     server.sendall(len(text).to_bytes(4, "big") + text.encode())
 server = socket.create_connection((host, int(port)))
 send(f"(init T1 {team} {number})")
-for cycle in range(10**9):
+played = 0
+while True:
     size = int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big")
-    server.recv(size, socket.MSG_WAITALL)
-    if number == "2" and cycle == 250:
+    played += b"BeforeKickOff" not in server.recv(size, socket.MSG_WAITALL)
+    if number == "2" and played == 50:
         raise RuntimeError("the knee is broken")
     send("(he1 0 0 20 1 0)")
 """
@@ -33,7 +36,7 @@ for cycle in range(10**9):
 def test_a_match_of_the_example_team_and_its_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "logs"
     teams = ["example", "example:walk=t1-run-robust"]
-    numbers = ["--games", "1", "--players", "1", "--seconds", "6", "--json", "--output", str(folder)]
+    numbers = ["--games", "1", "--players", "1", "--seconds", "3", "--json", "--output", str(folder)]
     assert main(["match", *teams, *numbers]) == 0
     played = capsys.readouterr()
     results = json.loads(played.out)
@@ -46,7 +49,7 @@ def test_a_match_of_the_example_team_and_its_report(tmp_path: Path, capsys: pyte
         rows = log.half == half
         assert PLAY_MODES[log.mode[rows][0]] == "KickOff_Left"
         assert PLAY_MODES[log.mode[rows][-1]] == "GameOver"
-        assert log.clock_s[rows][-1] == pytest.approx(6.0, abs=0.1)
+        assert log.clock_s[rows][-1] == pytest.approx(3.0, abs=0.1)
     # the team with the kick-off has walked to the ball
     walker = 0
     assert log.torso_m[log.half == 0][-1, walker, 0] > log.torso_m[log.half == 0][0, walker, 0] + 0.3

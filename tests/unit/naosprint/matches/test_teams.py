@@ -54,6 +54,7 @@ def run_agent(folder: Path, program: str, **limits: int) -> tuple[AgentProcess, 
     agent = AgentProcess(read_team(folder), "left", 3, 1, Address("127.0.0.1", 9, 10), Limits(**limits))
     pause = threading.Event()
     while agent.alive():
+        agent.note_cpu()
         pause.wait(0.05)
     return agent, agent.describe()
 

@@ -102,8 +102,7 @@ class AgentProcess:
         return found
 
     def alive(self) -> bool:
-        """Return whether it runs; note the processor time that it has used so far."""
-        self._note_cpu()
+        """Return whether it runs."""
         return self._process.poll() is None
 
     def describe(self) -> str:
@@ -121,7 +120,7 @@ class AgentProcess:
 
     def stop(self) -> None:
         """End it and everything that it started."""
-        self._note_cpu()
+        self.note_cpu()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -130,7 +129,8 @@ class AgentProcess:
         for folder in (self._home, self._folder):
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _note_cpu(self) -> None:
+    def note_cpu(self) -> None:
+        """Note the processor time that it has used so far; this reads the state of all processes."""
         ticks = 0
         for entry in os.listdir("/proc"):
             if entry.isdecimal():

@@ -208,6 +208,7 @@ class _Half:
         """Note players that are no longer on the field."""
         noted = {(each["side"], each["number"]) for each in self._lost}
         for player, agent in self._agents.items():
+            agent.note_cpu()
             alive = agent.alive()
             if player not in noted and (player not in frame.bodies or not alive) and frame.mode != _GAME_OVER:
                 reason = "dropped by the server after 5 s without a message" if alive else agent.describe()

@@ -123,6 +123,7 @@ class Player:
         self.world = Memory(team, number, self.kick.ball.in_torso)
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
+        self.settling = 0
 
     # --- what to do -----------------------------------------------------------------------------------------------
 
@@ -137,8 +138,12 @@ class Player:
             self.beams -= 1
             x, y = self.home()
             beam = f"(beam {x:.2f} {world.side * y:.2f} 0)"
-            self.change(self.walk)
-            self.rest = 50
+            self.settling = int(self.walk.settling_cycles)
+        if self.settling:
+            self.settling -= 1
+            self.change(self.walk)  # which begins from this pose
+            self.rest = STAND_CYCLES
+            return beam + self.commands(self.walk, self.walk.start_targets)
         lies = world.position[2] < LYING_M or world.up < UPRIGHT
         if self.active is self.getup:
             self.stood = self.stood + 1 if world.position[2] > 0.58 and world.up > 0.94 else 0
@@ -320,6 +325,11 @@ class Player:
         targets = skill.act(seen)
         if skill is not self.getup:
             targets[:2] = self.look()
+        return self.commands(skill, targets)
+
+    @staticmethod
+    def commands(skill, targets):
+        """Return the text that sets the joints' target angles with the gains of a skill."""
         joints = zip(map(str, skill.effector_names), np.degrees(targets), skill.kp, skill.kd)
         return "".join(f"({name} {target:.3f} 0 {kp:g} {kd:g} 0)" for name, target, kp, kd in joints)
 
