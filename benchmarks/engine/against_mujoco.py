@@ -51,15 +51,16 @@ def driven(name: str, n: int, cycles: int) -> Iterator[Cycle]:
     spec = spec.model_copy(update={"simulator": spec.simulator.model_copy(update={"engine": "fast"})})
     environment, rng = open_environment(spec, n, threads=1, seed=1), np.random.default_rng(1)
     try:
-        environment.load_starts(environment.task.starts(n, 1, spec.task.start_noise_deg))
-        environment.restart(np.arange(n), np.arange(n))
+        starts = environment.task.starts(n, 1, spec.task.start_noise_deg)
+        environment.load_starts(starts)
+        environment.restart(np.arange(n), np.arange(n) % len(starts))
         simulator = environment.simulator
         assert isinstance(simulator, MujocoSimulator)
         for _ in range(cycles):
             actions = policy.act(environment.observations, rng)
             yield simulator.batch, simulator.world, partial(environment.step, actions)
             ended = np.flatnonzero(environment.terminated | environment.truncated)
-            environment.restart(ended, ended)
+            environment.restart(ended, ended % len(starts))
     finally:
         environment.close()
 

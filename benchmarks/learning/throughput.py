@@ -18,6 +18,7 @@ per step (of all threads) depends less on other work.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import subprocess
@@ -210,7 +211,13 @@ def main() -> int:
     parser.add_argument("--json", type=Path, default=HERE / "throughput.json")
     options = parser.parse_args()
     chosen = options.only or ("mj_step", "engine", "loop")
-    results: dict[str, Any] = {"measured": datetime.now(UTC).date().isoformat(), "before": machine()}
+    kept = json.loads(options.json.read_bytes()) if options.json.exists() else {}
+    results: dict[str, Any] = {**kept, "measured": datetime.now(UTC).date().isoformat(), "before": machine()}
+
+    def keep() -> None:
+        results["after"] = machine()
+        options.json.write_text(json_text(results), encoding="utf-8")
+
     if "mj_step" in chosen:
         subprocess.run([sys.executable, str(HERE.parent / "engine/run_mujoco.py")], check=True)
     if "engine" in chosen:
@@ -222,6 +229,7 @@ def main() -> int:
                 show(name, found[name]["steps_per_s"])
             for name in ("two_threads_to_one", "environments_to_engine"):
                 show(name, found[name], BOUNDS[name])
+            keep()
     if "loop" in chosen:
         results["loop"] = {}
         for policy, task in POLICIES.items():
@@ -232,8 +240,7 @@ def main() -> int:
             show("fast", found["fast"]["steps_per_s"], BOUNDS[policy])
             show("mujoco", found["mujoco"]["steps_per_s"])
             show("fast_to_mujoco", found["fast_to_mujoco"], BOUNDS["fast_to_mujoco"])
-    results["after"] = machine()
-    options.json.write_text(json_text(results), encoding="utf-8")
+            keep()
     return 0
 
 
