@@ -86,9 +86,7 @@ def main() -> int:
     """Check each policy, print the gate, and return 0 if all have passed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policies", nargs="+", metavar="POLICY", help="checkpoint, or name of a bundled policy")
-    parser.add_argument(
-        "--episodes", type=int, default=EPISODES, help="episodes of each class (default: 200)"
-    )
+    parser.add_argument("--episodes", type=int, default=EPISODES, help="episodes of each class (default: 200)")
     parser.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     parser.add_argument("--json", type=Path, help="write the points here")
     options = parser.parse_args()
