@@ -25,6 +25,7 @@ from naosim.simulator import Starts
 from naospec.json_text import json_text
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
 from naosprint.tasks.motions import Motion, motions
+from naosprint.terms import source
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -132,7 +133,8 @@ class Search:
             tipped = lying(around, np.pi / 2.0 + rng.uniform(-0.2, 0.2, POPULATION), np.zeros(POPULATION))
             simulator.load_starts(Starts(drawn, lane, orientations=tipped))
             simulator.start(np.arange(POPULATION), np.arange(POPULATION))
-            rests = side_of(simulator.truth.torso_rotation) == list(SIDES).index(side)
+            lies_on = side_of(source(simulator.truth.torso_rotation))(slice(None))[:, 0]
+            rests = lies_on == list(SIDES).index(side)
             poses += list(drawn[rests])
             orientations += list(tipped[rests])
         return Starts(np.array(poses[:STARTS]), lane, orientations=np.array(orientations[:STARTS]))

@@ -1,7 +1,6 @@
-// The module naosprint._compiled; naosprint.tasks.compiled and naosprint.rl.normalization document it.
+// The module naosprint._compiled; naosprint.terms and naosprint.rl.normalization document it.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
-#include <nanobind/stl/map.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
@@ -9,6 +8,7 @@
 
 #include <optional>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "normalization.hpp"
@@ -48,30 +48,46 @@ Table<Number> table_of(const Any& array, const std::string& name) {
 struct OperationHolder {
   std::shared_ptr<Operation> operation;
   std::int64_t rows = -1;
-  std::map<std::string, Any> arrays;  // keeps them
+  std::vector<Any> arrays;  // keeps them
 };
 
-OperationHolder make_holder(const std::string& name, const std::map<std::string, Any>& arrays, const std::map<std::string, std::vector<double>>& numbers,
-                            std::uint64_t function) {
-  Arguments arguments;
-  arguments.operation = name;
-  arguments.numbers = numbers;
-  arguments.function = function;
+AnyTable any_table(const Any& array, const std::string& name) {
+  if (array.dtype() == nb::dtype<double>()) return table_of<double>(array, name);
+  if (array.dtype() == nb::dtype<std::int64_t>()) return table_of<std::int64_t>(array, name);
+  return table_of<bool>(array, name);
+}
+
+// Function, arguments, width, constants, array of a source or None, and address of a function of another module.
+using GivenNode = std::tuple<std::string, std::vector<int>, int, std::vector<double>, std::optional<Any>, std::uint64_t>;
+using Nodes = std::vector<GivenNode>;
+using GivenStore = std::tuple<Any, Nodes, Nodes>;
+
+OperationHolder make_holder(const Nodes& value, const std::vector<GivenStore>& stores) {
   OperationHolder holder;
-  for (const auto& [key, array] : arrays) {
-    if (array.dtype() == nb::dtype<double>())
-      arguments.reals[key] = table_of<double>(array, key);
-    else if (array.dtype() == nb::dtype<std::int64_t>())
-      arguments.integers[key] = table_of<std::int64_t>(array, key);
-    else
-      arguments.flags[key] = table_of<bool>(array, key);
-    const std::int64_t rows = static_cast<std::int64_t>(array.shape(0));
-    require(holder.rows < 0 || holder.rows == rows, "operation " + name + ": " + key + ": wrong number of robots");
+  holder.operation = std::make_shared<Operation>();
+  const auto kept = [&](const Any& array, const std::string& name) {
+    const AnyTable table = any_table(array, name);
+    const std::int64_t rows = std::visit([](const auto& each) { return each.rows; }, table);
+    require(holder.rows < 0 || holder.rows == rows, name + ": wrong number of robots");
     holder.rows = rows;
-  }
-  holder.arrays = arrays;
+    holder.arrays.push_back(array);
+    return table;
+  };
+  const auto expressions = [&](const Nodes& given) {
+    std::vector<Node> nodes;
+    for (const auto& [function, arguments, width, constants, array, address] : given)
+      nodes.push_back({function, arguments, width, constants, array ? kept(*array, "function " + function) : AnyTable(), address});
+    return given.empty() ? std::vector<Expression>() : std::vector<Expression>{Expression(nodes)};
+  };
   try {
-    holder.operation = make_operation(arguments);
+    holder.operation->value = expressions(value);
+    for (const auto& [target, begin, update] : stores) {
+      Operation::Store store{kept(target, "store"), expressions(begin), expressions(update)};
+      const int width = std::visit([](const auto& table) { return table.width; }, store.target);
+      for (const auto* some : {&store.begin, &store.update})
+        for (const Expression& each : *some) require(each.width() == width || each.width() == 1, "store: wrong width");
+      holder.operation->stores.push_back(std::move(store));
+    }
   } catch (const std::invalid_argument& error) {
     throw nb::value_error(error.what());
   }
@@ -176,14 +192,6 @@ class Step {
   std::vector<Any> flags_;
 };
 
-// One 64-bit hash of three keys (the finalizer of splitmix64), as naosprint.tasks.randomness.hashed.
-std::uint64_t hashed(std::uint64_t seed, std::uint64_t first, std::uint64_t second, std::uint64_t third) {
-  std::uint64_t key = seed * 0x9E3779B97F4A7C15u + first * 0xD1B54A32D192ED03u + second * 0x8CB92BA72F3D8DD7u + third * 0xAEF17502108EF2D9u;
-  key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
-  key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
-  return key ^ (key >> 31);
-}
-
 // Sum of the twelve 16-bit numbers in three hashes, as a normal number.
 double normal(std::uint64_t seed, std::uint64_t stream, std::uint64_t draw, std::uint64_t number) {
   std::uint64_t sum = 0;
@@ -206,10 +214,10 @@ NB_MODULE(_compiled, m) {
   using namespace naosprint;
   nb::class_<OperationHolder>(m, "Operation")
       .def("__init__",
-           [](OperationHolder* self, const std::string& name, const std::map<std::string, Any>& arrays,
-              const std::map<std::string, std::vector<double>>& numbers,
-              std::uint64_t function) { new (self) OperationHolder(make_holder(name, arrays, numbers, function)); },
-           nb::arg("name"), nb::arg("arrays"), nb::arg("numbers"), nb::arg("function"))
+           [](OperationHolder* self, const Nodes& value, const std::vector<GivenStore>& stores) {
+             new (self) OperationHolder(make_holder(value, stores));
+           },
+           nb::arg("value"), nb::arg("stores"))
       .def_prop_ro("width", [](const OperationHolder& self) { return self.operation->width(); });
   nb::class_<Step>(m, "Step")
       .def(nb::init<const std::vector<OperationHolder>&, const nb::list&, const nb::list&, const nb::list&, const nb::dict&, double,

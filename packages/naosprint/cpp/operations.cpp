@@ -1,6 +1,10 @@
 #include "operations.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <map>
+#include <stdexcept>
+#include <type_traits>
 
 namespace naosprint {
 
@@ -25,444 +29,265 @@ double pairwise_sum(const double* values, std::int64_t count) {
   return pairwise_sum(values, half) + pairwise_sum(values + half, count - half);
 }
 
+std::uint64_t hashed(std::uint64_t seed, std::uint64_t first, std::uint64_t second, std::uint64_t third) {
+  std::uint64_t key = seed * 0x9E3779B97F4A7C15u + first * 0xD1B54A32D192ED03u + second * 0x8CB92BA72F3D8DD7u + third * 0xAEF17502108EF2D9u;
+  key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9u;
+  key = (key ^ (key >> 27)) * 0x94D049BB133111EBu;
+  return key ^ (key >> 31);
+}
+
 namespace {
 
-constexpr double kStepS = 0.02;
+constexpr std::size_t kMostArguments = 64;
 
-// Chosen columns of an array, as value * factor * sign - offset; NaN becomes 0 if `missing` is set.
-class Columns : public Operation {
- public:
-  explicit Columns(const Arguments& a)
-      : source_(a.real("source", 0)), factor_(a.number("factor")), offset_(a.number("offset")), missing_(a.number("missing") != 0.0) {
-    const auto &index = a.list("index"), &sign = a.list("sign");
-    if (index.size() != sign.size()) throw std::invalid_argument("operation columns: one sign per index is needed");
-    for (std::size_t c = 0; c < index.size(); ++c) {
-      if (!(index[c] >= 0 && index[c] < source_.width)) throw std::invalid_argument("operation columns: index out of range");
-      columns_.push_back({static_cast<int>(index[c]), sign[c]});
-    }
+using Step = Expression::Step;
+using Function = void (*)(const Step&, const double* const*, double*, const Rows&);
+
+// A function of numbers, applied to each; an argument of one number stands for all.
+template <auto F>
+void unary(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  for (int c = 0; c < step.width; ++c)
+    for (int k = 0; k < rows.count; ++k) out[c * kLanes + k] = F(in[0][c * kLanes + k]);
+}
+
+template <auto F>
+void binary(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  for (int c = 0; c < step.width; ++c) {
+    const double *a = in[0] + (step.repeated[0] ? 0 : c * kLanes), *b = in[1] + (step.repeated[1] ? 0 : c * kLanes);
+    for (int k = 0; k < rows.count; ++k) out[c * kLanes + k] = F(a[k], b[k]);
   }
-  int width() const override { return static_cast<int>(columns_.size()); }
-  void measure(const Rows& rows, const Table<double>& out) const override {
+}
+
+void where(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  for (int c = 0; c < step.width; ++c) {
+    const double* from[3];
+    for (int j = 0; j < 3; ++j) from[j] = in[j] + (step.repeated[j] ? 0 : c * kLanes);
+    for (int k = 0; k < rows.count; ++k) out[c * kLanes + k] = from[0][k] != 0.0 ? from[1][k] : from[2][k];
+  }
+}
+
+// The rest with the divisor's sign, as in Python.
+double rest_of(double value, double divisor) {
+  const double rest = std::fmod(value, divisor);
+  if (rest == 0.0) return std::copysign(0.0, divisor);
+  return (rest < 0.0) != (divisor < 0.0) ? rest + divisor : rest;
+}
+
+// The columns of a robot's row that `constants` name.
+void source(const Step& step, const double* const*, double* out, const Rows& rows) {
+  std::visit(
+      [&](const auto& table) {
+        for (int k = 0; k < rows.count; ++k) {
+          const auto* from = table[rows[k]];
+          for (int c = 0; c < step.width; ++c) out[c * kLanes + k] = static_cast<double>(from[static_cast<int>(step.constants[c])]);
+        }
+      },
+      step.array);
+}
+
+void columns(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  for (int c = 0; c < step.width; ++c) std::copy_n(in[0] + static_cast<int>(step.constants[c]) * kLanes, rows.count, out + c * kLanes);
+}
+
+void stack(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  for (std::size_t j = 0; j < step.arguments.size(); ++j)
+    for (int c = 0; c < static_cast<int>(step.constants[j]); ++c, out += kLanes) std::copy_n(in[j] + c * kLanes, rows.count, out);
+}
+
+void sum(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  thread_local std::vector<double> row;
+  row.resize(static_cast<std::size_t>(step.columns));
+  for (int k = 0; k < rows.count; ++k) {
+    for (int c = 0; c < step.columns; ++c) row[static_cast<std::size_t>(c)] = in[0][c * kLanes + k];
+    out[k] = pairwise_sum(row.data(), step.columns);
+  }
+}
+
+// Numbers of stream in[0] in its in[1]-th draw, from [0, 1).
+void uniform(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  const auto seed = static_cast<std::uint64_t>(step.constants[0]);
+  for (int c = 0; c < step.width; ++c)
     for (int k = 0; k < rows.count; ++k) {
-      const double* from = source_[rows[k]];
-      double* to = out[rows[k]];
-      for (const auto& column : columns_) {
-        const double value = from[column.index];
-        *to++ = missing_ && value != value ? 0.0 : value * factor_ * column.sign - offset_;
-      }
+      const auto stream = static_cast<std::uint64_t>(in[0][k]), draw = static_cast<std::uint64_t>(in[1][k]);
+      out[c * kLanes + k] = static_cast<double>(hashed(seed, stream, draw, static_cast<std::uint64_t>(c))) / 18446744073709551616.0;
     }
-  }
-
- private:
-  struct Column {
-    int index;
-    double sign;
-  };
-  Table<double> source_;
-  double factor_, offset_;
-  bool missing_;
-  std::vector<Column> columns_;
-};
-
-// Whole numbers.
-class Counts : public Operation {
- public:
-  explicit Counts(const Arguments& a) : source_(a.integer("source", 0)) {}
-  int width() const override { return source_.width; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < source_.width; ++c) out[rows[k]][c] = static_cast<double>(source_[rows[k]][c]);
-  }
-
- private:
-  Table<std::int64_t> source_;
-};
-
-// 1 where a flag is set, else 0.
-class Flags : public Operation {
- public:
-  explicit Flags(const Arguments& a) : source_(a.flag("source", 1)) {}
-  int width() const override { return 1; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k) *out[rows[k]] = *source_[rows[k]] ? 1.0 : 0.0;
-  }
-
- private:
-  Table<bool> source_;
-};
-
-// Angle from the world's +x to the torso's front, from the true rotation or, if given, the perceived quaternion.
-class Front {
- public:
-  explicit Front(const Arguments& a) : axis_(static_cast<int>(a.number("front"))) {
-    if (a.reals.count("quaternion") > 0)
-      quaternion_ = a.real("quaternion", 4);
-    else
-      rotation_ = a.real("rotation", 9);
-  }
-  double yaw(std::int64_t row) const {
-    if (quaternion_.data == nullptr) return std::atan2(rotation_[row][3 + axis_], rotation_[row][axis_]);
-    const double *q = quaternion_[row], w = q[0], x = q[1], y = q[2], z = q[3];
-    if (axis_ == 0) return std::atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z));
-    return std::atan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z));
-  }
-
- private:
-  int axis_;
-  Table<double> quaternion_, rotation_;
-};
-
-class Yaw : public Operation {
- public:
-  explicit Yaw(const Arguments& a) : front_(a) {}
-  int width() const override { return 1; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k) *out[rows[k]] = front_.yaw(rows[k]);
-  }
-
- private:
-  Front front_;
-};
-
-class Heading : public Operation {
- public:
-  explicit Heading(const Arguments& a) : front_(a) {}
-  int width() const override { return 2; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k) {
-      const double yaw = front_.yaw(rows[k]);
-      out[rows[k]][0] = std::sin(yaw);
-      out[rows[k]][1] = std::cos(yaw);
-    }
-  }
-
- private:
-  Front front_;
-};
+}
 
 // Centre of mass by the robot's own module; see Kinematics in packages/naosim/cpp/batch.hpp.
-class CentreOfMass : public Operation {
- public:
-  explicit CentreOfMass(const Arguments& a) : angles_(a.real("angles", 0)), kinematics_(reinterpret_cast<const Kinematics*>(a.function)) {
-    if (kinematics_ == nullptr) throw std::invalid_argument("operation centre_of_mass: function is missing");
-  }
-  int width() const override { return 3; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    thread_local std::vector<double> centres;
-    centres.resize(3 * static_cast<std::size_t>(rows.count));
-    const double* from = rows.index == nullptr ? angles_[rows.first] : angles_.data;
-    kinematics_->centre_of_mass(kinematics_->model, from, angles_.stride, rows.index, rows.count, centres.data());
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 3; ++c) out[rows[k]][c] = centres[3 * static_cast<std::size_t>(k) + c];
-  }
-
- private:
+void centre_of_mass(const Step& step, const double* const* in, double* out, const Rows& rows) {
   struct Kinematics {
     const void* model;
     void (*centre_of_mass)(const void* model, const double* angles_deg, std::ptrdiff_t stride, const std::int64_t* rows, int count, double* out);
   };
-  Table<double> angles_;
-  const Kinematics* kinematics_;
-};
-
-// Steps since the right and the left foot last touched down.
-class FootCounters : public Operation {
- public:
-  explicit FootCounters(const Arguments& a)
-      : feet_{a.real("foot_left", 6), a.real("foot_right", 6)}, counters_(a.integer("counters", 2)), loaded_(a.flag("feet_loaded", 2)) {}
-  int width() const override { return 2; }
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int side = 0; side < 2; ++side) {
-        counters_[rows[k]][side] = 0;
-        loaded_[rows[k]][side] = touches(rows[k], side);
-      }
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int side = 0; side < 2; ++side) {
-        const bool now = touches(rows[k], side);
-        bool& before = loaded_[rows[k]][side];
-        std::int64_t& counter = counters_[rows[k]][side];
-        counter = now && !before ? 0 : counter + 1;
-        before = now;
-      }
-  }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int side = 0; side < 2; ++side) out[rows[k]][side] = static_cast<double>(counters_[rows[k]][1 - side]);
-  }
-
- private:
-  // A comparison with NaN, which stands for no contact, is false.
-  bool touches(std::int64_t row, int side) const {
-    const double* force = feet_[side][row] + 3;
-    return force[0] * force[0] + force[1] * force[1] + force[2] * force[2] > 0.0;
-  }
-  Table<double> feet_[2];
-  Table<std::int64_t> counters_;
-  Table<bool> loaded_;
-};
-
-// Direction of the world's z axis in the torso's frame, from the perceived quaternion.
-class Gravity : public Operation {
- public:
-  explicit Gravity(const Arguments& a) : quaternion_(a.real("quaternion", 4)) {}
-  int width() const override { return 3; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k) {
-      const double *q = quaternion_[rows[k]], w = q[0], x = q[1], y = q[2], z = q[3];
-      double* to = out[rows[k]];
-      to[0] = 2 * (x * z - w * y);
-      to[1] = 2 * (y * z + w * x);
-      to[2] = 1 - 2 * (x * x + y * y);
-    }
-  }
-
- private:
-  Table<double> quaternion_;
-};
-
-// Velocity in the torso's frame, from the difference of the last two perceived positions.
-class Velocity : public Operation {
- public:
-  explicit Velocity(const Arguments& a)
-      : position_(a.real("position", 3)), quaternion_(a.real("quaternion", 4)), before_(a.real("before", 3)), velocity_(a.real("velocity", 3)) {}
-  int width() const override { return 3; }
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 3; ++c) {
-        before_[rows[k]][c] = position_[rows[k]][c];
-        velocity_[rows[k]][c] = 0.0;
-      }
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) {
-      const std::int64_t row = rows[k];
-      double moved[3];
-      for (int c = 0; c < 3; ++c) {
-        moved[c] = (position_[row][c] - before_[row][c]) / kStepS;
-        before_[row][c] = position_[row][c];
-      }
-      const double a = moved[0], b = moved[1], c = moved[2], *q = quaternion_[row], w = q[0], x = q[1], y = q[2], z = q[3];
-      double* to = velocity_[row];
-      to[0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y + w * z) * b + 2 * (x * z - w * y) * c;
-      to[1] = 2 * (x * y - w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z + w * x) * c;
-      to[2] = 2 * (x * z + w * y) * a + 2 * (y * z - w * x) * b + (1 - 2 * (x * x + y * y)) * c;
-    }
-  }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 3; ++c) out[rows[k]][c] = velocity_[rows[k]][c];
-  }
-
- private:
-  Table<double> position_, quaternion_, before_, velocity_;
-};
-
-// Forward and lateral velocity on the field, from the difference of the last two true positions.
-class GroundVelocity : public Operation {
- public:
-  explicit GroundVelocity(const Arguments& a) : position_(a.real("position", 3)), before_(a.real("before", 2)), velocity_(a.real("velocity", 2)) {}
-  int width() const override { return 2; }
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 2; ++c) {
-        before_[rows[k]][c] = position_[rows[k]][c];
-        velocity_[rows[k]][c] = 0.0;
-      }
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 2; ++c) {
-        const double now = position_[rows[k]][c];
-        velocity_[rows[k]][c] = (now - before_[rows[k]][c]) / kStepS;
-        before_[rows[k]][c] = now;
-      }
-  }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    for (int k = 0; k < rows.count; ++k)
-      for (int c = 0; c < 2; ++c) out[rows[k]][c] = velocity_[rows[k]][c];
-  }
-
- private:
-  Table<double> position_, before_, velocity_;
-};
-
-// Coordinate of the torso, at the start of the episode, and how much it changed in the latest step.
-class Displacement : public Operation {
- public:
-  explicit Displacement(const Arguments& a)
-      : position_(a.real("position", 3)), now_(a.real("now", 1)), start_(a.real("start", 1)), change_(a.real("change", 1)),
-        axis_(static_cast<int>(a.number("axis"))) {
-    if (axis_ < 0 || axis_ > 2) throw std::invalid_argument("operation displacement: axis out of range");
-  }
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *now_[rows[k]] = *start_[rows[k]] = position_[rows[k]][axis_];
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) {
-      const double value = position_[rows[k]][axis_];
-      *change_[rows[k]] = value - *now_[rows[k]];
-      *now_[rows[k]] = value;
-    }
-  }
-
- private:
-  Table<double> position_, now_, start_, change_;
-  int axis_;
-};
-
-// Distance from a line parallel to the x axis, and how much it changed in the latest step.
-class Deviation : public Operation {
- public:
-  explicit Deviation(const Arguments& a)
-      : position_(a.real("position", 3)), now_(a.real("now", 1)), change_(a.real("change", 1)), y_(a.number("y")) {}
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *now_[rows[k]] = std::fabs(position_[rows[k]][1] - y_);
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) {
-      const double value = std::fabs(position_[rows[k]][1] - y_);
-      *change_[rows[k]] = value - *now_[rows[k]];
-      *now_[rows[k]] = value;
-    }
-  }
-
- private:
-  Table<double> position_, now_, change_;
-  double y_;
-};
-
-// Whether the torso is below a height.
-class Below : public Operation {
- public:
-  explicit Below(const Arguments& a) : position_(a.real("position", 3)), flag_(a.flag("flag", 1)), height_(a.number("height")) {}
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *flag_[rows[k]] = false;
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *flag_[rows[k]] = position_[rows[k]][2] < height_;
-  }
-
- private:
-  Table<double> position_;
-  Table<bool> flag_;
-  double height_;
-};
-
-// Whether a number exceeds a limit, unless another flag is set.
-class Beyond : public Operation {
- public:
-  explicit Beyond(const Arguments& a)
-      : value_(a.real("value", 1)), unless_(a.flag("unless", 1)), flag_(a.flag("flag", 1)), limit_(a.number("limit")) {}
-  void begin(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *flag_[rows[k]] = false;
-  }
-  void update(const Rows& rows) override {
-    for (int k = 0; k < rows.count; ++k) *flag_[rows[k]] = *value_[rows[k]] > limit_ && !*unless_[rows[k]];
-  }
-
- private:
-  Table<double> value_;
-  Table<bool> unless_, flag_;
-  double limit_;
-};
-
-// Mean square of an array's row, or of the difference to another array's.
-class MeanSquare : public Operation {
- public:
-  explicit MeanSquare(const Arguments& a) : values_(a.real("values", 0)) {
-    if (a.reals.count("less") > 0) less_ = a.real("less", values_.width);
-  }
-  int width() const override { return 1; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    thread_local std::vector<double> squares;
-    squares.resize(static_cast<std::size_t>(values_.width));
-    for (int k = 0; k < rows.count; ++k) {
-      for (int c = 0; c < values_.width; ++c) {
-        const double value = less_.data == nullptr ? values_[rows[k]][c] : values_[rows[k]][c] - less_[rows[k]][c];
-        squares[c] = value * value;
-      }
-      *out[rows[k]] = pairwise_sum(squares.data(), values_.width) / values_.width;
-    }
-  }
-
- private:
-  Table<double> values_, less_;
-};
-
-// How alike left and right joints move, 0 if no more than opposite.
-class Alike : public Operation {
- public:
-  explicit Alike(const Arguments& a) : speeds_(a.real("speeds", 0)), floor_(a.number("floor")) {
-    const auto &left = a.list("left"), &right = a.list("right"), &product = a.list("product"), &square = a.list("square");
-    if (right.size() != left.size() || product.size() != left.size() || square.size() != left.size())
-      throw std::invalid_argument("operation alike: left, right, product and square differ in length");
-    for (std::size_t c = 0; c < left.size(); ++c) {
-      for (const double index : {left[c], right[c]})
-        if (!(index >= 0 && index < speeds_.width)) throw std::invalid_argument("operation alike: index out of range");
-      pairs_.push_back({static_cast<int>(left[c]), static_cast<int>(right[c]), product[c], square[c]});
-    }
-  }
-  int width() const override { return 1; }
-  void measure(const Rows& rows, const Table<double>& out) const override {
-    thread_local std::vector<double> products, squares;
-    const auto count = static_cast<std::int64_t>(pairs_.size());
-    products.resize(pairs_.size());
-    squares.resize(pairs_.size());
-    for (int k = 0; k < rows.count; ++k) {
-      const double* speeds = speeds_[rows[k]];
-      for (std::size_t c = 0; c < pairs_.size(); ++c) {
-        const double left = speeds[pairs_[c].left], right = speeds[pairs_[c].right];
-        products[c] = left * right * pairs_[c].product;
-        squares[c] = (left * left + right * right) * pairs_[c].square;
-      }
-      const double alike = pairwise_sum(products.data(), count) / (pairwise_sum(squares.data(), count) + floor_);
-      *out[rows[k]] = alike > 0.0 ? alike : 0.0;
-    }
-  }
-
- private:
-  struct Pair {
-    int left, right;
-    double product, square;
-  };
-  Table<double> speeds_;
-  double floor_;
-  std::vector<Pair> pairs_;
-};
-
-template <class Made>
-std::unique_ptr<Operation> make(const Arguments& arguments) {
-  return std::make_unique<Made>(arguments);
+  const auto* kinematics = reinterpret_cast<const Kinematics*>(step.address);
+  thread_local std::vector<double> angles;
+  angles.resize(static_cast<std::size_t>(step.columns) * kLanes);
+  for (int k = 0; k < rows.count; ++k)
+    for (int c = 0; c < step.columns; ++c) angles[static_cast<std::size_t>(k * step.columns + c)] = in[0][c * kLanes + k];
+  double centres[3 * kLanes];
+  kinematics->centre_of_mass(kinematics->model, angles.data(), step.columns, nullptr, rows.count, centres);
+  for (int c = 0; c < 3; ++c)
+    for (int k = 0; k < rows.count; ++k) out[c * kLanes + k] = centres[3 * k + c];
 }
 
-const std::map<std::string, std::unique_ptr<Operation> (*)(const Arguments&)> kOperations = {
-    {"columns", make<Columns>},
-    {"counts", make<Counts>},
-    {"flags", make<Flags>},
-    {"yaw", make<Yaw>},
-    {"heading", make<Heading>},
-    {"centre_of_mass", make<CentreOfMass>},
-    {"foot_counters", make<FootCounters>},
-    {"gravity", make<Gravity>},
-    {"velocity", make<Velocity>},
-    {"ground_velocity", make<GroundVelocity>},
-    {"displacement", make<Displacement>},
-    {"deviation", make<Deviation>},
-    {"below", make<Below>},
-    {"beyond", make<Beyond>},
-    {"mean_square", make<MeanSquare>},
-    {"alike", make<Alike>},
+struct Entry {
+  Function compute;
+  int arguments;  // -1: any number
 };
+
+#define UNARY(expression) {unary<+[](double a) -> double { return (expression); }>, 1}
+#define BINARY(expression) {binary<+[](double a, double b) -> double { return (expression); }>, 2}
+
+// By the names of NumPy's functions, as far as it has them.
+const std::map<std::string, Entry> kFunctions = {
+    {"source", {source, 0}},
+    {"columns", {columns, 1}},
+    {"stack", {stack, -1}},
+    {"sum", {sum, 1}},
+    {"where", {where, 3}},
+    {"uniform", {uniform, 2}},
+    {"centre_of_mass", {centre_of_mass, 1}},
+    {"remainder", {binary<rest_of>, 2}},
+    {"sin", UNARY(std::sin(a))},
+    {"cos", UNARY(std::cos(a))},
+    {"exp", UNARY(std::exp(a))},
+    {"sqrt", UNARY(std::sqrt(a))},
+    {"absolute", UNARY(std::fabs(a))},
+    {"add", BINARY(a + b)},
+    {"subtract", BINARY(a - b)},
+    {"multiply", BINARY(a* b)},
+    {"divide", BINARY(a / b)},
+    {"arctan2", BINARY(std::atan2(a, b))},
+    {"hypot", BINARY(std::hypot(a, b))},
+    {"minimum", BINARY(a < b || a != a ? a : b)},
+    {"maximum", BINARY(a > b || a != a ? a : b)},
+    {"less", BINARY(a < b ? 1.0 : 0.0)},
+    {"greater", BINARY(a > b ? 1.0 : 0.0)},
+    {"greater_equal", BINARY(a >= b ? 1.0 : 0.0)},
+    {"equal", BINARY(a == b ? 1.0 : 0.0)},
+};
+
+#undef UNARY
+#undef BINARY
+
+void require(bool holds, const Node& node, const char* what) {
+  if (!holds) throw std::invalid_argument("function " + node.function + ": " + what);
+}
+
+void check(const Node& node, const std::vector<Node>& nodes) {
+  const auto given = [&](std::size_t j) { return nodes[static_cast<std::size_t>(node.arguments[j])].width; };
+  if (node.function == "source" || node.function == "columns") {
+    const int width = node.function == "columns" ? given(0) : std::visit([](const auto& table) { return table.width; }, node.array);
+    require(static_cast<int>(node.constants.size()) == node.width, node, "one column a number is needed");
+    for (const double column : node.constants) require(column >= 0 && column < width, node, "column out of range");
+  } else if (node.function == "stack") {
+    int width = 0;
+    require(node.constants.size() == node.arguments.size(), node, "one width an argument is needed");
+    for (std::size_t j = 0; j < node.arguments.size(); ++j) {
+      require(node.constants[j] == given(j), node, "wrong width");
+      width += given(j);
+    }
+    require(width == node.width && node.arguments.size() <= kMostArguments, node, "wrong width");
+  } else if (node.function == "uniform") {
+    require(node.constants.size() == 1 && given(0) == 1 && given(1) == 1, node, "a seed, a stream and a draw are needed");
+  } else if (node.function == "centre_of_mass") {
+    require(node.width == 3 && node.address != 0, node, "the address of a function is needed");
+  } else if (node.function == "sum") {
+    require(node.width == 1, node, "wrong width");
+  } else {
+    for (std::size_t j = 0; j < node.arguments.size(); ++j)
+      require(given(j) == node.width || given(j) == 1, node, "arguments differ in width");
+    if (node.arguments.size() == 1) require(given(0) == node.width, node, "wrong width");
+  }
+}
+
+// Call work(rows) for at most kLanes of the robots at a time.
+template <class Work>
+void in_parts(const Rows& rows, Work&& work) {
+  for (int from = 0; from < rows.count; from += kLanes)
+    work(Rows{rows.index == nullptr ? nullptr : rows.index + from, rows.first + from, std::min(kLanes, rows.count - from)});
+}
+
+void store(const Expression& expression, const AnyTable& target, const Rows& rows) {
+  const double* values = expression.compute(rows);
+  const bool repeated = expression.width() == 1;
+  std::visit(
+      [&](const auto& table) {
+        for (int k = 0; k < rows.count; ++k)
+          for (int c = 0; c < table.width; ++c) {
+            auto& number = table[rows[k]][c];
+            number = static_cast<std::remove_reference_t<decltype(number)>>(values[(repeated ? 0 : c) * kLanes + k]);
+          }
+      },
+      target);
+}
 
 }  // namespace
 
-std::unique_ptr<Operation> make_operation(const Arguments& arguments) {
-  const auto at = kOperations.find(arguments.operation);
-  if (at == kOperations.end()) throw std::invalid_argument("operation " + arguments.operation + ": there is none of this name");
-  return at->second(arguments);
+Expression::Expression(const std::vector<Node>& nodes) {
+  std::vector<int> places;  // of each node
+  for (const Node& node : nodes) {
+    require(node.width > 0, node, "wrong width");
+    for (const int argument : node.arguments) require(argument >= 0 && argument < static_cast<int>(places.size()), node, "no such argument");
+    if (node.function == "constant") {
+      require(static_cast<int>(node.constants.size()) == node.width, node, "one value a number is needed");
+      places.push_back(-1 - static_cast<int>(constants_.size()));
+      for (const double value : node.constants) constants_.insert(constants_.end(), kLanes, value);
+      continue;
+    }
+    const auto at = kFunctions.find(node.function);
+    if (at == kFunctions.end()) throw std::invalid_argument("function " + node.function + ": there is none of this name");
+    require(at->second.arguments < 0 || at->second.arguments == static_cast<int>(node.arguments.size()), node, "wrong number of arguments");
+    check(node, nodes);
+    Step step{at->second.compute, {}, {}, node.width, size_, 0, node.constants, node.array, node.address};
+    for (const int argument : node.arguments) {
+      step.arguments.push_back(places[static_cast<std::size_t>(argument)]);
+      step.repeated.push_back(nodes[static_cast<std::size_t>(argument)].width == 1);
+    }
+    if (!node.arguments.empty()) step.columns = nodes[static_cast<std::size_t>(node.arguments[0])].width;
+    places.push_back(size_);
+    size_ += node.width * kLanes;
+    steps_.push_back(std::move(step));
+  }
+  if (nodes.empty()) throw std::invalid_argument("expression: it is empty");
+  result_ = places.back();
+  width_ = nodes.back().width;
+}
+
+const double* Expression::compute(const Rows& rows) const {
+  thread_local std::vector<double> numbers;
+  if (static_cast<int>(numbers.size()) < size_) numbers.resize(static_cast<std::size_t>(size_));
+  const auto at = [&](int place) { return place < 0 ? constants_.data() + (-1 - place) : numbers.data() + place; };
+  const double* arguments[kMostArguments];
+  for (const Step& step : steps_) {
+    for (std::size_t j = 0; j < step.arguments.size(); ++j) arguments[j] = at(step.arguments[j]);
+    step.function(step, arguments, numbers.data() + step.place, rows);
+  }
+  return at(result_);
+}
+
+void Operation::begin(const Rows& all) const {
+  in_parts(all, [&](const Rows& rows) {
+    for (const Store& each : stores)
+      for (const Expression& expression : each.begin) store(expression, each.target, rows);
+  });
+}
+
+void Operation::update(const Rows& all) const {
+  in_parts(all, [&](const Rows& rows) {
+    for (const Store& each : stores)
+      for (const Expression& expression : each.update) store(expression, each.target, rows);
+  });
+}
+
+void Operation::measure(const Rows& all, const Table<double>& out) const {
+  in_parts(all, [&](const Rows& rows) {
+    for (const Expression& expression : value) {
+      const double* values = expression.compute(rows);
+      for (int k = 0; k < rows.count; ++k)
+        for (int c = 0; c < expression.width(); ++c) out[rows[k]][c] = values[c * kLanes + k];
+    }
+  });
 }
 
 }  // namespace naosprint

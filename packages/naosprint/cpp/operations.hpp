@@ -1,14 +1,12 @@
-// Compiled forms of observation blocks, measurements and reward terms; naosprint.tasks.compiled documents them.
+// Interpreter of expressions, which describe observations, measurements and reward terms; naosprint.terms documents them.
 //
-// Every operation treats each robot alone and computes what the Python form computes, operation by operation, so that the bits are the
-// same: these files are compiled without fused multiply-add.
+// Every function treats each robot alone and computes what NumPy computes in naosprint.terms.expressions, operation by operation, so that
+// the bits are the same: this file is compiled without fused multiply-add.
 #pragma once
 #include <cstddef>
 #include <cstdint>
-#include <map>
-#include <memory>
-#include <stdexcept>
 #include <string>
+#include <variant>
 #include <vector>
 
 namespace naosprint {
@@ -22,6 +20,7 @@ struct Table {
   int width = 0;
   Number* operator[](std::int64_t row) const { return data + row * stride; }
 };
+using AnyTable = std::variant<Table<double>, Table<std::int64_t>, Table<bool>>;
 
 // Some robots: those of an index, or successive ones.
 struct Rows {
@@ -31,55 +30,67 @@ struct Rows {
   std::int64_t operator[](int k) const { return index == nullptr ? first + k : index[k]; }
 };
 
-class Operation {
- public:
-  virtual ~Operation() = default;
-  // Numbers that `measure` writes.
-  virtual int width() const { return 0; }
-  // The robots' episodes begin.
-  virtual void begin(const Rows&) {}
-  // The robots have taken a step.
-  virtual void update(const Rows&) {}
-  // Write the numbers of each robot from out[row] on.
-  virtual void measure(const Rows&, const Table<double>&) const {}
-};
-
-// Arguments of an operation by name. `at` of an unknown name raises std::invalid_argument.
-class Arguments {
- public:
-  std::string operation;
-  std::map<std::string, Table<double>> reals;
-  std::map<std::string, Table<std::int64_t>> integers;
-  std::map<std::string, Table<bool>> flags;
-  std::map<std::string, std::vector<double>> numbers;
-  std::uint64_t function = 0;
-
-  Table<double> real(const char* name, int width) const { return array(reals, name, width); }
-  Table<std::int64_t> integer(const char* name, int width) const { return array(integers, name, width); }
-  Table<bool> flag(const char* name, int width) const { return array(flags, name, width); }
-  const std::vector<double>& list(const char* name) const { return found(numbers, name); }
-  double number(const char* name) const { return list(name).at(0); }
-
- private:
-  template <class Value>
-  const Value& found(const std::map<std::string, Value>& among, const char* name) const {
-    const auto at = among.find(name);
-    if (at == among.end()) throw std::invalid_argument("operation " + operation + ": " + name + " is missing, or has another type");
-    return at->second;
-  }
-  template <class Number>
-  Table<Number> array(const std::map<std::string, Table<Number>>& among, const char* name, int width) const {
-    const Table<Number>& table = found(among, name);
-    if (width > 0 && table.width != width)
-      throw std::invalid_argument("operation " + operation + ": " + name + ": " + std::to_string(width) + " numbers per robot are needed");
-    return table;
-  }
-};
-
-// Raises std::invalid_argument if there is no such operation or an argument is missing.
-std::unique_ptr<Operation> make_operation(const Arguments& arguments);
+// One 64-bit hash of three keys (the finalizer of splitmix64), as naosprint.terms.randomness.hashed.
+std::uint64_t hashed(std::uint64_t seed, std::uint64_t first, std::uint64_t second, std::uint64_t third);
 
 // NumPy's sum of a contiguous array.
 double pairwise_sum(const double* values, std::int64_t count);
+
+// One function of an expression: what it is computed from, by index of earlier nodes.
+struct Node {
+  std::string function;
+  std::vector<int> arguments;
+  int width;
+  std::vector<double> constants;
+  AnyTable array;              // of a source
+  std::uint64_t address = 0;  // of a function of another module
+};
+
+constexpr int kLanes = 16;  // robots that are computed side by side
+
+// An expression, computed node after node: the last one is its value.
+class Expression {
+ public:
+  // Raises std::invalid_argument if there is no such function, or an argument does not fit.
+  explicit Expression(const std::vector<Node>& nodes);
+  int width() const { return width_; }
+  // Return `width()` times kLanes numbers: each number of up to kLanes robots side by side.
+  const double* compute(const Rows& rows) const;
+
+  struct Step {
+    void (*function)(const Step& step, const double* const* arguments, double* out, const Rows& rows);
+    std::vector<int> arguments;     // places of numbers: from 0 on those computed, from -1 down constants
+    std::vector<int> repeated;      // for each argument, whether its one number stands for all
+    int width, place, columns;      // columns: numbers of the first argument
+    std::vector<double> constants;
+    AnyTable array;
+    std::uint64_t address;
+  };
+
+ private:
+  std::vector<Step> steps_;
+  std::vector<double> constants_;
+  int width_ = 0, size_ = 0, result_ = 0;
+};
+
+// What a part of a task stores and computes: stores, one after the other, and a value.
+class Operation {
+ public:
+  struct Store {
+    AnyTable target;
+    std::vector<Expression> begin, update;  // one or none
+  };
+  std::vector<Store> stores;
+  std::vector<Expression> value;  // one or none
+
+  // Numbers that `measure` writes.
+  int width() const { return value.empty() ? 0 : value.front().width(); }
+  // The robots' episodes begin.
+  void begin(const Rows& rows) const;
+  // The robots have taken a step.
+  void update(const Rows& rows) const;
+  // Write the numbers of each robot from out[row] on.
+  void measure(const Rows& rows, const Table<double>& out) const;
+};
 
 }  // namespace naosprint

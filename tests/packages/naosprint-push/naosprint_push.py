@@ -6,7 +6,7 @@ import numpy as np
 from naosim.simulator import STEP_S, Scene
 from naosprint.tasks import Chart, End, Metric, Presentation, RewardTerm, Task, TaskSettings
 from naosprint.tasks.observations import blocks
-from naosprint.tasks.randomness import uniform
+from naosprint.terms.randomness import uniform
 from pydantic import Field
 
 BALL_M = Metric("ball_m", "Ball's way", "m", "Distance that the ball has moved forward.", 2, "higher")

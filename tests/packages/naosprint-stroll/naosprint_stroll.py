@@ -18,13 +18,13 @@ from naosprint.tasks import (
     PenaltySettings,
     RewardTerm,
     Task,
-    columns,
     draw_start_poses,
     penalties,
     robot_defaults,
     seconds,
     with_min_height,
 )
+from naosprint.terms import source
 
 WAY = Metric("way_m", "Way", "m", "Displacement forward.", 2, "higher")
 SPEED = Metric("way_mps", "Speed", "m/s", "Displacement divided by time.", 2, "higher")
@@ -71,10 +71,9 @@ class Stroll(Task[StrollSettings]):
 
     def reward_terms(self):
         """Return displacement ahead, drift and the penalties that the settings ask for."""
-        ahead, aside = self._along.change, self._aside.change
         return (
-            RewardTerm("ahead", 1.0, lambda rows: ahead[rows], columns(ahead)),
-            RewardTerm("aside", -1.0, lambda rows: aside[rows], columns(aside)),
+            RewardTerm("ahead", 1.0, source(self._along.change)),
+            RewardTerm("aside", -1.0, source(self._aside.change)),
             *penalties(self.world, self.parameters),
         )
 

@@ -457,12 +457,20 @@ class Simulator(ABC):
         """Return the (n,) robots of which neither foot touches the ground."""
         return np.asarray((self.foot_forces() < CONTACT_N).all(axis=1))
 
+    def foot_frames(self) -> Floats:
+        """Return the (n, F, 2) upward forces on left and right foot in newtons, at each measurement of the last step.
+
+        A simulator that measures once a step returns :meth:`foot_forces`.
+        """
+        return self.foot_forces()[:, None]
+
     def flight(self) -> Flags:
         """Return the (n,) robots with both feet off the ground in two successive measurements of the latest step.
 
-        A simulator that measures once a step returns :meth:`airborne`.
+        With one measurement a step, that is :meth:`airborne`.
         """
-        return self.airborne()
+        off: Flags = np.asarray((self.foot_frames() < CONTACT_N).all(axis=2))
+        return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1) if off.shape[1] > 1 else off[:, 0])
 
     def torque_shares(self, rows: slice | Ints) -> Floats:
         """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1.

@@ -1,13 +1,14 @@
-"""What environments compute, compiled; naosprint.tasks.compiled and naosprint.rl.normalization document it."""
+"""What environments compute, compiled; naosprint.terms and naosprint.rl.normalization document it."""
 
 from collections.abc import Mapping, Sequence
 
 from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
 
+Nodes = Sequence[tuple[str, Sequence[int], int, Sequence[float], AnyArray | None, int]]
+"""Functions of an expression, the last of which is its value; empty for none."""
+
 class Operation:
-    def __init__(
-        self, name: str, arrays: Mapping[str, AnyArray], numbers: Mapping[str, Sequence[float]], function: int
-    ) -> None: ...
+    def __init__(self, value: Nodes, stores: Sequence[tuple[AnyArray, Nodes, Nodes]]) -> None: ...
     @property
     def width(self) -> int: ...
 

@@ -18,9 +18,9 @@ from naospec import EvaluationSpec
 from naosprint import CheckpointError, evaluate
 from naosprint.analysis.results import by_name
 from naosprint.arrays import FloatArray
-from naosprint.tasks.base import World
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.sprint import CHALLENGE_SCORE, Sprint1, SprintSettings, _challenge, deviation_deg, speeds_beyond
+from naosprint.tasks.world import World
 from numpy._core import _multiarray_umath
 
 DISPATCHED = _multiarray_umath.__cpu_dispatch__

@@ -10,12 +10,15 @@ import pytest
 from naosim import robots
 from naosim.simspark import EmbeddedSimulator
 from naosim.simulator import NativeHandle, Simulator
+from naosprint import _compiled
 from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
-from naosprint.tasks.compiled import Operation
 from naosprint.tasks.environment import Environment
-from naosprint.tasks.randomness import hashed, normal
+from naosprint.tasks.getup import GetUp
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
+from naosprint.tasks.velocity import Velocity
+from naosprint.terms import source
+from naosprint.terms.randomness import hashed, normal
 
 NAO = robots.get("nao-0")
 FULL = {"drift_penalty": 0.7, "fall_penalty_m": 0.3, "smoothness_penalty": 0.2, "action_penalty": 0.1}
@@ -86,6 +89,28 @@ def test_a_mujoco_robot_too() -> None:
     same(run(compiled, 45), run(plain, 45))
 
 
+@pytest.mark.parametrize(
+    ("task", "settings"),
+    [
+        (Velocity, {"flight_weight": 0.3, "fall_penalty": 0.2, "command_steps": 12, "action_penalty": 0.1}),
+        (GetUp, {"smoothness_penalty": 0.2, "episode_steps": 30}),
+    ],
+)
+def test_tasks_of_expressions_have_the_same_bits_in_both_interpreters(
+    task: type[Task], settings: dict[str, Any]
+) -> None:
+    mujoco = pytest.importorskip("naosim.mujoco.embedded")
+    environments = []
+    for wanted in (True, False):
+        simulator = mujoco.MujocoSimulator(robots.get("t1"), 4)
+        chosen = task.resolve(task.Parameters(name=task.name).model_copy(update=settings), simulator.robot)
+        environments.append(Environment(simulator, task, chosen, compiled=wanted))
+        environments[-1].load_starts(environments[-1].task.starts(8, 0, 2.0))
+        environments[-1].restart(np.arange(4), np.arange(4))
+    assert [environment.compiled for environment in environments] == [True, False]
+    same(*(run(environment, 45) for environment in environments))
+
+
 class OwnAdvance(Sprint1):
     """A sprint that computes something of its own after each step."""
 
@@ -124,7 +149,7 @@ class Composed(Sprint1):
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return half of each term."""
-        return [RewardTerm(term.name, 0.5 * term.weight, term.value, term.operation) for term in super().reward_terms()]
+        return [RewardTerm(term.name, 0.5 * term.weight, term.value) for term in super().reward_terms()]
 
 
 @pytest.mark.parametrize("task", [OwnAdvance, OwnTerm, OwnBlock])
@@ -161,15 +186,24 @@ def make_losing() -> Callable[[int], Simulator]:
     return lambda n: Losing(NAO, n)
 
 
-def test_an_unknown_or_incomplete_operation_is_named() -> None:
-    with pytest.raises(ValueError, match="operation fly: there is none of this name"):
-        Operation("fly", {"source": np.zeros(3)}).build()
-    with pytest.raises(ValueError, match="operation gravity: quaternion is missing"):
-        Operation("gravity", {"source": np.zeros((3, 4))}).build()
-    with pytest.raises(ValueError, match="operation gravity: quaternion: 4 numbers per robot"):
-        Operation("gravity", {"quaternion": np.zeros((3, 3))}).build()
-    with pytest.raises(ValueError, match="side by side"):
-        Operation("gravity", {"quaternion": np.zeros((4, 3)).T}).build()
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ([("fly", [], 1, [], None, 0)], "function fly: there is none of this name"),
+        ([("sin", [0], 1, [], None, 0)], "function sin: no such argument"),
+        ([("source", [], 1, [3.0], np.zeros((2, 3)), 0)], "function source: column out of range"),
+        ([("constant", [], 2, [1.0], None, 0)], "function constant: one value a number is needed"),
+        ([("source", [], 1, [0.0], np.zeros((3, 4)).T, 0)], "function source: the numbers of a row"),
+    ],
+)
+def test_an_unknown_or_incomplete_function_is_named(nodes: list[Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        _compiled.Operation(nodes, [])
+
+
+def test_arguments_that_do_not_fit_are_refused_where_an_expression_is_written() -> None:
+    with pytest.raises(ValueError, match="add: 2 and 3 numbers do not fit"):
+        source(np.zeros((4, 2))) + source(np.zeros((4, 3)))
 
 
 @pytest.mark.parametrize("seed", [0, 7, 2**63 + 5])

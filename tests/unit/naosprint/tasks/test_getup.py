@@ -14,6 +14,7 @@ from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.getup import HOLD_STEPS, STANDING_HEIGHT, STANDING_UP, GetUp, GetUpSettings, time_numbers
 from naosprint.tasks.motions import motions
+from naosprint.terms import source
 
 from ..boosters import action_mirror, mirrored_pair, symmetric_environment  # noqa: TID252
 
@@ -123,7 +124,7 @@ def test_a_robot_without_a_motion_demonstrates_nothing() -> None:
 
 
 def test_the_time_is_observed_until_nothing_follows() -> None:
-    numbers = time_numbers(np.array([0, 1, 100, 200, 240]))
+    numbers = time_numbers(source(np.array([0, 1, 100, 200, 240])))(slice(None))
     assert numbers.shape == (5, 13) and (np.abs(numbers) <= 1.0).all()
     assert numbers[:, 0] == pytest.approx([0.0, 0.005, 0.5, 1.0, 1.0])
     np.testing.assert_array_equal(numbers[3], numbers[4])

@@ -11,11 +11,11 @@ from naosim.robots import Robot, nao_model
 from naosim.robots.actuation import Actuation
 from naosim.simspark import EmbeddedSimulator, centre_of_mass
 from naosim.simulator import Simulator, Starts, Truth
-from naosprint.tasks.base import World
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.observations import BLOCKS, ObservationBlock, Observer, blocks
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, SprintSettings
+from naosprint.tasks.world import World
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -7,10 +7,10 @@ import pytest
 from naosim import robots
 from naosim.simulator import Simulator, Starts
 from naospec import TrainingSpec
-from naosprint.tasks.base import World
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.penalties import hopping
 from naosprint.tasks.sprint import Sprint1, SprintSettings
+from naosprint.tasks.world import World
 from pydantic import ValidationError
 
 LEGS = ("hip_pitch", "knee_pitch", "hip_roll")

@@ -11,7 +11,7 @@ from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, torque_shares, world_of
-from naosim.simulator import CONTACT_N, PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
+from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -256,11 +256,6 @@ class MujocoSimulator(Simulator):
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""
         return self.batch.foot_frames
-
-    def flight(self) -> Flags:
-        """Return the (n,) robots with both feet off the ground in two successive frames of 5 ms of the latest step."""
-        off: Flags = np.asarray((self.batch.foot_frames < CONTACT_N).all(axis=2))
-        return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1))
 
     # disturbances
 

@@ -22,7 +22,7 @@ from naosprint.analysis.replay import Replay
 from naosprint.rl.policy import load_policy
 from naosprint.tasks.environment import open_environment
 from naosprint.tasks.episodes import Episodes, Statistics
-from naosprint.tasks.randomness import Normals
+from naosprint.terms.randomness import Normals
 from naosprint.threads import one_blas_thread
 
 if TYPE_CHECKING:

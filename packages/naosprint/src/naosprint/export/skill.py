@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from naosprint.arrays import AnyArray, FloatArray
     from naosprint.rl.checkpoint import Manifest
     from naosprint.rl.policy import NetworkPolicy
-    from naosprint.tasks.base import World
     from naosprint.tasks.environment import Environment
+    from naosprint.tasks.world import World
 
 _SOURCES = Path(__file__).with_name("skills")
 CYCLES = 64

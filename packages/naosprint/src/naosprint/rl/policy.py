@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import AnyArray, Float32Array, FloatArray
     from naosprint.rl.settings import PPOSettings
-    from naosprint.tasks.randomness import Normals
+    from naosprint.terms.randomness import Normals
 
 Real = TypeVar("Real", bound="np.floating[Any]")
 

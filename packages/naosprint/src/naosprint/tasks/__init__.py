@@ -1,7 +1,7 @@
 """Tasks: what robots learn. Importing this package loads no PyTorch, so API and command line can describe tasks.
 
 Every part of the bundled tasks can be imported from here: settings to inherit from, measurements, reward terms,
-observation blocks and their compiled forms, starts and random numbers.
+observation blocks, starts and random numbers; expressions are in :mod:`naosprint.terms`.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from __future__ import annotations
 from naospec import TaskSettings
 from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 
-from naosprint.tasks.base import End, RewardTerm, Task, World, get, names, seconds
-from naosprint.tasks.compiled import Operation, columns
+from naosprint.tasks.base import End, RewardTerm, Task, get, names, seconds
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.episodes import Episodes, Statistics
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
-from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement
+from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement, Measurement, StoredNumbers
 from naosprint.tasks.motions import Motion, motions
 from naosprint.tasks.observations import ObservationBlock, blocks
 from naosprint.tasks.penalties import PenaltySettings, penalties
-from naosprint.tasks.randomness import normal, uniform
 from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
 from naosprint.tasks.starts import draw_start_poses
+from naosprint.tasks.world import World
+from naosprint.terms.randomness import normal, uniform
 
 __all__ = [
     "FALL",
@@ -39,7 +39,6 @@ __all__ = [
     "Metric",
     "Motion",
     "ObservationBlock",
-    "Operation",
     "PenaltySettings",
     "Presentation",
     "Reference",
@@ -48,11 +47,11 @@ __all__ = [
     "RewardTerm",
     "RobotDefaults",
     "Statistics",
+    "StoredNumbers",
     "Task",
     "TaskSettings",
     "World",
     "blocks",
-    "columns",
     "draw_start_poses",
     "get",
     "motions",

@@ -15,7 +15,7 @@ from naospec.sections import PlainName
 from pydantic import Field
 from typing_extensions import TypeVar
 
-from naosprint.tasks.base import Task, World
+from naosprint.tasks.base import Task
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
@@ -24,6 +24,7 @@ from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.velocity import Velocity, VelocitySettings
+from naosprint.tasks.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,31 +6,30 @@ and register the class under the entry-point group ``naosprint.tasks``; docs/how
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, cast
 
 import numpy as np
 from naosim import robots
-from naosim.robots.actuation import Actuation
 from naosim.simulator import PLAIN, STEP_S, Ability, Scene, Starts
 from naospec import TaskSettings, plugins
 from naospec.metrics import EPISODE_METRICS, Metric, Presentation, Result, ResultTable
 from naospec.plugins import TASKS, Plugin
 from typing_extensions import TypeVar
 
-from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
+from naosprint.tasks.observations import ObservationBlock, blocks
+from naosprint.tasks.starts import draw_start_poses
+from naosprint.tasks.world import World
+from naosprint.terms import Number
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
-    from naosim.simulator import BodyState, RobotMotion, Simulator
 
     from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
-    from naosprint.tasks.compiled import Operation
     from naosprint.tasks.episodes import Episodes, Statistics
     from naosprint.tasks.measurements import Measurement
-    from naosprint.tasks.observations import ObservationBlock, Observer
+    from naosprint.tasks.observations import Observer
 
 
 Settings = TypeVar("Settings", bound=TaskSettings, default=TaskSettings, covariant=True)
@@ -46,14 +45,17 @@ class RewardTerm:
     Attributes:
         name: name for users.
         weight: factor, negative for a penalty; a term of weight 0 is not computed.
-        value: called with the rows of some robots, returns one number for each.
-        operation: its compiled form, if it has one.
+        value: an expression, which runs compiled; or a function that is called with the rows of some robots and returns
+            one number for each.
     """
 
     name: str
     weight: float
-    value: Callable[[slice], FloatArray]
-    operation: Operation | None = None
+    value: Number | Callable[[slice], FloatArray]
+
+    def compute(self, rows: slice) -> FloatArray:
+        """Return the (k,) values of the robots ``rows``."""
+        return self.value(rows)[:, 0] if isinstance(self.value, Number) else self.value(rows)
 
 
 @dataclass(frozen=True)
@@ -72,108 +74,6 @@ class End:
     failure: bool = False
 
 
-class World:
-    """State of the robots for tasks and observation blocks; all arrays have one row per robot.
-
-    Attributes:
-        n: number of robots.
-        robot: their description.
-        actuation: how actions become joint targets.
-        steps: (n,) steps of each robot's episode so far.
-        streams: (n,) whose random numbers each robot gets: its own in a training, those of its episode in an
-            evaluation, whose results then do not depend on the number of robots.
-        actions: (n, A) actions of the latest step, in [-1, 1]; zero at the start of an episode.
-        previous_actions: (n, A) those of the step before.
-    """
-
-    def __init__(self, simulator: Simulator) -> None:
-        self.simulator = simulator
-        self.n = simulator.n
-        self.robot: Robot = simulator.robot
-        self.actuation = Actuation(simulator.robot)
-        self.steps: IntArray = np.zeros(self.n, dtype=np.int64)
-        self.streams: IntArray = np.arange(self.n)
-        self.actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
-        self.previous_actions: FloatArray = np.zeros((self.n, self.actuation.n_actions))
-
-    @cached_property
-    def defaults(self) -> RobotDefaults:
-        """The robot's observations and fall heights unless the task differs.
-
-        Raises:
-            ValueError: if no package states them.
-        """
-        return robot_defaults(self.robot)
-
-    @property
-    def perceptors(self) -> Mapping[str, FloatArray]:
-        """Perceptors by name."""
-        return self.simulator.perceptors
-
-    def position(self, rows: slice | IntArray) -> FloatArray:
-        """Return the (k, 3) true torso positions in metres."""
-        return self.simulator.truth.torso_position[rows]
-
-    def rotation(self, rows: slice | IntArray) -> FloatArray:
-        """Return the (k, 3, 3) true rotations from the torso's frame into the world's."""
-        return self.simulator.truth.torso_rotation[rows]
-
-    @property
-    def bodies(self) -> Mapping[str, BodyState]:
-        """True motion of the bodies that the task's scene names: torso, feet and ball."""
-        return self.simulator.truth.bodies
-
-    @property
-    def contacts(self) -> Mapping[str, FloatArray]:
-        """By part of the robot, (n,) share of the latest step in which the ball touched it."""
-        return self.simulator.truth.contacts
-
-    def place_ball(
-        self,
-        rows: IntArray,
-        position_m: FloatArray,
-        velocity_mps: FloatArray | None = None,
-        spin_rad_s: FloatArray | None = None,
-    ) -> None:
-        """Place the ball of the (k,) robots ``rows`` at (k, 3), at rest or with (k, 3) velocities and spins.
-
-        Raises:
-            ValueError: if the task's scene has no ball.
-        """
-        self.simulator.place_ball(rows, position_m, velocity_mps, spin_rad_s)
-
-    def motion(self, rows: IntArray) -> RobotMotion:
-        """Return poses and velocities of the (k,) robots ``rows``.
-
-        Raises:
-            ValueError: if the simulator's robots can begin at rest only.
-        """
-        return self.simulator.motion(rows)
-
-    def set_motion(self, rows: IntArray, motion: RobotMotion) -> None:
-        """Give the (k,) robots ``rows`` these poses and velocities, instead of rest, to begin with.
-
-        Raises:
-            ValueError: if the simulator's robots can begin at rest only.
-        """
-        self.simulator.set_motion(rows, motion)
-
-    def torque_share(self, rows: slice | IntArray) -> FloatArray:
-        """Return the (k,) mean over the joints of the squared share of its torque limit that each motor applies.
-
-        Raises:
-            ValueError: if the simulator does not report motor torques.
-        """
-        torques = self.simulator.torque_shares(rows)
-        return np.asarray(np.square(torques).mean(axis=1))
-
-    def yaw(self, rows: slice | IntArray) -> FloatArray:
-        """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise."""
-        front = self.robot.front_axis
-        rotation = self.rotation(rows)
-        return np.asarray(np.arctan2(rotation[:, 1, front], rotation[:, 0, front]))
-
-
 class Task(Plugin, Generic[Settings]):
     """A task for n robots.
 
@@ -183,7 +83,7 @@ class Task(Plugin, Generic[Settings]):
 
     What a step computes is either written in :meth:`begin`, :meth:`advance` and :meth:`ended`, or made of
     :attr:`measurements` and :attr:`flags`, which these methods use by default. A task of the second kind runs compiled
-    where its observation blocks and reward terms have a compiled form, too.
+    where its measurements, observation blocks and reward terms are expressions.
 
     Attributes:
         name: how specifications refer to it; equal to the entry point's name.
@@ -266,8 +166,6 @@ class Task(Plugin, Generic[Settings]):
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return what a policy observes, in order; the robot's usual observations by default."""
-        from naosprint.tasks.observations import blocks
-
         return blocks(self.world, self.world.defaults.observations)
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
@@ -275,8 +173,6 @@ class Task(Plugin, Generic[Settings]):
 
         What disturbs a robot (friction, gravity, delay) follows by itself.
         """
-        from naosprint.tasks.observations import blocks
-
         return blocks(self.world, ("true_height", "true_velocity"))
 
     def reward_terms(self) -> Sequence[RewardTerm]:
@@ -285,8 +181,6 @@ class Task(Plugin, Generic[Settings]):
 
     def starts(self, count: int, seed: int, noise_deg: float) -> Starts:
         """Return at most ``count`` starts; by default the nominal pose with joints offset by up to ``noise_deg``."""
-        from naosprint.tasks.starts import draw_start_poses
-
         return Starts(draw_start_poses(self.world.actuation, count, noise_deg, seed), self.start_position())
 
     def start_position(self) -> tuple[float, float]:

@@ -13,9 +13,9 @@ from naospec import TaskSettings
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from naosprint.tasks.compiled import columns
 from naosprint.tasks.observations import ObservationBlock
-from naosprint.tasks.randomness import normal, uniform
+from naosprint.terms import source
+from naosprint.terms.randomness import normal, uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -306,7 +306,7 @@ class Disturbances:
             (("extra_delay",), self._acts, self._most > 0),
         )
         return [
-            ObservationBlock(names, lambda rows, array=array: array[rows], operation=columns(array))  # type: ignore[misc]
+            ObservationBlock(names, source(array))
             for names, array, needed in named
             if needed
         ]

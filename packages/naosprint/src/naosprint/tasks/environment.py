@@ -10,9 +10,14 @@ from naosim import kinds, robots
 from naosim.simulator import NativeHandle, RuntimeOptions
 from naospec.sections import require_plain_names
 
-from naosprint.tasks.base import RewardTerm, Task, World, get
+from naosprint import _compiled
+from naosprint.tasks.base import Task, get
 from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
+from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import Observer
+from naosprint.tasks.world import World
+from naosprint.terms import Number
+from naosprint.terms.compiled import compilable, operation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,10 +25,7 @@ if TYPE_CHECKING:
     from naosim.simulator import Simulator, Starts
     from naospec import TaskSettings, TrainingSpec
 
-    from naosprint._compiled import Operation, Step
     from naosprint.arrays import AnyArray, BoolArray, Float32Array, FloatArray, IntArray
-    from naosprint.tasks.measurements import Measurement
-    from naosprint.tasks.observations import ObservationBlock
 
 SHORT_EPISODE_STEPS = 100
 """Steps after which short episodes are truncated: by then a robot runs."""
@@ -99,25 +101,26 @@ class Environment:
         self._program = self._compile() if compiled else None
         self.compiled = self._program is not None
 
-    def _compile(self) -> Step | None:
+    def _compile(self) -> _compiled.Step | None:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
         task, actuation = self.task, self.actuation
         methods = ("begin", "advance", "ended", "take_over")
         own = any(getattr(type(task), name) is not getattr(Task, name) for name in methods)
-        parts: tuple[Measurement | ObservationBlock | RewardTerm, ...] = (
-            *task.measurements,
-            *self.observer.blocks,
-            *self._terms,
-        )
         native = self.simulator.native
-        if own or native is None or not native.is_usable or any(part.operation is None for part in parts):
+        measurements = [each for each in task.measurements if isinstance(each, StoredNumbers) and each.is_whole]
+        blocks = [(block, block.value) for block in self.observer.blocks if isinstance(block.value, Number)]
+        terms = [(term, term.value) for term in self._terms if isinstance(term.value, Number)]
+        whole = (len(measurements), len(blocks), len(terms)) == tuple(
+            map(len, (task.measurements, self.observer.blocks, self._terms))
+        )
+        if own or not whole or native is None or not native.is_usable or any(block.begin for block, _ in blocks):
             return None
-        from naosprint import _compiled
-
-        def built(part: Measurement | ObservationBlock | RewardTerm) -> Operation:
-            assert part.operation is not None  # checked above
-            return part.operation.build()
-
+        stores = [store for measurement in measurements for store in measurement.stores]
+        stores += [store for block, _ in blocks for store in block.stores]
+        numbers = [value for _, value in (*blocks, *terms)]
+        numbers += [each for store in stores for each in (store.begin, store.update) if each is not None]
+        if not all(map(compilable, numbers)):
+            return None
         names = ("rewards", "terminated", "truncated", "failed", "lost", "short")
         arrays = {
             **{name: getattr(self, name) for name in names},
@@ -135,12 +138,12 @@ class Environment:
             else (actuation.index, reach, actuation.low_rad, actuation.high_rad)
         )
         return _compiled.Step(
-            [built(measurement) for measurement in task.measurements],
+            [operation(None, measurement.stores) for measurement in measurements],
             [
-                (built(block), first, block.rates, block.angular, value)
-                for block, first, value in self.observer.places()
+                (operation(value, block.stores), first, block.rates, block.angular, place)
+                for (block, value), (_, first, place) in zip(blocks, self.observer.places(), strict=True)
             ],
-            [(built(term), term.weight) for term in self._terms],
+            [(operation(value), term.weight) for term, value in terms],
             [(flag, self.ends[end.name], end.failure) for end, flag in zip(task.ends, task.flags, strict=True)],
             arrays,
             self._scale,
@@ -288,7 +291,7 @@ class Environment:
         self.observer.update(rows)
         rewards = np.zeros(rows.stop - rows.start)
         for number, term in enumerate(self._terms):
-            value = term.value(rows)
+            value = term.compute(rows)
             if term.weight != 1.0:
                 value = term.weight * value
             rewards = value if number == 0 else rewards + value

@@ -9,10 +9,30 @@ from naosim.simulator import STEP_S, Ability, Starts
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
-from naosprint.tasks.base import RewardTerm, Task, World
+from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.disturbances import DisturbanceSettings
+from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.motions import Motion, motions
+from naosprint.tasks.observations import ObservationBlock, blocks, radians
 from naosprint.tasks.penalties import PenaltySettings, penalties
+from naosprint.tasks.world import World
+from naosprint.terms import (
+    Number,
+    Store,
+    absolute,
+    clip,
+    constant,
+    cos,
+    equal,
+    exp,
+    mean,
+    minimum,
+    sin,
+    source,
+    square,
+    stack,
+    where,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,7 +41,6 @@ if TYPE_CHECKING:
 
     from naosprint.arrays import BoolArray, FloatArray, IntArray
     from naosprint.tasks.episodes import Episodes, Statistics
-    from naosprint.tasks.observations import ObservationBlock
 
 STANDING_HEIGHT = 0.88
 """Torso height from which a robot stands, as a fraction of its standing height."""
@@ -111,14 +130,13 @@ _TIME_S = 4.0
 _TIME = ("time", *(f"time_{wave}_{k}" for k in range(1, _PERIODS + 1) for wave in ("sin", "cos")))
 
 
-def time_numbers(steps: IntArray) -> FloatArray:
-    """Return (k, 13) observations of the time since each of (k,) robots began to get up, given in steps.
+def time_numbers(steps: Number) -> Number:
+    """Return 13 observations of the time since a robot began to get up, given in steps.
 
     Sines and cosines make moments distinguishable that are close to each other; after four seconds nothing changes.
     """
-    time = np.minimum(steps * STEP_S, _TIME_S) / _TIME_S
-    waves = [wave(np.pi * k * time) for k in range(1, _PERIODS + 1) for wave in (np.sin, np.cos)]
-    return np.stack([time, *waves], axis=1)
+    time = minimum(steps * STEP_S, _TIME_S) / _TIME_S
+    return stack(time, *(wave(np.pi * k * time) for k in range(1, _PERIODS + 1) for wave in (sin, cos)))
 
 
 def lying(around: FloatArray, tilt: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -135,11 +153,10 @@ def lying(around: FloatArray, tilt: FloatArray, yaw: FloatArray) -> FloatArray:
     return np.stack([c * w, c * x - s * y, c * y + s * x, s * w], axis=1)
 
 
-def side_of(rotation: FloatArray) -> IntArray:
-    """Return which side robots with (k, 3, 3) torso rotations lie on: 0 to 2 for those of :data:`SIDES`, 3 for left."""
-    front, left = rotation[:, 2, 0], rotation[:, 2, 1]  # upward components
-    sides = np.where(np.abs(front) > np.abs(left), front > 0.0, np.where(left > 0.0, 2, 3))
-    return np.asarray(sides, dtype=np.int64)
+def side_of(rotation: Number) -> Number:
+    """Return which side a robot lies on by its torso's rotation: 0 to 2 for those of :data:`SIDES`, 3 for the left."""
+    front, left = rotation[6], rotation[7]  # upward components
+    return where(absolute(front) > absolute(left), front > 0.0, where(left > 0.0, 2.0, 3.0))
 
 
 class GetUp(Task[GetUpSettings]):
@@ -181,16 +198,22 @@ class GetUp(Task[GetUpSettings]):
         self._stood_at: IntArray = np.zeros(self.n, dtype=np.int64)  # 0: not yet
         self._side: IntArray = np.zeros(self.n, dtype=np.int64)
         self.arrays = {"held": self._held, "stood_at": self._stood_at, "side": self._side}
-        self._height: FloatArray = np.zeros(self.n)
-        self._up: FloatArray = np.zeros(self.n)
-        self._off_pose: FloatArray = np.zeros(self.n)
+        self.measurements = (StoredNumbers(self._attempt()),)
+
+    def _attempt(self) -> list[Store]:
+        """Return what is stored of an attempt: the side that it began on, and how long the robot has been standing."""
+        held, stood_at, zero = source(self._held), source(self._stood_at), constant(0.0)
+        first = equal(held, HOLD_STEPS) & equal(stood_at, 0.0)
+        return [
+            Store(source(self._side), begin=side_of(self.world.true_rotation)),
+            Store(held, begin=zero, update=where(self._standing(), held + 1.0, 0.0)),
+            Store(stood_at, begin=zero, update=where(first, self.world.step - HOLD_STEPS + 1.0, stood_at)),
+        ]
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations without its heading in the world, and the time."""
-        from naosprint.tasks.observations import ObservationBlock, blocks
-
         usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
-        return [*usual, ObservationBlock(_TIME, lambda rows: time_numbers(self.world.steps[rows]))]
+        return [*usual, ObservationBlock(_TIME, time_numbers(self.world.step))]
 
     def _actions(self, moves: Sequence[Motion]) -> FloatArray:
         """Return the (k, T, A) actions of motions, each followed by those of the nominal pose."""
@@ -240,47 +263,23 @@ class GetUp(Task[GetUpSettings]):
 
         Height counts squared and tilt in proportion to it, so that sitting upright is worth little.
         """
-        standing = self.robot.standing_height_m
-
-        def height(rows: slice) -> FloatArray:
-            return np.square(np.clip(self._height[rows] / standing, 0.0, 1.0))
-
-        def upright(rows: slice) -> FloatArray:
-            return 0.5 * (1.0 + self._up[rows]) * height(rows)
-
-        def pose(rows: slice) -> FloatArray:
-            return np.where(self._standing(rows), np.exp(-self._off_pose[rows]), 0.0)
-
+        world, actuation = self.world, self.world.actuation
+        tall = square(clip(world.true_position[2] / self.robot.standing_height_m, 0.0, 1.0))
+        angles = radians(world, "joint_angles")
+        off_pose = mean(square(angles - actuation.nominal.tolist())) * 4.0
+        standing = self._standing()
         return (
-            RewardTerm("height", 1.0, height),
-            RewardTerm("upright", 0.5, upright),
-            RewardTerm("standing", 1.0, lambda rows: self._standing(rows).astype(np.float64)),
-            RewardTerm("pose", self.parameters.pose_weight, pose),
-            *penalties(self.world, self.parameters),
+            RewardTerm("height", 1.0, tall),
+            RewardTerm("upright", 0.5, 0.5 * (1.0 + world.true_rotation[8]) * tall),
+            RewardTerm("standing", 1.0, standing),
+            RewardTerm("pose", self.parameters.pose_weight, where(standing, exp(off_pose * -1.0), 0.0)),
+            *penalties(world, self.parameters),
         )
 
-    def _standing(self, rows: slice | IntArray) -> BoolArray:
-        tall = self._height[rows] > STANDING_HEIGHT * self.robot.standing_height_m
-        return np.asarray(tall & (self._up[rows] > STANDING_UP))
-
-    def begin(self, rows: IntArray) -> None:
-        """Reset the attempt."""
-        self._held[rows] = self._stood_at[rows] = 0
-        self._height[rows] = self.world.position(rows)[:, 2]
-        rotation = self.world.rotation(rows)
-        self._up[rows] = rotation[:, 2, 2]
-        self._side[rows] = side_of(rotation)
-
-    def advance(self, rows: slice) -> None:
-        """Measure height, tilt, and how long the robot has been standing."""
-        world = self.world
-        self._height[rows] = world.position(rows)[:, 2]
-        self._up[rows] = world.rotation(rows)[:, 2, 2]
-        off = world.actuation.angles(world.perceptors["joint_angles"][rows]) - world.actuation.nominal
-        self._off_pose[rows] = np.square(off).mean(axis=1) * 4.0
-        self._held[rows] = np.where(self._standing(rows), self._held[rows] + 1, 0)
-        first = (self._held[rows] == HOLD_STEPS) & (self._stood_at[rows] == 0)
-        self._stood_at[rows] = np.where(first, world.steps[rows] - HOLD_STEPS + 1, self._stood_at[rows])
+    def _standing(self) -> Number:
+        """Return whether the robot stands: its torso is high and upright."""
+        tall = self.world.true_position[2] > STANDING_HEIGHT * self.robot.standing_height_m
+        return tall & (self.world.true_rotation[8] > STANDING_UP)
 
     def skill_over(self, rows: slice | IntArray) -> BoolArray:
         """Return which robots have stood for long enough."""

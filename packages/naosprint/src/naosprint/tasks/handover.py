@@ -15,8 +15,8 @@ from naosim.simulator import RobotMotion, Starts
 
 from naosprint.tasks.base import Task
 from naosprint.tasks.environment import Environment
-from naosprint.tasks.randomness import uniform
 from naosprint.tasks.starts import draw_start_poses
+from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from naospec import TaskSettings
 
     from naosprint.arrays import FloatArray, IntArray
-    from naosprint.tasks.base import World
     from naosprint.tasks.frozen import FrozenPolicy
+    from naosprint.tasks.world import World
 
     _State = tuple[RobotMotion, FloatArray, FloatArray]
     """Motion of one robot, its latest action, and its perceived velocity."""

@@ -20,11 +20,12 @@ from pydantic_core import PydanticCustomError
 
 from naosprint.tasks import rolling
 from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
-from naosprint.tasks.base import End, RewardTerm, World
+from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
-from naosprint.tasks.randomness import uniform
+from naosprint.tasks.world import World
+from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

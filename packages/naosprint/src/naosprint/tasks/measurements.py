@@ -6,25 +6,20 @@ Reward terms, ends and metrics use the arrays. Tasks list their measurements in 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosprint.tasks.compiled import Operation
+from naosprint.terms import Number, Store, absolute, constant, source
 
 if TYPE_CHECKING:
     from naosprint.arrays import BoolArray, FloatArray, IntArray
-    from naosprint.tasks.base import World
+    from naosprint.tasks.world import World
 
 
 class Measurement(ABC):
-    """Something that a task takes of every step.
-
-    Attributes:
-        operation: its compiled form, if it has one.
-    """
-
-    operation: Operation | None = None
+    """Something that a task takes of every step."""
 
     @abstractmethod
     def begin(self, rows: IntArray) -> None:
@@ -35,7 +30,34 @@ class Measurement(ABC):
         """Measure the robots ``rows`` after a step."""
 
 
-class Displacement(Measurement):
+class StoredNumbers(Measurement):
+    """Expressions, stored one after the other: a measurement that runs compiled.
+
+    Args:
+        stores: what is stored, in order.
+    """
+
+    def __init__(self, stores: Sequence[Store]) -> None:
+        self.stores = tuple(stores)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the stores are all that it does: a subclass may do more in Python."""
+        mine = type(self)
+        return mine.begin is StoredNumbers.begin and mine.update is StoredNumbers.update
+
+    def begin(self, rows: IntArray) -> None:
+        """Store what an episode begins with."""
+        for store in self.stores:
+            store.apply(store.begin, rows)
+
+    def update(self, rows: slice) -> None:
+        """Store what follows from the step."""
+        for store in self.stores:
+            store.apply(store.update, rows)
+
+
+class Displacement(StoredNumbers):
     """Coordinate of the torso.
 
     Args:
@@ -49,29 +71,20 @@ class Displacement(Measurement):
     """
 
     def __init__(self, world: World, axis: int = 0) -> None:
-        self._world, self._axis = world, axis
         self.now: FloatArray = np.zeros(world.n)
         self.start: FloatArray = np.zeros(world.n)
         self.change: FloatArray = np.zeros(world.n)
-        position = world.simulator.truth.torso_position
-        self.operation = Operation(
-            "displacement",
-            {"position": position, "now": self.now, "start": self.start, "change": self.change},
-            {"axis": [axis]},
+        position, now = world.true_position[axis], source(self.now)
+        super().__init__(
+            [
+                Store(source(self.start), begin=position),
+                Store(source(self.change), update=position - now),
+                Store(now, begin=position, update=position),
+            ]
         )
 
-    def begin(self, rows: IntArray) -> None:
-        """Store where the robots start."""
-        self.now[rows] = self.start[rows] = self._world.position(rows)[:, self._axis]
 
-    def update(self, rows: slice) -> None:
-        """Compute how far the step went."""
-        now = self._world.position(rows)[:, self._axis]
-        self.change[rows] = now - self.now[rows]
-        self.now[rows] = now
-
-
-class Deviation(Measurement):
+class Deviation(StoredNumbers):
     """Distance of the torso from the line along the x axis at ``y_m``.
 
     Attributes:
@@ -80,24 +93,25 @@ class Deviation(Measurement):
     """
 
     def __init__(self, world: World, y_m: float) -> None:
-        self._world, self._y = world, y_m
         self.now: FloatArray = np.zeros(world.n)
         self.change: FloatArray = np.zeros(world.n)
-        arrays = {"position": world.simulator.truth.torso_position, "now": self.now, "change": self.change}
-        self.operation = Operation("deviation", arrays, {"y": [y_m]})
-
-    def begin(self, rows: IntArray) -> None:
-        """Store how far aside the robots start."""
-        self.now[rows] = np.abs(self._world.position(rows)[:, 1] - self._y)
-
-    def update(self, rows: slice) -> None:
-        """Compute how far aside the step went."""
-        now = np.abs(self._world.position(rows)[:, 1] - self._y)
-        self.change[rows] = now - self.now[rows]
-        self.now[rows] = now
+        aside, now = absolute(world.true_position[1] - y_m), source(self.now)
+        super().__init__([Store(source(self.change), update=aside - now), Store(now, begin=aside, update=aside)])
 
 
-class Below(Measurement):
+class _Flag(StoredNumbers):
+    """Whether something holds after a step.
+
+    Attributes:
+        flag: (n,) whether it does.
+    """
+
+    def __init__(self, n: int, holds: Number) -> None:
+        self.flag: BoolArray = np.zeros(n, dtype=np.bool_)
+        super().__init__([Store(source(self.flag), begin=constant(0.0), update=holds)])
+
+
+class Below(_Flag):
     """Whether the torso is below a height.
 
     Attributes:
@@ -105,21 +119,10 @@ class Below(Measurement):
     """
 
     def __init__(self, world: World, height_m: float) -> None:
-        self._world, self._height = world, height_m
-        self.flag: BoolArray = np.zeros(world.n, dtype=np.bool_)
-        arrays = {"position": world.simulator.truth.torso_position, "flag": self.flag}
-        self.operation = Operation("below", arrays, {"height": [height_m]})
-
-    def begin(self, rows: IntArray) -> None:
-        """Reset the flags."""
-        self.flag[rows] = False
-
-    def update(self, rows: slice) -> None:
-        """Compare the heights."""
-        self.flag[rows] = self._world.position(rows)[:, 2] < self._height
+        super().__init__(world.n, world.true_position[2] < height_m)
 
 
-class Beyond(Measurement):
+class Beyond(_Flag):
     """Whether a value exceeds a limit, unless another flag is set.
 
     Args:
@@ -132,14 +135,4 @@ class Beyond(Measurement):
     """
 
     def __init__(self, value: FloatArray, limit: float, unless: BoolArray) -> None:
-        self._value, self._limit, self._unless = value, limit, unless
-        self.flag: BoolArray = np.zeros(len(value), dtype=np.bool_)
-        self.operation = Operation("beyond", {"value": value, "unless": unless, "flag": self.flag}, {"limit": [limit]})
-
-    def begin(self, rows: IntArray) -> None:
-        """Reset the flags."""
-        self.flag[rows] = False
-
-    def update(self, rows: slice) -> None:
-        """Compare the values."""
-        self.flag[rows] = (self._value[rows] > self._limit) & ~self._unless[rows]
+        super().__init__(len(value), (source(value) > limit) & ~source(unless))

@@ -11,16 +11,34 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from naosim.robots.nao import model_of
+from naosim.simspark import batch
+from naosim.simspark.batch import kinematics_address
 from naosim.simulator import BALL, STEP_S
 
 from naosprint.mirror import Mirror
-from naosprint.tasks.compiled import Operation, columns, joint_angles
+from naosprint.tasks.onboard_pose import OnboardPose
+from naosprint.tasks.world import World
+from naosprint.terms import (
+    Number,
+    Store,
+    arctan2,
+    constant,
+    cos,
+    equal,
+    given,
+    sin,
+    source,
+    square,
+    stack,
+    where,
+)
+from naosprint.terms.expressions import centre_of_mass
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from naosprint.arrays import AnyArray, BoolArray, FloatArray, IntArray
-    from naosprint.tasks.base import World
+    from naosprint.arrays import AnyArray, FloatArray, IntArray
 
 PAST = "_ago"
 """Between an observation's name and how many steps ago it was observed."""
@@ -34,45 +52,48 @@ class ObservationBlock:
 
     Args:
         names: their names.
-        measure: called with the rows of some robots, returns (k, width) numbers.
+        value: an expression, which runs compiled and can be exported; or a function that is called with the rows of
+            some robots and returns (k, width) numbers.
         partners: the names of their mirror images; themselves if left out.
         signs: the signs of their mirror images; 1 if left out.
         spread: their typical standard deviations, with which a training that starts from a policy without these
             observations standardizes them at first; 1 if left out.
         rates: whether their rates follow.
         angular: whether they are angles, whose rates take the short way round.
+        stores: what is stored for the value, in order, before it is computed.
         begin: called with the rows of robots whose episode begins, before they are measured.
         update: called with the rows of robots that have taken a step, before they are measured.
         arrays: what the block stores, one row per robot.
-        operation: its compiled form, if it has one.
     """
 
     def __init__(
         self,
         names: Sequence[str],
-        measure: Callable[[slice | IntArray], FloatArray],
+        value: Number | Callable[[slice | IntArray], FloatArray],
         *,
         partners: Sequence[str] | None = None,
         signs: Sequence[float] | None = None,
         spread: Sequence[float] | None = None,
         rates: bool = False,
         angular: bool = False,
+        stores: Sequence[Store] = (),
         begin: Callable[[IntArray], None] | None = None,
         update: Callable[[slice], None] | None = None,
         arrays: Mapping[str, AnyArray] | None = None,
-        operation: Operation | None = None,
     ) -> None:
         self.names = tuple(names)
-        self.measure = measure
+        self.value = value
         self.partners = self.names if partners is None else tuple(partners)
         self.signs = (1.0,) * len(self.names) if signs is None else tuple(signs)
         self.spread = (1.0,) * len(self.names) if spread is None else tuple(spread)
         self.rates = rates
         self.angular = angular
+        self.stores = tuple(stores)
         self.begin = begin
         self.update = update
         self.arrays: dict[str, AnyArray] = dict(arrays or {})
-        self.operation = operation
+        if isinstance(value, Number) and value.width != len(self.names):
+            raise ValueError(f"observations: {', '.join(self.names)}: the expression has {value.width} numbers")
 
 
 class Observer:
@@ -103,8 +124,6 @@ class Observer:
     ) -> None:
         self.blocks = (*blocks, *critic)
         self.history = history
-        self._beginning = [block for block in self.blocks if block.begin is not None]
-        self._updating = [block for block in self.blocks if block.update is not None]
         names, partners, signs = _numbers(blocks)
         self.width = len(names)
         for ago in range(1, history + 1):
@@ -163,8 +182,11 @@ class Observer:
             rows: (k,) robots.
             remembered: (k, ...) values by name of what blocks store, of robots that were in motion before.
         """
-        for block in self._beginning:
-            block.begin(rows)  # type: ignore[misc]
+        for block in self.blocks:
+            for store in block.stores:
+                store.apply(store.begin, rows)
+            if block.begin is not None:
+                block.begin(rows)
         for name, known in (remembered or {}).items():
             for block in self.blocks:
                 if name in block.arrays:
@@ -174,15 +196,18 @@ class Observer:
         first = np.zeros((len(rows), self.observations.shape[1]))
         first[:, self._value_columns] = values
         for block, at in self._plain:
-            first[:, at] = block.measure(rows)
+            first[:, at] = block.value(rows)
         for past in range(self.width, len(self.names), self.width):
             first[:, past : past + self.width] = first[:, : self.width]
         self.observations[rows] = first
 
     def update(self, rows: slice) -> None:
         """Compute the observations of the robots ``rows`` after a step."""
-        for block in self._updating:
-            block.update(rows)  # type: ignore[misc]
+        for block in self.blocks:
+            for store in block.stores:
+                store.apply(store.update, rows)
+            if block.update is not None:
+                block.update(rows)
         values = self._measure(rows)
         rates = values - self.values[rows]
         if len(self._angular):
@@ -197,13 +222,13 @@ class Observer:
         observations[:, self._value_columns] = values
         observations[:, self._rate_columns] = rates
         for block, at in self._plain:
-            observations[:, at] = block.measure(rows)
+            observations[:, at] = block.value(rows)
 
     def _measure(self, rows: slice | IntArray) -> FloatArray:
         k = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
         values = np.empty((k, self.values.shape[1]))
         for block, at in self._rated:
-            values[:, at] = block.measure(rows)
+            values[:, at] = block.value(rows)
         return values
 
     def state(self) -> dict[str, AnyArray]:
@@ -249,11 +274,7 @@ def blocks(world: World, names: Sequence[str]) -> list[ObservationBlock]:
 
 def _step(world: World) -> ObservationBlock:
     """Return the number of steps of the episode."""
-    return ObservationBlock(
-        ("step",),
-        lambda rows: world.steps[rows][:, None].astype(np.float64),
-        operation=Operation("counts", {"source": world.steps}),
-    )
+    return ObservationBlock(("step",), world.step)
 
 
 def _joints(world: World, prefix: str = "") -> dict[str, tuple[str, ...] | tuple[float, ...]]:
@@ -266,101 +287,77 @@ def _joints(world: World, prefix: str = "") -> dict[str, tuple[str, ...] | tuple
     }
 
 
+def radians(world: World, perceptor: str) -> Number:
+    """Return angles or speeds of the joints that a policy moves, in radians and in the policy convention."""
+    signs: list[float] = world.actuation.sign.tolist()
+    return world.perceived(perceptor)[world.actuation.index.tolist()] * (np.pi / 180.0) * signs
+
+
 def _joint_angles(world: World) -> ObservationBlock:
     """Perceived joint angles in radians, in the policy convention, with rates if no joint speed is perceived."""
-    actuation = world.actuation
     return ObservationBlock(
         **_joints(world),  # type: ignore[arg-type]
-        measure=lambda rows: actuation.angles(world.perceptors["joint_angles"][rows]),
-        operation=joint_angles(world.perceptors["joint_angles"], actuation.index.tolist(), actuation.sign.tolist()),
+        value=radians(world, "joint_angles"),
         rates="joint_speeds" not in world.perceptors,
     )
 
 
 def _joint_speeds(world: World) -> ObservationBlock:
     """Perceived joint speeds in rad/s, in the policy convention."""
-    actuation = world.actuation
     return ObservationBlock(
         **_joints(world, "speed_"),  # type: ignore[arg-type]
-        measure=lambda rows: actuation.angles(world.perceptors["joint_speeds"][rows]),
-        operation=joint_angles(world.perceptors["joint_speeds"], actuation.index.tolist(), actuation.sign.tolist()),
+        value=radians(world, "joint_speeds"),
     )
 
 
 def _last_action(world: World) -> ObservationBlock:
     """Latest action."""
-    return ObservationBlock(
-        **_joints(world, "action_"),  # type: ignore[arg-type]
-        measure=lambda rows: world.actions[rows],
-        operation=columns(world.actions),
-    )
+    return ObservationBlock(**_joints(world, "action_"), value=world.action)  # type: ignore[arg-type]
 
 
 def _yaw(world: World) -> ObservationBlock:
     """Angle in radians from the running direction to the torso's front, counter-clockwise, with its rate."""
-    return ObservationBlock(
-        ("yaw",),
-        lambda rows: world.yaw(rows)[:, None],
-        signs=(-1.0,),
-        rates=True,
-        angular=True,
-        operation=Operation(
-            "yaw", {"rotation": world.simulator.truth.torso_rotation}, {"front": [world.robot.front_axis]}
-        ),
-    )
+    return ObservationBlock(("yaw",), given("yaw", world.true_yaw), signs=(-1.0,), rates=True, angular=True)
 
 
 def _heading(world: World) -> ObservationBlock:
     """Sine and cosine of the angle from the running direction to the torso's front."""
-
-    def measure(rows: slice | IntArray) -> FloatArray:
-        yaw = perceived_yaw(world, rows)
-        return np.stack([np.sin(yaw), np.cos(yaw)], axis=1)
-
-    perceived = {"quaternion": world.perceptors["torso_quat"]} if "torso_quat" in world.perceptors else None
-    arrays = perceived or {"rotation": world.simulator.truth.torso_rotation}
-    operation = Operation("heading", arrays, {"front": [world.robot.front_axis]})
-    return ObservationBlock(("heading_sin", "heading_cos"), measure, signs=(-1.0, 1.0), operation=operation)
+    yaw = seen_yaw(world)
+    return ObservationBlock(("heading_sin", "heading_cos"), stack(sin(yaw), cos(yaw)), signs=(-1.0, 1.0))
 
 
 def _height(world: World) -> ObservationBlock:
     """Height of the torso in metres: perceived if possible, else the true one, with its rate."""
     if "torso_pos" in world.perceptors:
-        return ObservationBlock(
-            ("height",),
-            lambda rows: world.perceptors["torso_pos"][rows, 2:3],
-            operation=columns(world.perceptors["torso_pos"], [2]),
-        )
-    return ObservationBlock(
-        ("height",),
-        lambda rows: world.position(rows)[:, 2:3],
-        rates=True,
-        operation=columns(world.simulator.truth.torso_position, [2]),
-    )
+        return ObservationBlock(("height",), world.perceived("torso_pos")[2])
+    return ObservationBlock(("height",), given("height", world.true_position[2]), rates=True)
 
 
 def _onboard_pose(world: World) -> ObservationBlock:
     """Yaw and height as a player estimates them, with rates; see :mod:`naosprint.tasks.onboard_pose`."""
-    from naosprint.tasks.onboard_pose import onboard_pose
-
-    return onboard_pose(world)
+    estimate = OnboardPose(world)
+    return ObservationBlock(
+        ("yaw", "height"),
+        stack(given("yaw", source(estimate.values)[0]), given("height", source(estimate.values)[1])),
+        signs=(-1.0, 1.0),
+        rates=True,
+        angular=True,
+        begin=estimate.begin,
+        update=estimate.update,
+        arrays=estimate.arrays,
+    )
 
 
 def _centre_of_mass(world: World) -> ObservationBlock:
     """Centre of mass in metres in the torso's frame, by forward kinematics from the perceived angles, with rates."""
-    from naosim.robots.nao import model_of
-    from naosim.simspark.batch import centre_of_mass, kinematics_address
-
     kind = model_of(world.robot).robot_type
-    names = tuple(f"com_{axis}" for axis in _AXES)
     return ObservationBlock(
-        names,
-        lambda rows: centre_of_mass(kind, world.perceptors["joint_angles"][rows]),
+        tuple(f"com_{axis}" for axis in _AXES),
+        centre_of_mass(
+            world.perceived("joint_angles"), kinematics_address(kind), lambda angles: batch.centre_of_mass(kind, angles)
+        ),
         signs=_vector_signs(world),
         rates=True,
-        operation=Operation(
-            "centre_of_mass", {"angles": world.perceptors["joint_angles"]}, function=kinematics_address(kind)
-        ),
     )
 
 
@@ -368,10 +365,9 @@ def _gyro(world: World) -> ObservationBlock:
     """Angular velocity in rad/s in the torso's frame; with rates for robots that perceive no joint speeds."""
     return ObservationBlock(
         tuple(f"gyro_{axis}" for axis in _AXES),
-        lambda rows: np.deg2rad(world.perceptors["gyro"][rows]),
+        world.perceived("gyro") * (np.pi / 180.0),
         signs=tuple(-sign for sign in _vector_signs(world)),  # axial vectors turn the other way
         rates="joint_speeds" not in world.perceptors,
-        operation=columns(world.perceptors["gyro"], factor=np.pi / 180.0),
     )
 
 
@@ -379,10 +375,9 @@ def _accel(world: World) -> ObservationBlock:
     """Acceleration in m/s^2 in the torso's frame, with rates."""
     return ObservationBlock(
         tuple(f"accel_{axis}" for axis in _AXES),
-        lambda rows: world.perceptors["accel"][rows],
+        world.perceived("accel"),
         signs=_vector_signs(world),
         rates="joint_speeds" not in world.perceptors,
-        operation=columns(world.perceptors["accel"]),
     )
 
 
@@ -391,18 +386,13 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
 
     def block(world: World) -> ObservationBlock:
         """Centre of pressure in metres in the foot's frame, or force in newtons; zero without contact; with rates."""
-
-        def measure(rows: slice | IntArray) -> FloatArray:
-            values = world.perceptors[f"foot_{side}"][rows, part]
-            return np.where(values == values, values, 0.0)  # NaN differs from itself
-
+        values = world.perceived(f"foot_{side}")[part]
         return ObservationBlock(
             tuple(f"{side}_foot_{kind}_{axis}" for axis in _AXES),
-            measure,
+            where(equal(values, values), values, 0.0),  # NaN differs from itself
             partners=tuple(f"{other}_foot_{kind}_{axis}" for axis in _AXES),
             signs=_vector_signs(world),
             rates=True,
-            operation=columns(world.perceptors[f"foot_{side}"], range(part.start, part.stop), missing=True),
         )
 
     return block
@@ -410,96 +400,53 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
 
 def _foot_counters(world: World) -> ObservationBlock:
     """Return the steps since the right and the left foot last touched down."""
-    counters: IntArray = np.zeros((world.n, 2), dtype=np.int64)
-    loaded_before: BoolArray = np.zeros((world.n, 2), dtype=np.bool_)
-
-    def loaded(rows: slice | IntArray) -> BoolArray:
-        found = np.empty((rows.stop - rows.start if isinstance(rows, slice) else len(rows), 2), dtype=np.bool_)
-        for side, perceptor in enumerate(("foot_left", "foot_right")):
-            forces = world.perceptors[perceptor][rows, 3:]
-            # comparisons with NaN, which stands for no contact, are false
-            np.greater(np.einsum("ij,ij->i", forces, forces), 0.0, out=found[:, side])
-        return found
-
-    def begin(rows: IntArray) -> None:
-        counters[rows] = 0
-        loaded_before[rows] = loaded(rows)
-
-    def update(rows: slice) -> None:
-        now, before, count = loaded(rows), loaded_before[rows], counters[rows]
-        count += 1
-        count[now & ~before] = 0
-        before[:] = now
-
+    arrays = {"counters": np.zeros((world.n, 2), dtype=np.int64), "feet_loaded": np.zeros((world.n, 2), dtype=np.bool_)}
+    counters, before = (source(array, name) for name, array in arrays.items())
+    forces = (square(world.perceived(f"foot_{side}")[3:]) for side in ("left", "right"))
+    # a comparison with NaN, which stands for no contact, is false
+    loaded = stack(*(force[0] + force[1] + force[2] > 0.0 for force in forces))
     return ObservationBlock(
         ("right_foot_counter", "left_foot_counter"),
-        lambda rows: counters[rows][:, ::-1].astype(np.float64),
+        counters[[1, 0]],
         partners=("left_foot_counter", "right_foot_counter"),
-        begin=begin,
-        update=update,
-        arrays={"counters": counters, "feet_loaded": loaded_before},
-        operation=Operation(
-            "foot_counters",
-            {
-                "foot_left": world.perceptors["foot_left"],
-                "foot_right": world.perceptors["foot_right"],
-                "counters": counters,
-                "feet_loaded": loaded_before,
-            },
-        ),
+        stores=[
+            Store(counters, begin=constant(0.0), update=where(loaded & ~before, 0.0, counters + 1.0)),
+            Store(before, begin=loaded, update=loaded),
+        ],
+        arrays=arrays,
     )
 
 
 def _gravity(world: World) -> ObservationBlock:
     """Direction of the world's z axis in the torso's frame, from the perceived orientation."""
-
-    def measure(rows: slice | IntArray) -> FloatArray:
-        w, x, y, z = world.perceptors["torso_quat"][rows].T
-        return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
-
+    w, x, y, z = _quaternion(world)
     return ObservationBlock(
         tuple(f"gravity_{axis}" for axis in _AXES),
-        measure,
+        stack(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
         signs=_vector_signs(world),
-        operation=Operation("gravity", {"quaternion": world.perceptors["torso_quat"]}),
     )
 
 
 def _velocity(world: World) -> ObservationBlock:
     """Velocity in m/s in the torso's frame, from the difference of the last two perceived positions."""
-    before: FloatArray = np.zeros((world.n, 3))
-    velocity: FloatArray = np.zeros((world.n, 3))
-
-    def begin(rows: IntArray) -> None:
-        before[rows] = world.perceptors["torso_pos"][rows]
-        velocity[rows] = 0.0
-
-    def update(rows: slice) -> None:
-        position = world.perceptors["torso_pos"][rows]
-        a, b, c = (position - before[rows]).T / STEP_S
-        before[rows] = position
-        w, x, y, z = world.perceptors["torso_quat"][rows].T
-        # columns of the rotation from the torso's frame into the world's, times the velocity
-        velocity[rows, 0] = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y + w * z) * b + 2 * (x * z - w * y) * c
-        velocity[rows, 1] = 2 * (x * y - w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z + w * x) * c
-        velocity[rows, 2] = 2 * (x * z + w * y) * a + 2 * (y * z - w * x) * b + (1 - 2 * (x * x + y * y)) * c
-
+    arrays = {"velocity": np.zeros((world.n, 3)), "velocity_position": np.zeros((world.n, 3))}
+    velocity, before = (source(array, name) for name, array in arrays.items())
+    position = world.perceived("torso_pos")
+    moved = (position - before) / STEP_S
+    a, b, c = moved[0], moved[1], moved[2]
+    w, x, y, z = _quaternion(world)
+    # columns of the rotation from the torso's frame into the world's, times the velocity
+    own = stack(
+        (1 - 2 * (y * y + z * z)) * a + 2 * (x * y + w * z) * b + 2 * (x * z - w * y) * c,
+        2 * (x * y - w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z + w * x) * c,
+        2 * (x * z + w * y) * a + 2 * (y * z - w * x) * b + (1 - 2 * (x * x + y * y)) * c,
+    )
     return ObservationBlock(
         tuple(f"velocity_{axis}" for axis in _AXES),
-        lambda rows: velocity[rows],
+        velocity,
         signs=_vector_signs(world),
-        begin=begin,
-        update=update,
-        arrays={"velocity": velocity, "velocity_position": before},
-        operation=Operation(
-            "velocity",
-            {
-                "position": world.perceptors["torso_pos"],
-                "quaternion": world.perceptors["torso_quat"],
-                "before": before,
-                "velocity": velocity,
-            },
-        ),
+        stores=[Store(velocity, begin=constant(0.0), update=own), Store(before, begin=position, update=position)],
+        arrays=arrays,
     )
 
 
@@ -577,59 +524,52 @@ def _ball(world: World) -> ObservationBlock:
     )
 
 
-def _ground_velocity(world: World) -> ObservationBlock:
+def _ground_velocity(world: World, prefix: str = "") -> ObservationBlock:
     """Forward and lateral velocity in m/s on the field, from the difference of the last two true positions."""
-    before: FloatArray = np.zeros((world.n, 2))
-    velocity: FloatArray = np.zeros((world.n, 2))
-
-    def begin(rows: IntArray) -> None:
-        before[rows] = world.position(rows)[:, :2]
-        velocity[rows] = 0.0
-
-    def update(rows: slice) -> None:
-        position = world.position(rows)[:, :2]
-        velocity[rows] = (position - before[rows]) / STEP_S
-        before[rows] = position
-
+    arrays = {f"{prefix}ground_{name}": np.zeros((world.n, 2)) for name in ("velocity", "position")}
+    velocity, before = (source(array, name) for name, array in arrays.items())
+    position = given("position", world.true_position[:2])
     return ObservationBlock(
-        ("forward_velocity", "lateral_velocity"),
-        lambda rows: velocity[rows],
+        (f"{prefix}forward_velocity", f"{prefix}lateral_velocity"),
+        velocity,
         signs=(1.0, -1.0),
-        begin=begin,
-        update=update,
-        arrays={"ground_velocity": velocity, "ground_position": before},
-        operation=Operation(
-            "ground_velocity",
-            {"position": world.simulator.truth.torso_position, "before": before, "velocity": velocity},
-        ),
+        stores=[
+            Store(velocity, begin=constant(0.0), update=(position - before) / STEP_S),
+            Store(before, begin=position, update=position),
+        ],
+        arrays=arrays,
     )
 
 
 def _true_height(world: World) -> ObservationBlock:
     """Return the true height of the torso in metres."""
-    return ObservationBlock(
-        ("true_height",),
-        lambda rows: world.position(rows)[:, 2:3],
-        operation=columns(world.simulator.truth.torso_position, [2]),
-    )
+    return ObservationBlock(("true_height",), world.true_position[2])
 
 
 def _true_velocity(world: World) -> ObservationBlock:
     """Return the true forward and lateral velocity in m/s on the field."""
-    block = _ground_velocity(world)
-    block.names = block.partners = ("true_forward_velocity", "true_lateral_velocity")
-    block.arrays = {f"true_{name}": array for name, array in block.arrays.items()}
-    return block
+    return _ground_velocity(world, "true_")
+
+
+def _quaternion(world: World) -> tuple[Number, Number, Number, Number]:
+    """Return w, x, y and z of the perceived orientation."""
+    quaternion = world.perceived("torso_quat")
+    return quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+
+
+def seen_yaw(world: World) -> Number:
+    """Return the angle in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
+    if "torso_quat" not in world.perceptors:
+        return given("yaw", world.true_yaw)
+    w, x, y, z = _quaternion(world)
+    if world.robot.front_axis == 0:
+        return arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    return arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z))
 
 
 def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
     """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
-    if "torso_quat" not in world.perceptors:
-        return world.yaw(rows)
-    w, x, y, z = world.perceptors["torso_quat"][rows].T
-    if world.robot.front_axis == 0:
-        return np.asarray(np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)))
-    return np.asarray(np.arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z)))
+    return seen_yaw(world)(rows)[:, 0]
 
 
 def turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:

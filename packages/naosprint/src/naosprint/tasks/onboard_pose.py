@@ -19,15 +19,13 @@ from naosim.simspark.kinematics import rotations
 from naosim.simspark.protocol import LANDMARKS
 from naosim.simulator import STEP_S
 
-from naosprint.tasks.observations import ObservationBlock
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from naosim.robots.nao_model import RobotModel
 
     from naosprint.arrays import AnyArray, FloatArray, IntArray
-    from naosprint.tasks.base import World
+    from naosprint.tasks.world import World
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -202,21 +200,6 @@ class _Chains:
             rotation = rotation @ (np.eye(3) + np.sin(angles) * cross + (1.0 - np.cos(angles)) * squared)
             position = pivot - (rotation @ anchors[..., None])[..., 0]
         return position, rotation
-
-
-def onboard_pose(world: World) -> ObservationBlock:
-    """Estimated yaw in radians from the running direction and estimated height in metres, with rates."""
-    estimate = OnboardPose(world)
-    return ObservationBlock(
-        ("yaw", "height"),
-        lambda rows: estimate.values[rows],
-        signs=(-1.0, 1.0),
-        rates=True,
-        angular=True,
-        begin=estimate.begin,
-        update=estimate.update,
-        arrays=estimate.arrays,
-    )
 
 
 def _turned(orientations: FloatArray, rates: FloatArray) -> FloatArray:

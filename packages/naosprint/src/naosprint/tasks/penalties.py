@@ -11,11 +11,10 @@ from naospec.abilities import perceptor
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
-from naosprint.tasks.compiled import Operation
+from naosprint.terms import maximum, mean, square, total
 
 if TYPE_CHECKING:
-    from naosprint.arrays import FloatArray
-    from naosprint.tasks.base import World
+    from naosprint.tasks.world import World
 
 HOP_FLOOR_DEG_S = 30.0
 """Joint speed far below which no motion counts as hopping, deg/s."""
@@ -66,21 +65,10 @@ def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]
         world.torque_share(slice(0, 1))
     hop = (hopping(world, settings.hop_penalty),) if settings.hop_penalty else ()
 
-    def smoothness(rows: slice) -> FloatArray:
-        return np.asarray(np.square(world.actions[rows] - world.previous_actions[rows]).mean(axis=1))
-
-    def action(rows: slice) -> FloatArray:
-        return np.asarray(np.square(world.actions[rows]).mean(axis=1))
-
     return (
         RewardTerm("torque", -settings.torque_penalty, world.torque_share),
-        RewardTerm(
-            "smoothness",
-            -settings.smoothness_penalty,
-            smoothness,
-            Operation("mean_square", {"values": world.actions, "less": world.previous_actions}),
-        ),
-        RewardTerm("action", -settings.action_penalty, action, Operation("mean_square", {"values": world.actions})),
+        RewardTerm("smoothness", -settings.smoothness_penalty, mean(square(world.action - world.previous_action))),
+        RewardTerm("action", -settings.action_penalty, mean(square(world.action))),
         *hop,
     )
 
@@ -101,23 +89,8 @@ def hopping(world: World, weight: float) -> RewardTerm:
     signs = np.array([world.robot.joints[a].sign * other.sign for a, _, other in pairs])
     torques = np.array([other.max_torque for _, _, other in pairs])
     shares = torques / torques.sum()
-    speeds = world.perceptors["joint_speeds"]
-
-    def alike(rows: slice) -> FloatArray:
-        a, b = (speeds[rows].take(side, axis=1) for side in (left, right))
-        products = (a * b * (signs * shares)).sum(axis=1)
-        squares = ((a * a + b * b) * (0.5 * shares)).sum(axis=1)
-        return np.asarray(np.maximum(products / (squares + HOP_FLOOR_DEG_S**2), 0.0))
-
-    operation = Operation(
-        "alike",
-        {"speeds": speeds},
-        {
-            "left": left,
-            "right": right,
-            "product": (signs * shares).tolist(),
-            "square": (0.5 * shares).tolist(),
-            "floor": [HOP_FLOOR_DEG_S**2],
-        },
-    )
-    return RewardTerm("hop", -weight, alike, operation)
+    speeds = world.perceived("joint_speeds")
+    a, b = speeds[left], speeds[right]
+    products = total(a * b * (signs * shares).tolist())
+    squares = total((a * a + b * b) * (0.5 * shares).tolist())
+    return RewardTerm("hop", -weight, maximum(products / (squares + HOP_FLOOR_DEG_S**2), 0.0))

@@ -14,13 +14,14 @@ from naosim.simulator import STEP_S
 from naospec.metrics import Chart, FieldLine, Metric, Presentation, Reference, Result, ResultTable
 from pydantic import Field
 
-from naosprint.tasks.base import End, RewardTerm, Task, World, seconds
-from naosprint.tasks.compiled import Operation, columns
+from naosprint.tasks.base import End, RewardTerm, Task, seconds
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import Below, Beyond, Deviation, Displacement
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.world import World
+from naosprint.terms import source
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -241,17 +242,9 @@ class Sprint(Task[SprintSettings]):
         from naosprint.tasks.observations import ObservationBlock
 
         usual = list(super().observation_blocks())
-        perceptors = self.world.perceptors
-        if "torso_pos" in perceptors:
-            lane = self.start_position()[1]
-            usual.append(
-                ObservationBlock(
-                    ("line_offset",),
-                    lambda rows: perceptors["torso_pos"][rows, 1:2] - lane,
-                    signs=(-1.0,),
-                    operation=columns(perceptors["torso_pos"], [1], offset=lane),
-                )
-            )
+        if "torso_pos" in self.world.perceptors:
+            offset = self.world.perceived("torso_pos")[1] - self.start_position()[1]
+            usual.append(ObservationBlock(("line_offset",), offset, signs=(-1.0,)))
         return usual
 
     def start_position(self) -> tuple[float, float]:
@@ -261,16 +254,10 @@ class Sprint(Task[SprintSettings]):
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return forward displacement and the penalties, in metres."""
         parameters = self.parameters
-        forward, drift, fallen = self._along.change, self._aside.change, self._fallen.flag
         return (
-            RewardTerm("forward", 1.0, lambda rows: forward[rows], columns(forward)),
-            RewardTerm("drift", -parameters.drift_penalty, lambda rows: drift[rows], columns(drift)),
-            RewardTerm(
-                "fall",
-                -parameters.fall_penalty_m,
-                lambda rows: fallen[rows].astype(np.float64),
-                Operation("flags", {"source": fallen}),
-            ),
+            RewardTerm("forward", 1.0, source(self._along.change)),
+            RewardTerm("drift", -parameters.drift_penalty, source(self._aside.change)),
+            RewardTerm("fall", -parameters.fall_penalty_m, source(self._fallen.flag)),
             *penalties(self.world, parameters),
         )
 

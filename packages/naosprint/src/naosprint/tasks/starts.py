@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from naosprint.tasks.randomness import hashed
+from naosprint.terms.randomness import hashed
 
 if TYPE_CHECKING:
     from naosim.robots.actuation import Actuation

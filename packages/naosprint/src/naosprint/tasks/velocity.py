@@ -10,13 +10,35 @@ from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from naosprint.tasks.base import RewardTerm, Task, World
+from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw
+from naosprint.tasks.measurements import StoredNumbers
+from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
-from naosprint.tasks.randomness import uniform
 from naosprint.tasks.robot_defaults import robot_defaults
+from naosprint.tasks.world import World
+from naosprint.terms import (
+    Number,
+    Store,
+    absolute,
+    clip,
+    constant,
+    cos,
+    exp,
+    given,
+    hypot,
+    minimum,
+    sin,
+    source,
+    sqrt,
+    square,
+    stack,
+    total,
+    uniform,
+    where,
+    wrapped,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -294,53 +316,103 @@ class Velocity(Task[VelocitySettings]):
         super().__init__(parameters, world, seed)
         n = self.n
         self.max_steps = parameters.episode_steps
-        self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
         self.command: FloatArray = np.zeros((n, 3))
-        self._draws: IntArray = np.zeros(n, dtype=np.int64)
-        self._position: FloatArray = np.zeros((n, 2))
-        self._yaw: FloatArray = np.zeros(n)
-        self._perceived_position: FloatArray = np.zeros((n, 2))
+        self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
         self._heading: FloatArray = np.zeros(n)
+        self._heading_error: FloatArray = np.zeros(n)
         self._offset: FloatArray = np.zeros(n)
         self._errors: FloatArray = np.zeros(n)
         self._advance_m: FloatArray = np.zeros(n)
+        self._tilt: FloatArray = np.zeros(n)
+        self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
         self.arrays = {
             "command": self.command,
-            "draws": self._draws,
-            "position": self._position,
-            "yaw": self._yaw,
-            "perceived_position": self._perceived_position,
+            "draws": np.zeros(n, dtype=np.int64),
+            "position": np.zeros((n, 2)),
+            "yaw": np.zeros(n),
+            "perceived_position": np.zeros((n, 2)),
             "heading": self._heading,
             "offset": self._offset,
             "errors": self._errors,
             "advance": self._advance_m,
         }
-        self.velocity: FloatArray = np.zeros((n, 3))  # forward, sideways, turn rate
-        self._tilt: FloatArray = np.zeros(n)
-        self._heading_error: FloatArray = np.zeros(n)
-        self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.measurements = (StoredNumbers([*self._follow(parameters.min_height_m or 0.0), *self._redraw()]),)
+        self.flags = (self._fallen,)
+
+    def _stored(self, name: str) -> Number:
+        return source(self.arrays[name], f"task.{name}")
+
+    def _follow(self, min_height_m: float) -> list[Store]:
+        """Return what measures a step against the command; ``resolve`` has filled in the minimum height."""
+        world, command, heading = self.world, self._stored("command"), self._stored("heading")
+        position, before = world.true_position[:2], self._stored("position")
+        yaw, yaw_before = world.true_yaw, self._stored("yaw")
+        perceived, perceived_before = world.perceived("torso_pos")[:2], self._stored("perceived_position")
+        velocity, offset = source(self.velocity), self._stored("offset")
+        errors, advance = self._stored("errors"), self._stored("advance")
+        forward, sideways = _along(heading, position - before)
+        missed = velocity[:2] - command[:2]
+        # path and heading are observed, so they follow what the robot perceives
+        _, aside = _along(heading, perceived - perceived_before)
+        zero = constant(0.0)
+        return [
+            Store(velocity, update=stack(forward, sideways, wrapped(yaw - yaw_before)) / STEP_S),
+            Store(advance, begin=zero, update=advance + forward),
+            Store(errors, begin=zero, update=errors + hypot(missed[0], missed[1])),
+            Store(offset, update=offset + aside - command[1] * STEP_S),
+            Store(heading, update=wrapped(heading + command[2] * STEP_S)),
+            Store(self._error, update=wrapped(seen_yaw(world) - heading)),
+            Store(before, begin=position, update=position),
+            Store(yaw_before, begin=yaw, update=yaw),
+            Store(perceived_before, begin=perceived, update=perceived),
+            Store(source(self._tilt), update=1.0 - square(world.true_rotation[8])),
+            Store(source(self._fallen), begin=zero, update=world.true_position[2] < min_height_m),
+        ]
+
+    def _redraw(self) -> list[Store]:
+        """Return what draws new commands: at the start, and with the same chance in every step.
+
+        A policy cannot foresee a change then. Heading and path begin again with every command.
+        """
+        settings, world = self.parameters, self.world
+        streams, draws = source(world.streams), self._stored("draws")
+        chance = uniform(self.seed + 1, streams, world.step + 100_003 * draws, 1)
+        fresh = source(np.zeros(self.n, dtype=np.bool_))
+        renewed = given("new_command", fresh)
+        drawn = uniform(self.seed, streams, draws, 5)
+        low, high = settings.forward_min_mps, settings.forward_max_mps
+        moving = stack(
+            low + (high - low) * drawn[0],
+            settings.sideways_max_mps * (2.0 * drawn[1] - 1.0),
+            settings.turn_max_rad_s * (2.0 * drawn[2] - 1.0),
+        )
+        straight = where(drawn[3] < settings.straight_fraction, stack(moving[0], 0.0, 0.0), moving)
+        target = given("command", where(drawn[4] < settings.stand_fraction, 0.0, straight))
+        yaw, zero = seen_yaw(world), constant(0.0)
+        command, heading, offset = (self._stored(name) for name in ("command", "heading", "offset"))
+        return [
+            Store(fresh, update=chance < 1.0 / settings.command_steps),
+            Store(command, begin=target, update=where(renewed, target, command)),
+            Store(heading, begin=yaw, update=where(renewed, yaw, heading)),
+            Store(self._error, begin=zero, update=where(renewed, 0.0, self._error)),
+            Store(offset, begin=zero, update=where(renewed, 0.0, offset)),
+            Store(draws, begin=draws + 1.0, update=draws + fresh),
+        ]
+
+    @property
+    def _error(self) -> Number:
+        """Angle from the commanded heading to the perceived one."""
+        return source(self._heading_error, "task.heading_error")
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the robot's usual observations without its heading in the world, and those of the command."""
         usual = blocks(self.world, [name for name in self.world.defaults.observations if name != "heading"])
-        command = ObservationBlock(
-            ("command_forward", "command_sideways", "command_turn"),
-            lambda rows: self.command[rows],
-            signs=(1.0, -1.0, -1.0),
-        )
+        names = ("command_forward", "command_sideways", "command_turn")
+        command = ObservationBlock(names, self._stored("command"), signs=(1.0, -1.0, -1.0))
         # named as in the sprint tasks, so that training can start from a policy that runs straight
-        path = ObservationBlock(
-            ("line_offset", "heading_sin", "heading_cos"),
-            lambda rows: np.stack(
-                [
-                    np.clip(self._offset[rows], -OFFSET_LIMIT_M, OFFSET_LIMIT_M),
-                    np.sin(self._heading_error[rows]),
-                    np.cos(self._heading_error[rows]),
-                ],
-                axis=1,
-            ),
-            signs=(-1.0, -1.0, 1.0),
-        )
+        offset, error = clip(self._stored("offset"), -OFFSET_LIMIT_M, OFFSET_LIMIT_M), self._error
+        names = ("line_offset", "heading_sin", "heading_cos")
+        path = ObservationBlock(names, stack(offset, sin(error), cos(error)), signs=(-1.0, -1.0, 1.0))
         return [*usual, command, path]
 
     def start_position(self) -> tuple[float, float]:
@@ -351,58 +423,24 @@ class Velocity(Task[VelocitySettings]):
         """Return the tracking rewards and the penalties."""
         settings = self.parameters
 
-        def track(rows: slice) -> FloatArray:
-            squared = np.square(self.velocity[rows, :2] - self.command[rows, :2]).sum(axis=1)
-            # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
-            return np.asarray(0.5 * np.exp(-squared / TRACKING_SCALE) + 0.5 / (1.0 + np.sqrt(squared)))
-
-        def turn(rows: slice) -> FloatArray:
-            return np.asarray(np.exp(-np.square(self.velocity[rows, 2] - self.command[rows, 2]) / TRACKING_SCALE))
-
-        def flight(rows: slice) -> FloatArray:
-            fast = self.command[rows, 0] >= FLIGHT_SPEED_MPS
-            return (self.world.simulator.flight()[rows] & fast).astype(np.float64)
-
+        command, velocity = self._stored("command"), source(self.velocity)
+        squared = total(square(velocity[:2] - command[:2]))
+        off = absolute(self._stored("offset"))
         return (
-            RewardTerm("track_velocity", 1.0, track),
-            RewardTerm("track_turn", settings.turn_weight, turn),
-            RewardTerm("flight", settings.flight_weight, flight),
+            # the Gaussian alone has no gradient for a robot that stands and should run at 2 m/s
+            RewardTerm("track_velocity", 1.0, 0.5 * exp(squared * -1.0 / TRACKING_SCALE) + 0.5 / (1.0 + sqrt(squared))),
             RewardTerm(
-                "path", -settings.path_penalty, lambda rows: np.minimum(np.abs(self._offset[rows]), OFFSET_LIMIT_M)
+                "track_turn",
+                settings.turn_weight,
+                exp(square(velocity[2] - command[2]) * -1.0 / TRACKING_SCALE),
             ),
-            RewardTerm("heading", -settings.heading_penalty, lambda rows: 1.0 - np.cos(self._heading_error[rows])),
-            RewardTerm("tilt", -settings.tilt_penalty, lambda rows: self._tilt[rows]),
-            RewardTerm("fall", -settings.fall_penalty, lambda rows: self._fallen[rows].astype(np.float64)),
+            RewardTerm("flight", settings.flight_weight, self.world.flight & (command[0] >= FLIGHT_SPEED_MPS)),
+            RewardTerm("path", -settings.path_penalty, minimum(off, OFFSET_LIMIT_M)),
+            RewardTerm("heading", -settings.heading_penalty, 1.0 - cos(self._error)),
+            RewardTerm("tilt", -settings.tilt_penalty, source(self._tilt)),
+            RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             *penalties(self.world, settings),
         )
-
-    def begin(self, rows: IntArray) -> None:
-        """Store where the robots start and draw their first commands."""
-        self._position[rows] = self.world.position(rows)[:, :2]
-        self._yaw[rows] = self.world.yaw(rows)
-        self._perceived_position[rows] = self.world.perceptors["torso_pos"][rows, :2]
-        self._errors[rows] = 0.0
-        self._advance_m[rows] = 0.0
-        self._fallen[rows] = False
-        self._draw(rows)
-
-    def _draw(self, rows: IntArray) -> None:
-        """Draw new commands."""
-        settings = self.parameters
-        draws = uniform(self.seed, self.world.streams[rows], self._draws[rows], 5)
-        self._draws[rows] += 1
-        low, high = settings.forward_min_mps, settings.forward_max_mps
-        command = np.stack(
-            [
-                low + (high - low) * draws[:, 0],
-                settings.sideways_max_mps * (2.0 * draws[:, 1] - 1.0),
-                settings.turn_max_rad_s * (2.0 * draws[:, 2] - 1.0),
-            ],
-            axis=1,
-        )
-        command[draws[:, 3] < settings.straight_fraction, 1:] = 0.0
-        command[draws[:, 4] < settings.stand_fraction] = 0.0
-        self.set_command(rows, command)
 
     def set_command(self, rows: IntArray, command: FloatArray) -> None:
         """Give robots new commands, (k, 3) in m/s and rad/s; heading and path begin again."""
@@ -410,38 +448,6 @@ class Velocity(Task[VelocitySettings]):
         self._heading[rows] = perceived_yaw(self.world, rows)
         self._heading_error[rows] = 0.0
         self._offset[rows] = 0.0
-
-    def advance(self, rows: slice) -> None:
-        """Measure the step against the command, and draw new commands for some robots."""
-        world = self.world
-        position, rotation, yaw = world.position(rows), world.rotation(rows), world.yaw(rows)
-        perceived_position = world.perceptors["torso_pos"][rows, :2]
-        command, heading = self.command[rows], self._heading[rows]
-        forward, sideways = _along(heading, position[:, :2] - self._position[rows])
-        turned = _wrapped(yaw - self._yaw[rows])
-        self.velocity[rows] = np.stack([forward, sideways, turned], axis=1) / STEP_S
-        # path and heading are observed, so they follow what the robot perceives
-        self._offset[rows] += _along(heading, perceived_position - self._perceived_position[rows])[1]
-        self._offset[rows] -= command[:, 1] * STEP_S
-        self._heading[rows] = _wrapped(heading + command[:, 2] * STEP_S)
-        self._heading_error[rows] = _wrapped(perceived_yaw(world, rows) - self._heading[rows])
-        self._position[rows], self._yaw[rows] = position[:, :2], yaw
-        self._perceived_position[rows] = perceived_position
-        self._tilt[rows] = 1.0 - np.square(rotation[:, 2, 2])
-        self._fallen[rows] = position[:, 2] < self._min_height
-        error = self.velocity[rows, :2] - command[:, :2]
-        self._errors[rows] += np.hypot(error[:, 0], error[:, 1])
-        self._advance_m[rows] += forward
-        everyone = np.arange(self.n)[rows]
-        # the same chance in every step, so that a policy cannot foresee a change
-        chance = uniform(self.seed + 1, world.streams[rows], world.steps[rows] + 100_003 * self._draws[rows], 1)[:, 0]
-        fresh = everyone[chance < 1.0 / self.parameters.command_steps]
-        if len(fresh):
-            self._draw(fresh)
-
-    def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return which robots have fallen."""
-        return (self._fallen[rows],)
 
     def measure(self, rows: IntArray) -> FloatArray:
         """Return mean velocity error, fall, and mean forward speed."""
@@ -492,12 +498,7 @@ class Velocity(Task[VelocitySettings]):
         return results, ()
 
 
-def _along(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the parts of (k, 2) displacements along (k,) headings, and to the left of them."""
-    cosine, sine = np.cos(heading), np.sin(heading)
-    return cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]
-
-
-def _wrapped(angles: FloatArray) -> FloatArray:
-    """Return angles in [-pi, pi)."""
-    return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)
+def _along(heading: Number, moved: Number) -> tuple[Number, Number]:
+    """Return the parts of a displacement along a heading, and to the left of it."""
+    cosine, sine = cos(heading), sin(heading)
+    return cosine * moved[0] + sine * moved[1], cosine * moved[1] - sine * moved[0]
