@@ -35,7 +35,7 @@ ALLOWED = {
 
 LAYERS = {
     "naosim": ("robots", "simulator", "launchers", ("simspark", "mujoco"), "kinds"),
-    "naosprint": ("tasks", "rl", "analysis", "export", "matches"),
+    "naosprint": ("terms", "tasks", "rl", "analysis", "export", "matches"),
 }
 """Parts of a package from bottom to top; a part may import those below it and itself."""
 

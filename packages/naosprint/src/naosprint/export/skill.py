@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 import tempfile
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from naosprint.export import booster, nao
 from naosprint.export.arrays import policy_arrays
 from naosprint.export.header import DEFAULT_NAME, exact_actions
 from naosprint.tasks.environment import open_environment
+from naosprint.tasks.measurements import StoredNumbers
+from naosprint.terms.description import Description
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -104,22 +107,23 @@ def write_skill(policy: NetworkPolicy, manifest: Manifest, directory: Path, name
     if family not in TARGETS:
         raise ValueError(f"format skill: no team code for robots of family {family}; use another format")
     target = TARGETS[family]
-    recorded = record(policy, manifest, target)
-    _require_computable(_SOURCES / family, policy_arrays(policy, manifest), recorded, manifest)
+    recorded, description = record(policy, manifest, target)
+    arrays = {**policy_arrays(policy, manifest), "terms": np.array(json.dumps(description.document()))}
+    _require_computable(_SOURCES / family, arrays, recorded, manifest, description)
     parent, _, own = target.folder.rpartition("/")
     named = {} if name == DEFAULT_NAME else {"Naosprint": _class_name(name), "skills.naosprint": f"skills.{name}"}
     folder = directory / parent / (own if not named else named["Naosprint"] if own.istitle() else name)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for path in (_SOURCES / "check.py", *sorted((_SOURCES / family).glob("*.py"))):
+    for path in (_SOURCES / "check.py", _SOURCES / "terms.py", *sorted((_SOURCES / family).glob("*.py"))):
         text, file = path.read_text(encoding="utf-8"), path.name
         for ours, theirs in named.items():
             text, file = text.replace(ours, theirs), file.replace(ours, theirs)
         written.append(folder / file)
         written[-1].write_text(text, encoding="utf-8")
-    for stem, arrays in (("policy", policy_arrays(policy, manifest)), ("parity", recorded)):
+    for stem, content in (("policy", arrays), ("parity", recorded)):
         written.append(folder / f"{stem}.npz")
-        np.savez_compressed(written[-1], allow_pickle=False, **arrays)
+        np.savez_compressed(written[-1], allow_pickle=False, **content)
     return written
 
 
@@ -128,7 +132,11 @@ def _class_name(name: str) -> str:
 
 
 def _require_computable(
-    sources: Path, arrays: Mapping[str, AnyArray], recorded: Mapping[str, AnyArray], manifest: Manifest
+    sources: Path,
+    arrays: Mapping[str, AnyArray],
+    recorded: Mapping[str, AnyArray],
+    manifest: Manifest,
+    description: Description,
 ) -> None:
     """Compare what the skill's own code observes with the recorded observations of the first cycle.
 
@@ -144,13 +152,10 @@ def _require_computable(
     try:
         seen = runner.observe(**{str(name): recorded[str(name)][0] for name in recorded["inputs"]})
     except KeyError as error:
-        unknown = [str(error.args[0])]
+        unknown = description.observed_by(str(error.args[0]))
     else:
-        known = runner.known() if hasattr(runner, "known") else names
-        unknown = [name for name in names if name not in known]
-        if not unknown and len(seen) == len(names):
-            differing = np.abs(seen - recorded["observations"][0]) > _SAME
-            unknown = [name for name, differs in zip(names, differing, strict=True) if differs]
+        differing = np.abs(seen - recorded["observations"][0]) > _SAME
+        unknown = [name for name, differs in zip(names, differing, strict=True) if differs]
     if unknown:
         raise ValueError(
             f"format skill: the team code's skill cannot compute observation {', '.join(unknown[:8])} of task {task}; "
@@ -163,16 +168,20 @@ def _module(path: Path) -> Any:
     spec = importlib.util.spec_from_file_location(f"naosprint_skill_{path.parent.name}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.path.insert(0, str(path.parent))
+    folders = [str(path.parent), str(_SOURCES)]
+    sys.path[:0] = folders
     try:
         spec.loader.exec_module(module)
     finally:
-        sys.path.remove(str(path.parent))
+        for folder in folders:
+            sys.path.remove(folder)
     return module
 
 
-def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[str, AnyArray]:
+def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> tuple[dict[str, AnyArray], Description]:
     """Run an episode in the embedded simulator; return what the robot perceived, observed and did by name.
+
+    The second value describes what it observes.
 
     Every array has a row per cycle; the episode ends early if the robot falls.
     """
@@ -186,6 +195,7 @@ def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[s
         everyone = np.zeros(1, dtype=np.int64)
         environment.restart(everyone, everyone)
         begin = _begin(environment)
+        description = _description(environment)
         commanded = _commands(environment)
         if commanded is not None:
             rows["command"] = []
@@ -211,15 +221,24 @@ def record(policy: NetworkPolicy, manifest: Manifest, target: _Target) -> dict[s
     finally:
         environment.close()
     inputs = [*measured, *(("command",) if commanded is not None else ())]
-    return {
+    recorded: dict[str, AnyArray] = {
         "inputs": np.array(inputs),
         "begin": np.array(list(begin), dtype=np.str_),
         **{f"begin_{name}": value for name, value in begin.items()},
         **{name: np.array(values) for name, values in rows.items()},
     }
+    return recorded, description
 
 
 _EXPECTED = ("observations", "actions", "targets_rad")
+
+
+def _description(environment: Environment) -> Description:
+    """Return the description of what a policy observes."""
+    task = environment.task
+    measured = [each for each in task.measurements if isinstance(each, StoredNumbers)]
+    stores = [store for measurement in measured for store in measurement.stores]
+    return Description(environment.observer.blocks, stores, task.start_position())
 
 
 def _commands(environment: Environment) -> AnyArray | None:

@@ -2,6 +2,11 @@
 
 import numpy as np
 
+try:  # in the team's code, or beside check.py
+    from mujococodebase.skills.naosprint.terms import Observations
+except ModuleNotFoundError:
+    from terms import Observations
+
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 FOOT_M, KICKED_M, CALM, NEVER, POWER_M = 0.106, 0.04, 0.2, 1e6, 10.0
 
@@ -15,13 +20,12 @@ class Runner:
 
     def __init__(self, path):
         self.__dict__.update(np.load(path))
-        self.names = [str(name) for name in self.observation_names if "_ago" not in str(name)]
-        self.commanded = "command_forward" in self.names
+        self.observations = Observations(self.terms, len(self.observation_names))
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
         balls = {"launch_speed": Kicking, "ball_offset": Dribbling}
-        self.ball = next((kind(self) for name, kind in balls.items() if name in self.names), None)
+        self.ball = next((kind(self) for name, kind in balls.items() if name in self.observation_names), None)
         self.begin()
 
     def begin(self, heading=None, lane=None, target=None, action=None, position=None):
@@ -31,12 +35,12 @@ class Runner:
         infinity for a kick as far as possible; one of task dribble direction and speed in m/s. They begin in the middle
         of a step, with the latest `action` and the torso's latest `position` of the policy that walked so far.
         """
-        self.heading, self.lane, self.position = heading, lane, position
-        self.offset, self.command, self.action = 0.0, np.zeros(3), np.zeros(len(self.action_names))
-        self.action = self.action if action is None else np.array(action, float)
+        self.heading, self.lane, self.walked = heading, None if lane is None else np.array(lane, float), position
+        self.command, self.cycles = np.zeros(3), 0
+        self.action = np.zeros(len(self.action_names)) if action is None else np.array(action, float)
         if self.ball:
             self.ball.begin(self.ball.usual if target is None else target)
-        self.cycles, self.past = 0, []
+        self.observations.begin()
 
     def observe(self, position, quaternion, gyro_deg, angles_deg, speeds_deg, command=None, ball=None, target=None):
         """Return the observation, once per cycle.
@@ -48,43 +52,43 @@ class Runner:
         elevation in degrees from the camera; None or NaN where it is not reported. A new `target` of a dribble begins a
         new line.
         """
-        position, (w, *axis) = np.array(position, float), quaternion
-        cross = np.cross(np.eye(3), axis)
+        position, (w, x, y, z) = np.array(position, float), quaternion
+        cross = np.cross(np.eye(3), (x, y, z))
         rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
         yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-        if self.position is None:
-            self.heading, self.position = yaw if self.heading is None else self.heading, position
-            if self.lane is not None:
-                self.offset = self._aside(position[:2] - self.lane)
-        moved, self.position = position - self.position, position
+        if self.ball or self.observations.has("command"):
+            self.heading = 0.0  # what these policies observe is the same in every direction
         self.heading = yaw if self.heading is None else self.heading
-        self.offset += self._aside(moved) - self.command[1] * self.cycle_s
-        self.heading += self.command[2] * self.cycle_s
-        if command is not None and (self.command != command).any():
-            self.command, self.heading, self.offset = np.array(command, float), yaw, 0.0
-        velocity, error = rotation.T @ moved / self.cycle_s, yaw - self.heading
-        joints = np.radians([angles_deg, speeds_deg]) @ self.joint_view.T
-        seen = dict(zip(("command_forward", "command_sideways", "command_turn"), self.command))
-        seen["height"], seen["heading_sin"], seen["heading_cos"] = position[2], np.sin(error), np.cos(error)
-        seen["time"], self.cycles = min(self.cycles * self.cycle_s / 4.0, 1.0), self.cycles + 1
-        for wave in "sin", "cos":
-            seen.update((f"time_{wave}_{k}", getattr(np, wave)(np.pi * k * seen["time"])) for k in range(1, 7))
-        seen["line_offset"] = np.clip(self.offset, -0.5, 0.5) if self.commanded else self.offset
+        self.lane = position[:2] if self.lane is None else self.lane
+        if self.cycles == 0 and self.walked is not None:
+            self.observations.begin({"velocity_position": self._along(self.walked)})
+        fresh = command is not None and bool((self.command != command).any())
+        self.command = np.array(command, float) if fresh else self.command
+        c, s = np.cos(self.heading / 2), -np.sin(self.heading / 2)
+        inputs = {
+            "perceptors.torso_pos": self._along(position),
+            "perceptors.torso_quat": (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w),
+            **{
+                "perceptors.gyro": gyro_deg,
+                "perceptors.joint_angles": angles_deg,
+                "perceptors.joint_speeds": speeds_deg,
+            },
+            **{"steps": self.cycles, "action": self.action},
+            **{"command": self.command, "new_command": fresh},
+        }
         if self.ball:
             if target is not None and not isinstance(self.ball, Kicking):
                 self.ball.turn_off(target)
-            seen.update(self.ball.observe(position, rotation, yaw, np.radians(angles_deg), ball))
-            seen.update(line_offset=0.0, heading_sin=0.0, heading_cos=1.0)
-        for name, vector in ("gravity", rotation[2]), ("gyro", np.radians(gyro_deg)), ("velocity", velocity):
-            seen.update(zip((f"{name}_{axis}" for axis in "xyz"), vector))
-        for name, values in zip(("", "speed_", "action_"), (*joints, self.action)):
-            seen.update(zip((f"{name}{joint}" for joint in self.action_names), values))
-        now = np.array([seen[name] for name in self.names])
-        self.past = [now, *(self.past or [now] * 10)][:11]  # before a run everything was as it is at its start
-        return np.concatenate(self.past[: len(self.observation_names) // len(now)])
+            inputs.update(self.ball.observe(position, rotation, yaw, np.radians(angles_deg), ball))
+            inputs.update(line_offset=0.0, heading_sin=0.0, heading_cos=1.0)
+        self.cycles += 1
+        return self.observations.observe(inputs)
 
-    def _aside(self, way):
-        return np.cos(self.heading) * way[1] - np.sin(self.heading) * way[0]
+    def _along(self, position):
+        """Return a place of the field where it is in trainings, whose runs lead along +x from one point."""
+        (x, y), c, s = position[:2] - self.lane, np.cos(self.heading), np.sin(self.heading)
+        at_x, at_y = self.observations.start
+        return np.array([at_x + c * x + s * y, at_y + c * y - s * x, *position[2:]])
 
     def act(self, observation):
         """Return the target angles of all joints in the order of `joint_names`."""

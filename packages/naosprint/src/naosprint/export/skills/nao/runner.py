@@ -4,8 +4,10 @@ import numpy as np
 
 try:  # in the team's code, or beside check.py
     from behaviors.custom.Naosprint.onboard import OnboardPose
+    from behaviors.custom.Naosprint.terms import Observations
 except ModuleNotFoundError:
     from onboard import OnboardPose
+    from terms import Observations
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
 
@@ -15,6 +17,7 @@ class Runner:
 
     def __init__(self, path):
         self.__dict__.update(np.load(path))
+        self.observations = Observations(self.terms, len(self.observation_names))
         self.estimate = OnboardPose(self.__dict__) if "onboard_landmarks" in self.__dict__ else None
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
@@ -23,7 +26,8 @@ class Runner:
 
     def begin(self, heading=0.0):
         """Begin a run."""
-        self.heading, self.before, self.position, self.past = heading, None, None, []
+        self.heading, self.cycles = heading, 0
+        self.observations.begin()
 
     def observe(self, yaw, height, angles_deg, gyro_deg, accel, left_foot, right_foot, vision=None, position=None):
         """Return the observation, once per cycle.
@@ -39,41 +43,24 @@ class Runner:
         """
         self.angles = np.array(angles_deg, float)
         feet = np.nan_to_num([left_foot, right_foot])
-        if self.estimate is not None and self.before is None:
+        if self.estimate is not None and self.cycles == 0:
             yaw, height = self.estimate.begin(self.heading, self.bodies(), np.array(accel, float))
         elif self.estimate is not None:
             touching = np.isfinite([left_foot[0], right_foot[0]]) & feet.any(axis=1)
             yaw, height = self.estimate.update(
                 self.bodies(), np.radians(gyro_deg), accel, touching, np.reshape(vision, (-1, 3))
             )
-        turned = (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi
-        joints = self.joint_view @ np.radians(self.angles)
-        now = np.concatenate([joints, [turned, height], self.centre_of_mass(), np.radians(gyro_deg), accel, *feet])
-        loaded = feet[::-1, 3:].any(axis=1)
-        if self.before is None:
-            self.before, self.loaded, self.steps, self.counters = now, loaded, -1, np.array([-1, -1])
-        rates = now - self.before
-        rates[len(joints)] = (rates[len(joints)] + np.pi) % (2 * np.pi) - np.pi
-        self.steps, self.counters = self.steps + 1, np.where(loaded & ~self.loaded, 0, self.counters + 1)
-        self.before, self.loaded = now, loaded
-        velocity = self.velocity(position) if self.sees_velocity else []
-        seen = np.concatenate([[self.steps], np.append(now, rates)[self.observation_index], self.counters, velocity])
-        self.past = [seen, *(self.past or [seen] * 10)][:11]  # before a run everything was as it is at its start
-        return np.concatenate(self.past[: len(self.observation_names) // len(seen)])
-
-    def known(self):
-        """Return the names of the observations that `observe` can return."""
-        names = [str(name) for name in self.observation_names]
-        rated = [name for name in names if f"{name.removesuffix('_rate')}_rate" in names]
-        now = [*rated, "step", "right_foot_counter", "left_foot_counter", "forward_velocity", "lateral_velocity"]
-        return [*now, *(name for name in names if name.split("_ago")[0] in now)]
-
-    def velocity(self, position):
-        """Return the velocity (2,) in m/s, ahead and to the left, since the last cycle."""
-        before, self.position = self.position, np.array(position, float)
-        x, y = (0, 0) if before is None else (self.position - before) / self.cycle_s
-        ahead, aside = np.cos(self.heading), np.sin(self.heading)
-        return [x * ahead + y * aside, y * ahead - x * aside]
+        inputs = {
+            "yaw": (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi,
+            **{"height": height, "centre_of_mass": self.centre_of_mass(), "steps": self.cycles},
+            **{"perceptors.joint_angles": self.angles, "perceptors.gyro": gyro_deg, "perceptors.accel": accel},
+            **{"perceptors.foot_left": left_foot, "perceptors.foot_right": right_foot},
+        }
+        if position is not None:
+            c, s = np.cos(self.heading), np.sin(self.heading)
+            inputs["position"] = c * position[0] + s * position[1], c * position[1] - s * position[0]
+        self.cycles += 1
+        return self.observations.observe(inputs)
 
     def bodies(self):
         """Return positions (B, 3) in metres and rotations (B, 3, 3) of all bodies in the torso's frame."""

@@ -1,0 +1,70 @@
+"""Compute what a policy observes, from its description as data in policy.npz; needs only NumPy."""
+
+import json
+
+import numpy as np
+
+
+class Observations:
+    """Interpreter of a description: what is observed, and what is stored for it between cycles."""
+
+    def __init__(self, text, width):
+        self.__dict__.update(json.loads(str(text)))
+        self.width = width  # of an observation with its earlier steps
+        self.begin()
+
+    def begin(self, arrays=None):
+        """Begin a run; with `arrays`, by name, in the middle of another policy's."""
+        self.arrays = [np.zeros(width) for _, width in self.stored]
+        for place, (name, _) in enumerate(self.stored):
+            if arrays is not None and name in arrays:
+                self.arrays[place] = np.array(arrays[name], float)
+        self.first, self.before, self.past = arrays is None, None, []
+
+    def has(self, name):
+        """Return whether an input is observed."""
+        return any(label == [name] for _, _, _, *label in self.nodes)
+
+    def observe(self, inputs):
+        """Return the observation, once per cycle. Raises KeyError for an input that is missing."""
+        self.inputs = inputs
+        for target, begin, update in self.stores:
+            place = begin if self.first else update
+            if place is not None:
+                self.arrays[target] = np.zeros(len(self.arrays[target])) + self.value(place, {})
+        known, now, before = {}, [], iter(self.before or [])
+        values = [self.value(place, known) for place, _, _ in self.blocks]
+        for value, (_, rates, angular) in zip(values, self.blocks):
+            now.append(value)
+            rate = value - next(before, value) if rates else np.zeros(0)
+            now.append((rate + np.pi) % (2 * np.pi) - np.pi if angular else rate)
+        self.before = [value for value, (_, rates, _) in zip(values, self.blocks) if rates]
+        self.first, seen = False, np.concatenate(now)
+        self.past = [seen, *(self.past or [seen] * 10)][:11]  # before a run everything was as it is at its start
+        return np.concatenate(self.past[: self.width // len(seen)])
+
+    def value(self, place, known):
+        """Return the numbers of a node; `known` has those that are computed already."""
+        if place not in known:
+            function, arguments, constants, *label = self.nodes[place]
+            known[place] = self.compute(function, [self.value(each, known) for each in arguments], constants, label)
+        return known[place]
+
+    def compute(self, function, values, constants, label):
+        """Return a function's numbers; it has the name of NumPy's, unless it is listed here."""
+        if function == "input":
+            value = np.ravel(np.asarray(self.inputs[label[0]], float))
+            return value[constants] if constants else value
+        if function == "stored":
+            return self.arrays[constants[0]][constants[1:]]
+        if function == "constant":
+            return np.array(constants, float)
+        if function == "columns":
+            return values[0][np.array(constants, int)]
+        if function == "stack":
+            return np.concatenate(values)
+        if function == "sum":
+            return values[0].sum(keepdims=True)
+        if function == "where":
+            return np.where(values[0] != 0, *values[1:])
+        return np.asarray(getattr(np, function)(*values), float)
