@@ -22,7 +22,10 @@ from naosprint.export import export_policy
 from naosprint.export.skill import TARGETS, write_skill
 from naosprint.rl.checkpoint import Manifest
 from naosprint.rl.policy import NetworkPolicy, load_policy
+from naosprint.tasks import ObservationBlock
 from naosprint.tasks.environment import open_environment
+from naosprint.tasks.sprint import Sprint1
+from naosprint.terms import sin
 
 
 def random_policy(robot: dict[str, Any], task: Any) -> tuple[NetworkPolicy, Manifest]:
@@ -260,10 +263,20 @@ def test_a_robot_without_team_code_is_refused(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("robot", ["nao-0", "t1"])
-def test_an_observation_that_the_team_code_lacks_is_named(robot: str, tmp_path: Path) -> None:
-    """The observations of a task of another package, for example, that the skill's code does not contain."""
-    policy, manifest = random_policy({"name": robot}, "sprint1")
-    names = ("gait_sin", *manifest.observations[1:])
+def test_an_expression_of_another_package_is_exported_and_a_function_is_named(
+    robot: str, tmp_path: Path, numpy_alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = Sprint1.observation_blocks
+
+    def with_gait(task: Sprint1) -> list[ObservationBlock]:
+        gait = sin(0.3 * task.world.step) * task.world.perceived("gyro")[0]
+        return [*usual(task), ObservationBlock(("gait_sin",), gait if exportable else gait.__call__)]
+
+    monkeypatch.setattr(Sprint1, "observation_blocks", with_gait)
+    exportable = True
+    files = write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path / "skill")
+    assert check(files[0].parent, numpy_alone).returncode == 0
+    exportable = False
     with pytest.raises(ValueError, match=r"format skill: .* cannot compute observation gait_sin of task sprint1"):
-        write_skill(policy, manifest.model_copy(update={"observations": names}), tmp_path / "skill")
-    assert not (tmp_path / "skill").exists()
+        write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
