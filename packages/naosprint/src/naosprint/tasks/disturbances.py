@@ -305,11 +305,7 @@ class Disturbances:
             (("contact_stiffness",), self._stiffness, self._softens),
             (("extra_delay",), self._acts, self._most > 0),
         )
-        return [
-            ObservationBlock(names, source(array))
-            for names, array, needed in named
-            if needed
-        ]
+        return [ObservationBlock(names, source(array)) for names, array, needed in named if needed]
 
     def delayed(self, targets_rad: FloatArray, rows: slice) -> FloatArray:
         """Return the (k, J) targets that act now, and keep the new ones for later."""
