@@ -59,6 +59,7 @@ _SETTLED = 25  # steps after the touch until which a score counts
 _SCORE_M = 6.5
 _POWER_M = 8.0
 _CALM = 0.2  # share of a new velocity in that which is expected
+_DISTANCE_SPREAD = 0.35  # of the logarithm of actual to commanded roll, at which a score has fallen to 1/e
 _STREAM = 0x61C
 
 CONTACT = Metric(
@@ -415,7 +416,8 @@ class Kick(BallTask[KickSettings]):
         turn, (ahead, across) = self._turn(rows), self._behind(rows)
         aside = across - self._side[rows] * FOOT_M
         ready = np.clip(1.6 - np.abs(aside) / 0.05 - np.abs(turn) / 0.2, 0.0, 1.0)
-        forward = 0.8 * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.52), -0.3, 0.8)
+        through = np.clip(0.25 * self._speed[rows], 0.4, 0.8)  # a soft kick begins with a slow walk
+        forward = through * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.52), -0.3, 0.8)
         left = np.clip(3.0 * aside, -0.45, 0.45)
         cosine, sine = np.cos(turn), np.sin(turn)
         command = np.stack(
@@ -560,7 +562,8 @@ class Kick(BallTask[KickSettings]):
         )
         ratio = reached / np.maximum(rolling.straight_m(self._speed[rows]), 0.1)
         # a kick that goes four times too far still scores, so that there is a slope towards softer ones
-        close = 0.5 * np.minimum(ratio, 1.0 / np.maximum(ratio, 1.0)) + 0.5 * np.exp(-np.square((ratio - 1.0) / 0.2))
+        off = np.log(np.maximum(ratio, 1e-3))
+        close = 0.3 * np.exp(-1.5 * np.abs(off)) + 0.7 * np.exp(-np.square(off / _DISTANCE_SPREAD))
         far = np.minimum(reached / _POWER_M, 1.0)
         return np.asarray(_SCORE_M * direction * np.where(self._power[rows], far, close))
 

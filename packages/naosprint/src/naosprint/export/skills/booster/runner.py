@@ -241,7 +241,7 @@ class Kicking(Ball):
         """Return the walker's command: bring a foot behind the ball, then walk through it."""
         aside = across - self.side * FOOT_M
         ready = np.clip(1.6 - abs(aside) / 0.05 - abs(turn) / 0.2, 0, 1)
-        forward = 0.8 * ready + (1 - ready) * np.clip(2 * (along - 0.52), -0.3, 0.8)
+        forward = np.clip(0.25 * self.speed, 0.4, 0.8) * ready + (1 - ready) * np.clip(2 * (along - 0.52), -0.3, 0.8)
         return self._walk(turn, forward, np.clip(3 * aside, -0.45, 0.45), (0, -0.45, -1), (1, 0.45, 1))
 
 
