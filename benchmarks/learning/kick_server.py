@@ -24,7 +24,8 @@ from naosim.simulator import RuntimeOptions, Scene, Simulator, Starts
 from naospec import plugins
 from naosprint.export import export_policy
 from naosprint.rl.checkpoint import read_manifest
-from naosprint.tasks.kick import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT, UPRIGHT_S
+from naosprint.tasks.ball import UPRIGHT
+from naosprint.tasks.kick import CORRIDOR_HALF_M, CORRIDORS_M, UPRIGHT_S
 
 PERCEIVED = {
     "position": "torso_pos",

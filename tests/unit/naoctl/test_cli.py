@@ -697,6 +697,7 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
         "policy.h",
         "policy_check.c",
         "check.py",
+        "terms.py",
         "Naosprint.py",
         "onboard.py",
         "play.py",

@@ -196,13 +196,13 @@ def test_the_folder_lock_ends_with_its_process(layout: Layout) -> None:
         assert is_locked(layout)
         assert not FolderLock(layout.lock).acquire()
         holder.kill()
-        holder.wait(5)
+        holder.wait(60)
         assert not is_locked(layout)
     finally:
         holder.kill()
         grandchild.kill()
         holder.communicate()
-        grandchild.wait(5)
+        grandchild.wait(60)
 
 
 @LINUX
@@ -224,7 +224,7 @@ def test_a_launched_process_dies_with_its_parent() -> None:
     child = psutil.Process(int(next(word for word in words if word != b"up")))
     parent.kill()
     parent.wait()
-    child.wait(5)
+    child.wait(60)
     parent.stdout.close()
 
 
@@ -325,7 +325,7 @@ def test_a_child_leads_a_session_that_is_killed_whole(layout: Layout) -> None:
     assert child.process is not None
     assert os.getsid(child.process.pid) == child.process.pid
     child.stop_now()
-    grandchild.wait(5)
+    grandchild.wait(60)
 
 
 def broker_program(broker: Broker, port: int, command: list[str]) -> Program:

@@ -176,7 +176,7 @@ def test_child_processes_do_not_import_from_the_current_folder() -> None:
     root = Path(__file__).parents[3]
     sources = [path for part in ("packages", "services") for path in (root / part).glob("*/src/**/*.py")]
     starts = {
-        path.relative_to(root): re.findall(r"sys\.executable,\s*(\S+?)[,\s]", path.read_text(encoding="utf-8"))
+        path.relative_to(root): re.findall(r"sys\.executable,\s*(\"\S+?)[,\s]", path.read_text(encoding="utf-8"))
         for path in sources
     }
     found = {path: flags for path, flags in starts.items() if flags}

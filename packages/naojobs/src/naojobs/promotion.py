@@ -23,7 +23,10 @@ from naojobs.states import WorkState
 MOST_REQUIREMENTS = 50
 """Largest number of requirements of one alias."""
 
-Plain = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]{0,59}$")]
+SETTING = r"^[a-z][a-z0-9_]{0,59}$"
+"""Name of a result, or of a setting of a task."""
+
+Plain = Annotated[str, StringConstraints(pattern=SETTING)]
 
 
 class Requirement(BaseModel):

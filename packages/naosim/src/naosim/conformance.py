@@ -301,6 +301,7 @@ def abilities_are_as_declared(subject: Subject) -> None:
         Ability.GAINS: lambda simulator: vary(simulator, gains=0.1),
         Ability.CENTRES: lambda simulator: vary(simulator, centre_m=0.01),
         Ability.STIFFNESS: lambda simulator: vary(simulator, stiffness=0.8),
+        Ability.STIFFER: lambda simulator: vary(simulator, stiffness=1.2),
         Ability.TORQUES: lambda simulator: simulator.torque_shares(slice(0, N)),
         Ability.LYING: lambda simulator: simulator.load_starts(
             Starts(simulator.robot.nominal[None], POSITION_M, HEADING_RAD, level)

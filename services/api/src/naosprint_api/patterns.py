@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from naojobs.ids import PATTERN
+from naojobs.promotion import SETTING
 from naospec.sections import PLAIN_NAME
 
 ID = PATTERN
@@ -32,6 +33,8 @@ STEP = r"^[0-9]{1,18}-[0-9]{1,9}$"
 """The place of a checkpoint among those of its job: step and attempt."""
 PLACE = rf"{POLICY}|{PATTERN}"
 """The place of a policy in the list of policies: the name of a bundled one, the id of a registered one."""
+RESULT = SETTING
+"""The name of a result, or of a setting of a task."""
 TICKET = r"^[a-z0-9_]{1,80}\.[0-9]{1,12}\.[0-9a-f]{64}$"
 """What lets a browser open a report: token, time of expiry, signature."""
 
@@ -47,6 +50,7 @@ WORDS = {
     PLAIN_NAME: "expected a letter, digit or _, then letters, digits and _.- (at most 64 characters)",
     POLICY: "expected a name of lower-case letters, digits and hyphens (at most 60 characters)",
     REFERENCE: "expected NAME, NAME@VERSION or NAME@ALIAS of lower-case letters, digits and hyphens",
+    RESULT: "expected a lower-case letter, then lower-case letters, digits and _ (at most 60 characters)",
     ALIAS: "expected a lower-case letter, then lower-case letters, digits and hyphens (at most 60 characters)",
 }
 

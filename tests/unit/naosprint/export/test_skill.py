@@ -200,6 +200,9 @@ def test_the_skill_reads_and_commands_the_teams_robot(load: Callable[[str, str],
         environment.step(actions)
     gains = {joint.name: gain[1:] for joint, gain in zip(description.joints, found, strict=True)}
     assert gains == {name: description.parameters.gains(name) for name in description.joint_names}
+    following = skill.Naosprint(agent)
+    assert following.execute(True, orientation=0.0, after=made) is False
+    np.testing.assert_array_equal(following.runner.action.shape, made.runner.action.shape)
     agent.world.global_position = np.array([0.0, 0.0, 0.2])
     assert made.execute(False) is True
     assert not made.is_ready()
@@ -280,3 +283,23 @@ def test_an_expression_of_another_package_is_exported_and_a_function_is_named(
     with pytest.raises(ValueError, match=r"format skill: .* cannot compute observation gait_sin of task sprint1"):
         write_skill(*random_policy({"name": robot}, "sprint1"), tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+def test_a_walker_that_takes_over_faces_where_it_is_going(load: Callable[[str, str], Any]) -> None:
+    """Its heading begins as the torso's, in any direction, and its velocity is that of the skill before it."""
+    module = load("t1-run", "mujococodebase.skills.naosprint.runner")
+    skill = module.Runner(Path(module.__file__).with_name("policy.npz"))
+    joints, yaw = np.zeros(len(skill.joint_names)), 2.0
+    upright = (np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2))
+    skill.begin(action=np.full(len(skill.action_names), 0.1), position=np.array([1.0, 2.0, 0.66]))
+    forward = 0.02 * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    names = [str(name) for name in skill.observation_names]
+    for cycle in (1, 2):
+        position = np.array([1.0, 2.0, 0.66]) + cycle * forward
+        seen = skill.observe(position, upright, np.zeros(3), joints, joints, command=np.zeros(3))
+        found = dict(zip(names, seen, strict=True))
+        assert (found["heading_sin"], found["heading_cos"]) == pytest.approx((0.0, 1.0), abs=1e-9)
+        assert (found["velocity_x"], found["velocity_y"]) == pytest.approx((1.0, 0.0), abs=1e-9)
+        assert found["line_offset"] == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_array_equal(skill.position, position)
+    assert found[f"action_{skill.action_names[0]}"] == pytest.approx(0.1)

@@ -254,7 +254,7 @@ def test_a_score_prefers_straight_kicks_of_the_commanded_distance() -> None:
 
 def test_a_walk_through_the_ball_moves_it_and_ends_upright() -> None:
     environment = environment_of(8, seed=3, aligned_fraction=1.0, rolling_fraction=0.0, watch_steps=5)
-    walk(environment, 60)
+    walk(environment, 75)
     task = task_of(environment)
     assert (task._touched >= 0).sum() >= 6
     angle, reached = task._launch[task._touched >= 0].T

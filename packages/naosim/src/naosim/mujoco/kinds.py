@@ -88,9 +88,9 @@ class BoosterEmbeddedKind(SimulatorKind):
         return ""
 
     def abilities(self, robot: Robot) -> frozenset[Ability]:
-        """Return everything."""
-        del robot
-        return frozenset(Ability)
+        """Return everything, without stiffer contacts where MuJoCo's steps are too long for them."""
+        missing = {Ability.STIFFER} if float(robot.data.get("stiffest_contacts", 1.0)) <= 1.0 else set()
+        return frozenset(Ability) - missing
 
     def parameters(self, robot: Robot) -> type[SimulatorSettings]:
         """Return the settings."""

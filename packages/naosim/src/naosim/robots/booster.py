@@ -251,6 +251,7 @@ def _robot(
     *,
     standing_height_m: float,
     beam_height_m: float,
+    stiffest_contacts: float,
     camera: CameraMount,
 ) -> Robot:
     joints = _joints(table)
@@ -273,7 +274,9 @@ def _robot(
             PerceptorDescription("accel", 3, "m/s^2", "acceleration with gravity, torso frame, 2 decimals"),
         ),
         parameters=parameters,
-        data=MappingProxyType({"model": name.upper(), "beam_height_m": beam_height_m}),
+        data=MappingProxyType(
+            {"model": name.upper(), "beam_height_m": beam_height_m, "stiffest_contacts": stiffest_contacts}
+        ),
         load_shapes=lambda: _shapes(name.upper()),
         field=RCSSSERVERMJ,
         camera=camera,
@@ -287,6 +290,7 @@ T1 = _robot(
     T1Parameters(),
     standing_height_m=0.6734,
     beam_height_m=0.6735,
+    stiffest_contacts=4.0,
     camera=CameraMount((0.0625, 0.0, 0.243), (0.0, 0.0, 0.06185), (0.05, 0.0, 0.12)),
 )
 K1 = _robot(
@@ -295,6 +299,7 @@ K1 = _robot(
     K1Parameters(),
     standing_height_m=0.5517,
     beam_height_m=1.0,
+    stiffest_contacts=1.0,
     camera=CameraMount((0.0056, 0.0, 0.2149), (0.0, 0.0, 0.033), (0.06, 0.0, 0.08)),
 )
 ROBOTS = (T1, K1)

@@ -6,16 +6,15 @@ import json
 import re
 import shutil
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import naopolicies
-import numpy as np
 from naospec.files import read_json
 
-from naosprint.export.arrays import policy_arrays
-from naosprint.export.booster import FAMILY
+from naosprint.export.skill import write_skill
 from naosprint.rl.policy import NetworkPolicy, load_policy
 
 if TYPE_CHECKING:
@@ -24,11 +23,10 @@ if TYPE_CHECKING:
 TEAM_FILE = "team.json"
 EXAMPLE = "example"
 """Name of the team of the example player with bundled skills."""
-SKILLS = {"walk": ("velocity", "t1-run"), "kick": ("kick", "t1-kick"), "getup": ("getup", "t1-getup")}
+SKILLS = {"walk": ("velocity", "t1-run"), "kick": ("kick", "t1-kick"), "getup": ("getup", "t1-getup-robust")}
 """Skills of the example player: the task of its policy and the bundled policy that it is by default."""
 PLACEHOLDERS = ("python", "host", "port", "team", "number", "players")
 _PLAYER = Path(__file__).with_name("team")
-_RUNNER = Path(__file__).parents[1] / "export" / "skills" / FAMILY / "runner.py"
 _MAX_FILE_BYTES, _MAX_WORDS = 100_000, 100
 
 
@@ -138,8 +136,11 @@ def write_example(folder: Path, checkpoints: Mapping[str, Path]) -> Team:
                 f"skill {skill}: expected a T1's policy of task {task}, got one of task {spec.task.name} "
                 f"for robot {spec.robot.name}"
             )
-        np.savez(folder / f"{skill}.npz", allow_pickle=False, **policy_arrays(policy, manifest))
-    for path in (*sorted(_PLAYER.glob("*.py")), _RUNNER):
+        with tempfile.TemporaryDirectory() as scratch:
+            files = {path.name: path for path in write_skill(policy, manifest, Path(scratch))}
+            for name, copy in (("policy.npz", f"{skill}.npz"), ("runner.py", "runner.py"), ("terms.py", "terms.py")):
+                shutil.copyfile(files[name], folder / copy)
+    for path in sorted(_PLAYER.glob("*.py")):
         shutil.copyfile(path, folder / path.name)
     command = ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}", "{players}"]
     (folder / TEAM_FILE).write_text(json.dumps({"command": command}) + "\n", encoding="utf-8")

@@ -112,7 +112,7 @@ class DisturbanceSettings(TaskSettings):
         le=4.0,
         title="Stiffest contacts",
         description="Upper end of that factor; at most 4 for a T1 and 1 for a K1, by the steps of MuJoCo.",
-        json_schema_extra={"needs": Ability.STIFFNESS},
+        json_schema_extra={"needs": Ability.STIFFER},
     )
     gravity_min: float = Field(
         default=1.0,

@@ -14,12 +14,18 @@ class Observations:
         self.begin()
 
     def begin(self, arrays=None):
-        """Begin a run; with `arrays`, by name, in the middle of another policy's."""
-        self.arrays = [np.zeros(width) for _, width in self.stored]
+        """Begin a run; with `arrays`, by name, in the middle of another policy's.
+
+        What is stored with one of them, such as `velocity` with `velocity_position`, continues; the rest begins.
+        """
+        self.arrays, known = [np.zeros(width) for _, width in self.stored], arrays or {}
+        self.continuing = set()
         for place, (name, _) in enumerate(self.stored):
-            if arrays is not None and name in arrays:
-                self.arrays[place] = np.array(arrays[name], float)
-        self.first, self.before, self.past = arrays is None, None, []
+            if name in known:
+                self.arrays[place] = np.array(known[name], float)
+            if any(f"{given}_".startswith(f"{name}_") for given in known):
+                self.continuing.add(place)
+        self.first, self.before, self.past = True, None, []
 
     def has(self, name):
         """Return whether an input is observed."""
@@ -29,7 +35,7 @@ class Observations:
         """Return the observation, once per cycle. Raises KeyError for an input that is missing."""
         self.inputs = inputs
         for target, begin, update in self.stores:
-            place = begin if self.first else update
+            place = begin if self.first and target not in self.continuing else update
             if place is not None:
                 self.arrays[target] = np.zeros(len(self.arrays[target])) + self.value(place, {})
         known, now, before = {}, [], iter(self.before or [])

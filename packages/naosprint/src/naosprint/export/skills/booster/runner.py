@@ -36,7 +36,7 @@ class Runner:
         of a step, with the latest `action` and the torso's latest `position` of the policy that walked so far.
         """
         self.heading, self.lane, self.walked = heading, None if lane is None else np.array(lane, float), position
-        self.command, self.cycles = np.zeros(3), 0
+        self.command, self.cycles, self.position = np.zeros(3), 0, position
         self.action = np.zeros(len(self.action_names)) if action is None else np.array(action, float)
         if self.ball:
             self.ball.begin(self.ball.usual if target is None else target)
@@ -62,6 +62,7 @@ class Runner:
         self.lane = position[:2] if self.lane is None else self.lane
         if self.cycles == 0 and self.walked is not None:
             self.observations.begin({"velocity_position": self._along(self.walked)})
+        self.position = position  # for a skill that continues this one
         fresh = command is not None and bool((self.command != command).any())
         self.command = np.array(command, float) if fresh else self.command
         c, s = np.cos(self.heading / 2), -np.sin(self.heading / 2)
