@@ -24,6 +24,7 @@ def test_cards_of_all_bundled_policies(client: httpx.Client) -> None:
         policy = client.get(f"/policies/{card['name']}").json()
         assert TrainingSpec.model_validate(policy.pop("spec")) == manifest.spec
         assert {file["name"] for file in policy.pop("files")} == {"checkpoint.json", "policy.npz"}
+        assert policy.pop("requirements") == {}
         assert policy == card
         assert client.get(f"/policies/{card['name']}/versions").json()["items"] == [card]
 
@@ -35,7 +36,7 @@ def test_replay_can_be_played(client: httpx.Client, tmp_path: Path, name: str) -
     path = tmp_path / "replay.json"
     path.write_bytes(answer.content)
     replay = load_replay(path)
-    assert max(map(abs, replay.displacement_m)) > 0.4, "a robot that gets up rolls over"
+    assert max(map(abs, replay.displacement_m)) > 0.3, "a robot that gets up rolls over, one that kicks takes a step"
 
 
 @pytest.mark.parametrize("path", ["/policies/sprnt", "/policies/sprnt/replay"])

@@ -175,13 +175,17 @@ def played(program: str, *arguments: object) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def entered(address: Address, text: str) -> socket.socket:
-    """Send a robot's first message to a rcssservermj; return the connection after the server's reply."""
+@contextmanager
+def entered(address: Address, text: str) -> Iterator[None]:
+    """Let a robot enter, which leaves again; a connection that is closed with unread messages can end the server."""
     data = text.encode()
-    agent = socket.create_connection((address.host, address.agent_port))
-    agent.sendall(len(data).to_bytes(4, "big") + data)
-    assert agent.recv(4, socket.MSG_WAITALL)
-    return agent
+    with socket.create_connection((address.host, address.agent_port)) as agent:
+        agent.sendall(len(data).to_bytes(4, "big") + data)
+        assert agent.recv(4, socket.MSG_WAITALL)
+        yield
+        agent.shutdown(socket.SHUT_WR)
+        while agent.recv(1 << 16):
+            pass
 
 
 def test_a_run_that_did_not_happen_on_rcssservermj_is_one_sentence(tmp_path: Path) -> None:
