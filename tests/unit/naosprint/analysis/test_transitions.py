@@ -61,6 +61,14 @@ def test_a_matrix_has_a_cell_for_every_two_skills() -> None:
     assert list(matrix(members[:1], count=8, engine="fast", threads=1)) == cells[:1]  # whatever else is in it
 
 
+def test_a_dribble_is_interrupted_and_entered() -> None:
+    """It begins in a walker's stride itself, and goes on until another skill takes over."""
+    members = [skill(name) for name in ("walk", "dribble")]
+    cells = {(cell.before, cell.after): cell for cell in matrix(members, count=8, engine="fast", threads=1)}
+    assert cells["dribble", "walk"].succeeded >= 4
+    assert cells["walk", "dribble"].upright >= 4
+
+
 def test_who_does_not_follow_the_command_has_not_succeeded() -> None:
     """A walker stays upright whose command is faster than it can go."""
     fast = Skill("fast", "t1-run", {**skill("walk").settings, "forward_min_mps": 3.4, "forward_max_mps": 3.4})

@@ -419,7 +419,7 @@ class Dribble(BallTask[DribbleSettings]):
 
     def share_of_speed(self) -> FloatArray:
         """Return the (n,) speed of the ball along its line, averaged over half a second, as a share of the command."""
-        return along(self._aim, self._flow)[0] / self._speed
+        return along(self._aim, self._flow)[0] / np.maximum(self._speed, 0.1)
 
     # results
 

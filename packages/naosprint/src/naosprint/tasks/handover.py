@@ -88,7 +88,7 @@ def record(
     environment = Environment(simulator, task, task.resolve(settings, simulator.robot), seed, compiled=False)
     by_itself = task.skill_over is not Task.skill_over
     n, runs = simulator.n, count if by_itself else -(-count // STATES_PER_RUN)
-    if by_itself:
+    if by_itself or task.starts is not Task.starts:
         starts = environment.task.starts(64, seed, settings.start_noise_deg)
     else:
         starts = Starts(draw_start_poses(environment.actuation, 64, settings.start_noise_deg, seed))
