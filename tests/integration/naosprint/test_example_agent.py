@@ -177,7 +177,7 @@ def played(program: str, *arguments: object) -> tuple[int, str, str]:
 
 @contextmanager
 def entered(address: Address, text: str) -> Iterator[None]:
-    """Let a robot enter, which leaves again; a connection that is closed with unread messages can end the server."""
+    """Send a robot's first message; at the end it leaves, after reading all: unread messages can end the server."""
     data = text.encode()
     with socket.create_connection((address.host, address.agent_port)) as agent:
         agent.sendall(len(data).to_bytes(4, "big") + data)
