@@ -62,7 +62,7 @@ def test_a_matrix_has_a_cell_for_every_two_skills() -> None:
 
 
 def test_a_dribble_is_interrupted_and_entered() -> None:
-    """It begins in a walker's stride itself, and goes on until another skill takes over."""
+    """Its own starts are states of a walker, and it lasts until another skill is chosen."""
     members = [skill(name) for name in ("walk", "dribble")]
     cells = {(cell.before, cell.after): cell for cell in matrix(members, count=8, engine="fast", threads=1)}
     assert cells["dribble", "walk"].succeeded >= 4

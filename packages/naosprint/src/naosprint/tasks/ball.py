@@ -7,12 +7,13 @@ a walk through the ball. What acts knows only what a player perceives; rewards a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Generic, cast
+from typing import TYPE_CHECKING, ClassVar, Generic, Self, cast
 
 import numpy as np
 from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
 from naospec.sections import PlainName
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
 from typing_extensions import TypeVar
 
 from naosprint.tasks.base import Task
@@ -42,6 +43,9 @@ FOOT_M = 0.106
 
 class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     """Settings of tasks with a ball."""
+
+    ranges: ClassVar[tuple[tuple[str, str], ...]] = (("ball_near_m", "ball_far_m"),)
+    """Settings that are the lower and the upper end of a range."""
 
     walker: PlainName = Field(
         default="t1-run",
@@ -88,6 +92,17 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         json_schema_extra={"unit": "m"},
     )
     fall_penalty: float = Field(default=6.0, ge=0.0, le=1000.0, title="Fall penalty", description="Penalty for a fall.")
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for low, high in self.ranges:
+            if getattr(self, low) > getattr(self, high):
+                raise PydanticCustomError(
+                    "range",
+                    "{low}: {least} is above {high}, {most}; exchange them",
+                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
+                )
+        return self
 
 
 Settings = TypeVar("Settings", bound=BallSettings, default=BallSettings, covariant=True)

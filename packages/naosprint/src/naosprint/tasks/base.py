@@ -218,7 +218,7 @@ class Task(Plugin, Generic[Settings]):
     def skill_over(self, rows: slice | IntArray) -> BoolArray:
         """Return which of the robots ``rows`` have done what the skill is for, so that another has to take over.
 
-        A skill that goes on until another takes over does not override it.
+        By default none: such a skill lasts until a player chooses another.
         """
         return np.zeros(len(self.world.steps[rows]), dtype=np.bool_)
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
 from naosprint.tasks.base import End, RewardTerm
@@ -118,6 +117,8 @@ FARTHEST = Metric(
 class DribbleSettings(BallSettings):
     """Settings of the task ``dribble``."""
 
+    ranges = (*BallSettings.ranges, ("speed_min_mps", "speed_max_mps"))
+
     aim_max_deg: float = Field(
         default=90.0,
         ge=0.0,
@@ -181,17 +182,6 @@ class DribbleSettings(BallSettings):
         title="Offset penalty",
         description="Penalty per step and metre of the ball's distance from the line.",
     )
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for low, high in (("ball_near_m", "ball_far_m"), ("speed_min_mps", "speed_max_mps")):
-            if getattr(self, low) > getattr(self, high):
-                raise PydanticCustomError(
-                    "range",
-                    "{low}: {least} is above {high}, {most}; exchange them",
-                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
-                )
-        return self
 
     def for_evaluation(self) -> Self:
         """Return the settings without disturbances, for the course, at the highest speed."""

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 from naosprint.tasks import rolling
 from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
@@ -165,6 +164,8 @@ GOAL = Metric(
 class KickSettings(BallSettings):
     """Settings of the task ``kick``."""
 
+    ranges = (*BallSettings.ranges, ("distance_min_m", "distance_max_m"))
+
     aligned_fraction: float = Field(
         default=0.65,
         ge=0.0,
@@ -264,17 +265,6 @@ class KickSettings(BallSettings):
     time_penalty: float = Field(
         default=0.002, ge=0.0, le=1.0, title="Time penalty", description="Penalty per step before the first touch."
     )
-
-    @model_validator(mode="after")
-    def _ranges(self) -> Self:
-        for low, high in (("ball_near_m", "ball_far_m"), ("distance_min_m", "distance_max_m")):
-            if getattr(self, low) > getattr(self, high):
-                raise PydanticCustomError(
-                    "range",
-                    "{low}: {least} is above {high}, {most}; exchange them",
-                    {"low": low, "least": getattr(self, low), "high": high, "most": getattr(self, high)},
-                )
-        return self
 
     def for_evaluation(self) -> Self:
         """Return the same settings without disturbances, and with episodes that last until the ball has stopped."""
