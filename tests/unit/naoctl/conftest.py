@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from naoctl.cli import main
 from naoctl.client import Client
 from naoctl.config import Target
 
@@ -42,7 +43,7 @@ class Request(BaseHTTPRequestHandler):
         else:
             handler(self)
 
-    do_GET = do_POST = do_DELETE = handle_any
+    do_GET = do_POST = do_PATCH = do_DELETE = handle_any
 
     def json(self, value: Any, status: int = 200, **headers: str) -> None:
         self.raw(json.dumps(value).encode(), status, **{"content-type": "application/json", **headers})
@@ -203,3 +204,28 @@ def sse(event: str, data: Any, identifier: str = "") -> str:
 @pytest.fixture
 def event() -> Callable[..., str]:
     return sse
+
+
+class Ran:
+    """What one run of the program printed and how it ended."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+@pytest.fixture
+def naoctl(server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
+    """Run the program against the playing service, as the shell would."""
+    monkeypatch.setenv("NAOCTL_URL", server.url)
+    monkeypatch.setenv("NAOCTL_TOKEN", "nao_test")
+
+    def run(*words: str) -> Ran:
+        code = 0
+        try:
+            main(list(words))
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else 1 if ended.code else 0
+        out, err = capfd.readouterr()
+        return Ran(code, out, err)
+
+    return run

@@ -14,13 +14,15 @@ from typing import Any
 
 import pytest
 from naoctl import __version__
-from naoctl.cli import build_app, main
+from naoctl.cli import build_app
 from naoctl.commands.artifacts import export_flags
 from naoctl.config import Config
 from naoctl.errors import ExitCode, InvalidInput
 from naoctl.render import Curve, live_view
 from naospec import TrainingSpec
 from rich.console import Console
+
+from .conftest import Ran
 
 Jobs = Callable[..., dict[str, Any]]
 
@@ -39,31 +41,6 @@ EVALUATED = {
     ],
 }
 """A job's evaluation as the service shows it with the job; the live metric beside it includes exploration."""
-
-
-class Ran:
-    """What one run of the program printed and how it ended."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def naoctl(server: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
-    """Run the program against the playing service, as the shell would."""
-    monkeypatch.setenv("NAOCTL_URL", server.url)
-    monkeypatch.setenv("NAOCTL_TOKEN", "nao_test")
-
-    def run(*words: str) -> Ran:
-        code = 0
-        try:
-            main(list(words))
-        except SystemExit as ended:
-            code = ended.code if isinstance(ended.code, int) else 1 if ended.code else 0
-        out, err = capfd.readouterr()
-        return Ran(code, out, err)
-
-    return run
 
 
 def test_submit_sends_what_was_chosen_once(server: Any, naoctl: Callable[..., Ran], job: Jobs, tmp_path: Path) -> None:
@@ -719,3 +696,25 @@ def test_exports_are_named_only_if_requested() -> None:
     assert export_flags(["c"], "kick") == ["--format", "c", "--name", "kick"]
     with pytest.raises(InvalidInput, match="unknown format 'x'"):
         export_flags(["x"], None)
+
+
+def test_chosen_fields_are_all_that_is_printed(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
+    ran = naoctl("list", "--columns", "name,algorithm.learning_rate,distance_m", "--json")
+    assert json.loads(ran.out) == [{"name": "first", "algorithm.learning_rate": 5e-4, "distance_m": 2.25}]
+    ran = naoctl("status", "first", "--field", "state", "--field", "distance_m", "--field", "tags")
+    assert ran.out == 'running\n2.25\n["try"]\n'
+    assert json.loads(naoctl("status", "first", "--field", "seed", "--json").out) == {"seed": 0}
+    ran = naoctl("status", "first", "--field", "speed")
+    assert ran.code == ExitCode.USAGE and "'speed'" in ran.err
+
+
+def test_edit_sends_what_was_given(server: Any, naoctl: Callable[..., Ran], job: Jobs) -> None:
+    server.on("GET", "/jobs")(lambda request: request.json({"items": [job()], "next_cursor": None}))
+    server.on("PATCH", f"/jobs/{job()['id']}")(lambda request: request.json(job(priority=8)))
+    ran = naoctl("edit", "first", "--priority", "8", "--tag", "")
+    assert ran.code == 0, ran.err
+    assert ran.out == f"{job()['id']}: changed tags and priority\n"
+    assert server.received[-1].body == {"tags": [], "priority": 8}
+    ran = naoctl("edit", "first")
+    assert ran.code == ExitCode.USAGE and "--priority" in ran.err

@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 import pytest
-from naoctl.commands.submit import expanded_job, make_body, make_group, parse_seeds, read_recipe
+from naoctl.commands.submit import expanded_job, make_body, make_group, parse_moment, parse_seeds, read_recipe
 from naoctl.errors import InvalidInput
 from naospec import EvaluationSpec, TrainingSpec, recipes
 
@@ -163,3 +164,24 @@ def test_numbers_of_a_grid_may_be_abbreviated() -> None:
     group = make_group(make_body({}, {}, {}), None, ["total_steps=1M,250k"])
     assert group is not None
     assert group["grid"] == {"total_steps": [1_000_000, 250_000]}
+
+
+@pytest.mark.parametrize(
+    ("text", "moment"),
+    [
+        ("22:00", "2026-03-01T22:00:00+01:00"),
+        ("9:30", "2026-03-02T09:30:00+01:00"),
+        ("8h", "2026-03-01T20:00:00+01:00"),
+        ("30min", "2026-03-01T12:30:00+01:00"),
+        ("2026-12-01T06:00", "2026-12-01T06:00:00+01:00"),
+        ("2026-12-01 06:00:00+00:00", "2026-12-01T06:00:00+00:00"),
+    ],
+)
+def test_a_start_is_a_time_of_day_a_wait_or_a_date(text: str, moment: str) -> None:
+    assert parse_moment(text, datetime(2026, 3, 1, 12, 0, 0, 500, timezone(timedelta(hours=1)))) == moment
+
+
+@pytest.mark.parametrize("text", ["25:00", "tonight", "99999999999999d", "8 weeks"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match="--not-before"):
+        parse_moment(text, datetime(2026, 3, 1, tzinfo=UTC))

@@ -177,3 +177,32 @@ def test_other_processes_make_environments_by_a_name_that_imports_them() -> None
         "robots.close()\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+@pytest.mark.parametrize("robot", ["nao-0", "t1"])
+def test_pictures_show_the_robot_and_where_it_is(robot: str) -> None:
+    env = make(robot=robot, render_mode="rgb_array")
+    with pytest.raises(RuntimeError, match="reset"):
+        env.render()
+    env.reset(seed=0)
+    first = env.render()
+    assert first is not None and first.shape == (400, 960, 3) and first.dtype == np.uint8
+    limbs = first.max(axis=2).astype(int) - first.min(axis=2) > 80
+    assert limbs.sum() > 500, "they are the only bright colors"
+    assert 300 < np.flatnonzero(limbs.any(axis=0)).mean() < 660, "in the middle"
+    for _ in range(20):
+        env.step(np.full(env.action_space.shape, 0.5, dtype=np.float32))
+    later = env.render()
+    assert later is not None and (later != first).any(axis=2).sum() > 500
+    env.reset(seed=0)
+    assert np.array_equal(env.render(), first)
+    env.close()
+
+
+def test_without_a_render_mode_nothing_is_drawn() -> None:
+    env = make()
+    env.reset(seed=0)
+    assert env.unwrapped.render() is None
+    env.close()
+    with pytest.raises(ValueError, match="render_mode: expected rgb_array"):
+        TaskEnv(render_mode="human")

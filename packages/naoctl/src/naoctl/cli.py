@@ -12,6 +12,7 @@ from naospec.proxies import exempt_loopback
 from naoctl import __version__
 from naoctl.commands import (
     artifacts,
+    browse,
     jobs,
     mirror,
     policies,
@@ -26,6 +27,7 @@ from naoctl.commands import (
 from naoctl.commands import stack as stack_commands
 from naoctl.context import Context
 from naoctl.errors import CliError, ExitCode, plain
+from naoctl.help import CommandGroups
 from naoctl.render import terminal_json
 
 EPILOG = (
@@ -47,6 +49,7 @@ _MODULES = (
     spec,
     jobs,
     watch,
+    browse,
     artifacts,
     tensorboard,
     mirror,
@@ -65,6 +68,7 @@ def build_app(word: str | None = None) -> typer.Typer:
     """
     app = typer.Typer(
         name="naoctl",
+        cls=CommandGroups,
         help="Train simulated humanoid robots: submit jobs, watch them, download policies, run the service.",
         epilog=EPILOG,
         no_args_is_help=True,

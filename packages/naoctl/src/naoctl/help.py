@@ -8,12 +8,46 @@ import sys
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 OPTIONS = "Options"
 """Heading above the options that have none of their own."""
 NAMES_WIDTH = 30
 """Widest column of names; a longer name has a line of its own."""
+GROUPS = {
+    "Train": ("submit", "tune", "study", "spec"),
+    "Jobs": (
+        *("list", "status", "watch", "logs", "open", "compare"),
+        *("cancel", "pause", "resume", "retry", "edit", "delete"),
+    ),
+    "Results and policies": (
+        *("download", "checkpoints", "eval", "report", "export", "policies", "tensorboard", "mirror"),
+    ),
+    "Run the service on this machine": ("demo", "up", "down", "doctor"),
+    "Use and administer a service": ("login", "logout", "workers", "token", "webhook", "version"),
+}
+"""Commands by what they are for, in the order of ``naoctl --help``."""
+
+
+class CommandGroups(TyperGroup):
+    """Group of commands whose help lists them by purpose, with whole summaries."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under their headings; a command without a heading is an error."""
+        width = max(map(len, self.commands))
+        missing = self.commands.keys() - {name for names in GROUPS.values() for name in names}
+        assert not missing, missing
+        for heading, names in GROUPS.items():
+            records = [(name.ljust(width), _summary(self.commands[name])) for name in names if name in self.commands]
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+
+
+def _summary(command: Any) -> str:
+    """Return the first sentence of a command's help, on one line."""
+    first = " ".join((command.help or "").partition("\n\n")[0].split())
+    return first.partition(". ")[0].rstrip(".") + "."
 
 
 class SettingsCommand(TyperCommand):

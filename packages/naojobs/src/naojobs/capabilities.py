@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import UTC, timedelta
 
 from naospec import EvaluationSpec, TrainingSpec, plugins
 from sqlalchemy import ColumnElement, and_, func, select, tuple_
@@ -92,7 +92,11 @@ def waiting_reasons(session: Session, work: Iterable[Work], workers: Sequence[Wo
     for item in queued:
         if item.not_before is not None and now is not None and item.not_before > now:
             left_s = (item.not_before - now).total_seconds()
-            reasons[item.id] = f"the next attempt begins in {left_s:.0f} s; the last one ended: {item.error}"
+            reasons[item.id] = (
+                f"the next attempt begins in {left_s:.0f} s; the last one ended: {item.error}"
+                if item.postponed
+                else f"it is to start at {item.not_before.astimezone(UTC):%Y-%m-%d %H:%M} UTC or later"
+            )
     return {work_id: reason for work_id, reason in reasons.items() if reason is not None}
 
 

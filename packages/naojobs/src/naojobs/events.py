@@ -46,6 +46,7 @@ EVENT_KINDS: Mapping[str, EventKind] = MappingProxyType(
         "recovered": EventKind("A stalled training makes steps again."),
         "checkpoint": EventKind("A checkpoint is in the store.", ("checkpoint_id", "step")),
         "pause_requested": EventKind("A user requested a pause; the worker saves a checkpoint and stops."),
+        "priority": EventKind("A user changed the job's priority.", ("priority",)),
         "paused": EventKind("The job is paused.", ("reason", "failures")),
         "cancel_requested": EventKind("A user requested the end of the job; its worker stops."),
         "cancelled": EventKind("The job has ended at a user's request.", ("reason", "failures")),

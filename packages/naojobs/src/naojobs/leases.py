@@ -133,7 +133,8 @@ def claim_next(
 
 def waiting(model: type[Job] | type[Evaluation]) -> Any:
     """Return the query of the work of a kind that waits for a worker."""
-    due = or_(model.not_before.is_(None), is_due(model.not_before, LONGEST_POSTPONE_S))
+    postponed = and_(model.postponed > 0, is_due(model.not_before, LONGEST_POSTPONE_S))
+    due = or_(model.not_before.is_(None), model.not_before <= func.now(), postponed)
     waiting = select(model).where(model.state == WorkState.QUEUED, due)
     return waiting.where(~awaits_policy()) if model is Job else waiting
 

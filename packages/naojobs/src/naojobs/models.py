@@ -115,8 +115,9 @@ class Work:
     checkpoint.
     """
     postponed: Mapped[int] = mapped_column(Integer, server_default=text("0"))
-    """Number of attempts in a row that ended because a service was unavailable, and when the next one may begin."""
+    """Number of attempts in a row that ended because a service was unavailable."""
     not_before: Mapped[datetime | None]
+    """When the next attempt may begin: after a postponed one, or, with none postponed, as the user asked."""
     max_attempts: Mapped[int] = mapped_column(Integer, server_default=text("3"))
     """Number of failures at which the work fails for good."""
     lease_owner: Mapped[str | None] = mapped_column(String(200))

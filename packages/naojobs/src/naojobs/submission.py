@@ -9,6 +9,7 @@ import math
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import datetime
 from typing import Any, TypeVar
 
 import naopolicies
@@ -29,7 +30,7 @@ from naojobs.ids import new_id
 from naojobs.lineage import trained_by
 from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
-from naojobs.states import OPEN, WorkState
+from naojobs.states import ENDED, OPEN, WorkState
 
 J = TypeVar("J", Job, Study)
 
@@ -51,6 +52,8 @@ class JobRequest:
     name: str | None = None
     tags: Sequence[str] = ()
     priority: int = 5
+    not_before: datetime | None = None
+    """Earliest start; none for at once."""
     max_attempts: int = 3
     parent_job_id: str | None = None
     parent_checkpoint_id: str | None = None
@@ -65,10 +68,15 @@ class JobRequest:
     def digest(self) -> str:
         """Return the SHA-256 that equal requests share."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
-        if self.parent_policy is None:
-            del values["parent_policy"]  # requests of earlier versions keep their digest
-        text = json.dumps(values, sort_keys=True, default=lambda spec: spec.model_dump(mode="json"))
+        for later in ("parent_policy", "not_before"):
+            if values[later] is None:
+                del values[later]  # requests of earlier versions keep their digest
+        text = json.dumps(values, sort_keys=True, default=_document)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _document(value: TrainingSpec | EvaluationSpec | datetime) -> Any:
+    return value.isoformat() if isinstance(value, datetime) else value.model_dump(mode="json")
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +205,7 @@ def add_job(
             evaluation=stored(request.evaluation) if request.evaluation else None,
             **asdict(Requirements.of_training(request.spec)),
             priority=request.priority,
+            not_before=request.not_before,
             state=WorkState.QUEUED,
             max_attempts=request.max_attempts,
             parent_job_id=request.parent_job_id,
@@ -239,12 +248,13 @@ def edit(
     name: str | None = None,
     tags: Sequence[str] | None = None,
     notes: str | None = None,
+    priority: int | None = None,
     limits: Limits = NO_LIMITS,
 ) -> Job:
-    """Change what a user calls a job and writes about it; None leaves a value as it is.
+    """Change a job's name, tags, notes or priority; None leaves a value as it is.
 
-    Raises NotFoundError, ConflictError if another job of the owner has the name, and QuotaError if the owner's notes
-    would become longer than `limits` allow.
+    Raises NotFoundError, ConflictError if another job of the owner has the name or if the priority of a job that has
+    ended would change, and QuotaError if the owner's notes would become longer than `limits` allow.
     """
     with sessions.begin() as session:
         job = session.get(Job, job_id, with_for_update=True)
@@ -261,6 +271,12 @@ def edit(
             if longer > 0:
                 require_room(session, job.owner, limits, Quota.NOTES, more=longer)
             job.notes = notes
+        if priority is not None and priority != job.priority:
+            if job.state in ENDED:
+                raise ConflictError(f"job {job_id} waits no longer: it is {job.state}", "priority")
+            require_room(session, job.owner, limits, Quota.ROWS)
+            job.priority = priority
+            add_event(session, job, "priority", f"changed to {priority}", {"priority": priority})
         job.updated_at = func.now()
         session.flush()
         session.refresh(job)

@@ -18,18 +18,21 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from naosim.simulator import STEP_S
 from naospec import TrainingSpec
 from naospec.flat import GROUPS, nest
 from naospec.sections import as_mapping
 from numpy.typing import NDArray
 
-from naosprint.arrays import Float32Array
+from naosprint.analysis.film import Film
+from naosprint.analysis.replay import Replay
+from naosprint.arrays import ByteArray, Float32Array
 from naosprint.tasks.environment import open_environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from naosprint.arrays import BoolArray, IntArray
+    from naosprint.arrays import BoolArray, FloatArray, IntArray
 
 OBSERVATION_LIMIT = 1e6
 """Largest magnitude of an observation; far above that of any working robot."""
@@ -93,6 +96,20 @@ class _Robots:
         metrics = dict(zip(self._metrics, values.tolist(), strict=True))
         return {**metrics, "end": reached[0] if reached else "time_limit"}
 
+    def picture(self, poses: Sequence[FloatArray]) -> ByteArray:
+        """Return the (H, W, 3) picture of the last of these poses, each (B, 7), of one episode from its start."""
+        simulator, drawn = self.environment.simulator, np.array(poses, dtype=np.float32)
+        replay = Replay(
+            robot=simulator.robot,
+            positions=drawn[:, :, :3],
+            rotations=drawn[:, :, 3:7],
+            foot_forces=np.zeros((len(drawn), 2), dtype=np.float32),
+            end="",
+            failed=False,
+            objects=simulator.shapes[len(simulator.robot.shapes) :],
+        )
+        return Film(replay).picture(len(drawn) - 1)
+
 
 class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
     """One robot that does a task.
@@ -100,14 +117,28 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
     When an episode ends, ``info`` has the task's metrics of it and ``end``, the name of the end that was reached.
 
     Args:
+        render_mode: ``rgb_array`` for pictures of the robot by :meth:`render`.
         **settings: see :func:`specification`.
+
+    Raises:
+        ValueError: if the simulator, a server, does not report where the robot's bodies are, or if there is no such
+            ``render_mode``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium declares it so
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
+        "render_modes": ["rgb_array"],
+        "render_fps": round(1.0 / STEP_S),
+    }
 
     def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode: expected rgb_array or None, got {render_mode!r}")
         self.render_mode = render_mode
         self._robots = _Robots(1, 1, settings)
+        if render_mode and not self._robots.environment.simulator.shapes:
+            self._robots.environment.close()
+            raise ValueError("render_mode: this simulator does not report the robot's bodies; use simulator='embedded'")
+        self._poses: list[FloatArray] = []
         self.observation_space = self._robots.observation_space
         self.action_space = self._robots.action_space
 
@@ -122,15 +153,35 @@ class TaskEnv(gymnasium.Env[Float32Array, Float32Array]):
         """Begin an episode and return its first observation; the start is chosen by the environment's generator."""
         super().reset(seed=seed, options=options)
         self._robots.restart(np.array([0]), [self.np_random])
+        self._poses.clear()
+        self._watch()
         return self._robots.observations()[0], {}
 
     def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Take one step of 20 ms with the (A,) action in [-1, 1]."""
         environment = self._robots.environment
         environment.step(np.asarray(action, dtype=np.float64)[None])
+        self._watch()
         terminated, truncated = bool(environment.terminated[0]), bool(environment.truncated[0])
         info = self._robots.info(0) if terminated or truncated else {}
         return self._robots.observations()[0], float(environment.rewards[0]), terminated, truncated, info
+
+    def _watch(self) -> None:
+        """Keep the robot's pose if the episode is drawn."""
+        if self.render_mode:
+            self._poses.append(self._robots.environment.simulator.bodies()[0].copy())
+
+    def render(self) -> ByteArray | None:
+        """Return the (H, W, 3) picture of the robot now, with time, distance and speed; None without a render mode.
+
+        Raises:
+            RuntimeError: if no episode has begun.
+        """
+        if self.render_mode is None:
+            return None
+        if not self._poses:
+            raise RuntimeError("render: call reset first")
+        return self._robots.picture(self._poses)
 
     def close(self) -> None:
         """Close the simulator."""

@@ -16,6 +16,7 @@ from naospec import EvaluationSpec, TrainingSpec, formats
 from naospec.search import SearchSpec
 from pydantic import (
     AfterValidator,
+    AwareDatetime,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -88,6 +89,9 @@ class JobCreate(_Request):
         description="How to evaluate the final policy, by default on the training's task; null for no evaluation.",
     )
     priority: int = Field(5, ge=0, le=9, description="0 to 9; jobs with a higher priority start first.")
+    not_before: AwareDatetime | None = Field(
+        None, description="Earliest start, with its time zone; left out: as soon as a worker is free."
+    )
     max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the job fails.")
     parent_job_id: Id | None = Field(None, description="Start from the policy of this job.")
     parent_checkpoint_id: Id | None = Field(
@@ -113,13 +117,14 @@ class JobCreate(_Request):
 
 
 class JobPatch(_Request):
-    """Changes of a job's name, tags and notes."""
+    """Changes of a job's name, tags, notes and priority."""
 
     name: Name | None = Field(None, description="New name, which no other job of the owner has.")
     tags: list[Tag] | None = Field(None, max_length=20, description="All tags from now on.")
     notes: Annotated[str, StringConstraints(max_length=10_000, pattern=TEXT)] | None = Field(
         None, description="Notes: plain text, at most 10,000 characters."
     )
+    priority: int | None = Field(None, ge=0, le=9, description="New priority of a job that has not ended.")
 
 
 class ShareCreate(_Request):
@@ -190,6 +195,8 @@ class StudyCreate(_Request):
         for field in ("parent_job_id", "parent_policy"):
             if getattr(self.job, field) is not None:
                 raise ValueError(f"job.{field}: trials start from random weights; leave it out")
+        if self.job.not_before is not None:
+            raise ValueError("job.not_before: trials start as the study chooses them; leave it out")
         return self
 
 
@@ -232,6 +239,7 @@ class JobPublic(_Public):
     waiting_reason: str | None = Field(
         None, description="Why no worker can take the queued job; null if a worker can, and in all other states."
     )
+    not_before: datetime | None = Field(None, description="When its next attempt may begin; null: at any time.")
     spec: TrainingDocument = Field(description="Specification of the training, in the current format.")
     evaluation: dict[str, Any] | None = Field(description="How the final policy is evaluated; null for no evaluation.")
     attempt: int = Field(description="Number of claims by workers.")

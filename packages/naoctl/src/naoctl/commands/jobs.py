@@ -1,4 +1,4 @@
-"""Commands that show and control jobs: list, status, cancel, pause, resume, retry, delete, compare."""
+"""Commands that show and control jobs: list, status, cancel, pause, resume, retry, edit, delete, compare."""
 
 from __future__ import annotations
 
@@ -15,7 +15,18 @@ from naoctl.descriptions import Descriptions, common, value_text
 from naoctl.errors import InvalidInput, plain
 from naoctl.evaluations import TRAINING_MARK, TRAINING_NOTE, headline, job_evaluation
 from naoctl.follow import ENDED, follow
-from naoctl.render import COLUMNS, MISSING, cell, chosen_table, job_details, jobs_table, listing, state_text, value_of
+from naoctl.render import (
+    COLUMNS,
+    MISSING,
+    cell,
+    chosen_table,
+    job_details,
+    jobs_table,
+    listing,
+    state_text,
+    terminal_json,
+    value_of,
+)
 
 STATES = ("queued", "starting", "running", "pausing", "paused", "evaluating", "succeeded", "failed", "cancelled")
 Jobs = Annotated[
@@ -81,7 +92,7 @@ def list_jobs(
         else:
             table = chosen_table(jobs, names) if names else jobs_table(jobs, Descriptions(client), context.out.width)
     if table is None:
-        context.json(jobs)
+        context.json([{name: value_of(job, name) for name in names} for job in jobs] if names else jobs)
     elif jobs:
         context.out.print(table)
         if any(TRAINING_MARK in str(text) for column in table.columns[-1:] for text in column.cells):
@@ -118,15 +129,33 @@ def status(
     job: Annotated[
         str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
     ] = "last",
+    field: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--field",
+            metavar="NAME",
+            help="Print this value only: a field, a setting such as algorithm.gamma, a result or a metric; may be "
+            "repeated.",
+        ),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Show one job: state, progress, results, and its error."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_job(client, job)
-        metrics = [] if as_json else Descriptions(client).shown(found)
+        metrics = [] if as_json or field else Descriptions(client).shown(found)
+    values = {name: value_of(found, name) for name in field or ()}
+    for name, value in values.items():
+        if value is None and name not in found:
+            raise InvalidInput(
+                f"--field: the job has no {name!r}", fix="`naoctl status --json` shows its fields and settings."
+            )
     if as_json:
-        context.json(found)
+        context.json(values if field else found)
+    elif field:
+        for value in values.values():
+            context.out.print(plain(terminal_json(value) if isinstance(value, dict | list) else value), markup=False)
     else:
         context.out.print(job_details(found, metrics))
 
@@ -187,6 +216,38 @@ def resume(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
 def retry(ctx: typer.Context, jobs: Jobs, as_json: JsonFlag = False) -> None:
     """Queue failed or cancelled jobs again; they resume from their last checkpoint."""
     _steer(context_of(ctx), jobs, "retry", "queued", as_json=as_json)
+
+
+def edit(
+    ctx: typer.Context,
+    job: Annotated[
+        str, typer.Argument(metavar="JOB", help="A job's id, its name, or `last`.", autocompletion=complete_job)
+    ],
+    name: Annotated[str | None, typer.Option("--name", "-n", metavar="NAME", help="New name.")] = None,
+    tag: Annotated[
+        list[str] | None,
+        typer.Option("--tag", "-t", metavar="TAG", help="Tags from now on; may be repeated, '' removes all."),
+    ] = None,
+    notes: Annotated[str | None, typer.Option(metavar="TEXT", help="Notes from now on.")] = None,
+    priority: Annotated[
+        int | None,
+        typer.Option(metavar="0-9", min=0, max=9, help="Priority of a job that waits; a higher one starts first."),
+    ] = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Change a job's name, tags, notes or priority. What is left out stays as it is."""
+    context = context_of(ctx)
+    tags = None if tag is None else [one for one in tag if one]
+    given = {"name": name, "tags": tags, "notes": notes, "priority": priority}
+    body = {field: value for field, value in given.items() if value is not None}
+    if not body:
+        raise InvalidInput("There is nothing to change", fix="Give --name, --tag, --notes or --priority.")
+    with context.client() as client:
+        changed = client.request("PATCH", f"/jobs/{find_job(client, job)['id']}", json_body=body)
+    if as_json:
+        context.json(changed)
+    else:
+        context.out.print(f"{changed['id']}: changed {' and '.join(body)}", markup=False)
 
 
 def delete(
@@ -312,5 +373,5 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("list")(list_jobs)
     app.command("status")(status)
-    for function in (cancel, pause, resume, retry, delete, compare):
+    for function in (cancel, pause, resume, retry, edit, delete, compare):
         app.command(function.__name__)(function)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import uuid
 from collections.abc import Container
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,12 +18,14 @@ from naospec.flat import Setting
 from pydantic import TypeAdapter
 
 from naoctl.client import Client
+from naoctl.commands.browse import address, job_path
 from naoctl.commands.watch import watch_job
 from naoctl.context import NEWEST, Context, JsonFlag, complete_job, completions, context_of, find_job
 from naoctl.descriptions import section_name
 from naoctl.errors import InvalidInput, Unreachable, plain
 from naoctl.help import HelpAllFlag, SettingsCommand
 from naoctl.jobfile import load_job_file
+from naoctl.render import SHORT_ID
 from naoctl.specflags import (
     build,
     flag_name,
@@ -38,6 +42,7 @@ JOB_FIELDS = (
     "spec",
     "evaluation",
     "priority",
+    "not_before",
     "max_attempts",
     "parent_job_id",
     "parent_checkpoint_id",
@@ -103,6 +108,12 @@ def submit(
     ] = None,
     tag: TagOption = None,
     priority: PriorityOption = None,
+    not_before: Annotated[
+        str | None,
+        typer.Option(
+            "--not-before", metavar="TIME", help="Start at this time or later: 22:00, 2026-12-01T06:00, or in 8h."
+        ),
+    ] = None,
     parent: Annotated[
         str | None,
         typer.Option("--from", metavar="JOB", help="Start from this job's policy.", autocompletion=complete_job),
@@ -163,6 +174,8 @@ def submit(
         parent_checkpoint_id=checkpoint,
         parent_policy=policy,
     )
+    if moment := not_before or body.get("not_before"):
+        body["not_before"] = parse_moment(str(moment), datetime.now().astimezone())
     if parent and policy:
         raise InvalidInput("--from and --from-policy both name the policy to start from", fix="Leave one of them out.")
     if body.get("name") == NEWEST:
@@ -206,7 +219,8 @@ def submit(
             watch_job(context, client, job, as_json=as_json)
         else:
             _note_waiting(context, job.get("waiting_reason"))
-            context.note(f"Follow it with: naoctl watch {job['id']}")
+            context.note(f"Follow it with: naoctl watch {job['id'][-SHORT_ID:]}")
+            context.note(f"Dashboard: {address(context.target(), job_path(job['id']))}")
 
 
 def _note_waiting(context: Context, reason: str | None) -> None:
@@ -424,6 +438,26 @@ def _table(file: dict[str, Any], field: str, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise InvalidInput(f"{where}{field} is not a mapping", fix=f"Write `{field}:` and its fields below it.")
     return value
+
+
+def parse_moment(text: str, now: datetime) -> str:
+    """Return a time as the service reads it: of ``22:00`` the next one, ``8h`` or ``30min`` from now, or a date.
+
+    Raises:
+        InvalidInput: if it is none of these.
+    """
+    fix = "Write 22:00, 2026-12-01T06:00, 8h or 30min."
+    try:
+        if found := re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h|d)", text):
+            unit = {"min": "minutes", "h": "hours", "d": "days"}[found[2]]
+            return (now + timedelta(**{unit: float(found[1])})).isoformat(timespec="seconds")
+        if re.fullmatch(r"\d{1,2}:\d{2}", text):
+            moment = now.replace(hour=int(text[:-3]), minute=int(text[-2:]), second=0, microsecond=0)
+            return (moment if moment > now else moment + timedelta(days=1)).isoformat()
+        given = datetime.fromisoformat(text)
+    except (ValueError, OverflowError):
+        raise InvalidInput(f"--not-before {text!r} is no time", fix=fix) from None
+    return (given if given.tzinfo else given.replace(tzinfo=now.tzinfo)).isoformat()
 
 
 def hand_in(client: Client, path: str, body: dict[str, Any], key: str | None) -> dict[str, Any]:

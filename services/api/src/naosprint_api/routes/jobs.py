@@ -187,7 +187,7 @@ def get_job(job_id: JobId, principal: Reader, service: ServiceDep) -> JobPublic:
 
 @router.patch("/jobs/{job_id}", responses={**CONTROL, **responses(413)})
 def edit_job(job_id: JobId, body: JobPatch, principal: Submitter, service: ServiceDep) -> JobPublic:
-    """Rename a job, or change its tags or notes; fields left out stay as they are."""
+    """Change a job's name, tags, notes or priority; fields left out stay as they are."""
     controllable(service, principal, job_id)
     return service.show_job(
         submission.edit(service.sessions, job_id, **body.model_dump(), limits=service.settings.limits)

@@ -3,6 +3,7 @@
 import { call } from "../api.js";
 import { fill, h, toast } from "../dom.js";
 import { integer, stamp } from "../format.js";
+import { isEnded } from "../states.js";
 
 /** Show a modal dialog; it is removed when it closes. */
 function open(title, ...parts) {
@@ -114,7 +115,7 @@ export function chooseAlias(reference) {
   });
 }
 
-/** Dialog that edits name, tags and notes; resolves to the changed job, null if nothing was changed. */
+/** Edit name, tags, notes and, until it has ended, priority; resolves to the changed job, or to null. */
 export function editJob(job) {
   return new Promise((resolve) => {
     let changed = null;
@@ -122,6 +123,15 @@ export function editJob(job) {
     const tags = h("input", { id: "edit-tags", name: "edit-tags", value: job.tags.join(", "), spellcheck: "false" });
     const notes = h("textarea", { id: "edit-notes", name: "edit-notes", rows: 6, maxlength: 10000 });
     notes.value = job.notes;
+    const priority = h("input", {
+      id: "edit-priority",
+      name: "edit-priority",
+      type: "number",
+      min: 0,
+      max: 9,
+      required: true,
+      value: job.priority,
+    });
     const trouble = h("p", { class: "problem", role: "alert" });
     const submit = async (event) => {
       event.preventDefault();
@@ -129,6 +139,7 @@ export function editJob(job) {
         name: name.value.trim(),
         tags: separated(tags.value),
         notes: notes.value,
+        ...(isEnded(job.state) ? {} : { priority: Number(priority.value) }),
       };
       try {
         changed = await call(`jobs/${encodeURIComponent(job.id)}`, { method: "PATCH", body });
@@ -145,6 +156,7 @@ export function editJob(job) {
         field("Name", name),
         field("Tags", tags, "Separated by commas."),
         field("Notes", notes),
+        !isEnded(job.state) && field("Priority", priority, "0 to 9; jobs with a higher priority start first."),
         trouble,
         h(
           "div",
