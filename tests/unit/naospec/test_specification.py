@@ -62,14 +62,15 @@ def test_overrides_name_what_differs_from_the_preset() -> None:
 
 
 @pytest.mark.parametrize("robot", robots.names())
-def test_without_preset_leaves_out_what_others_decide(robot: str) -> None:
+def test_what_was_written_leaves_out_what_others_decide(robot: str) -> None:
     """Only chosen settings are left, so that another preset or robot can decide the rest."""
     spec = spec_of(robot=robot, preset="fast", learning_rate=1e-4, total_steps=1000)
-    content = spec.without_preset()
+    written = spec.written()
+    content = written.content
     assert content["algorithm"] == {"name": "ppo", "preset": "fast", "learning_rate": 1e-4}
     assert "min_height_m" not in content["task"]
-    assert TrainingSpec.model_validate(content) == spec
-    other = TrainingSpec.model_validate({**content, "algorithm": {**content["algorithm"], "preset": "paper"}})
+    assert TrainingSpec.model_validate(written) == spec
+    other = TrainingSpec.model_validate(written.with_settings({"preset": "paper"}))
     assert (other.algorithm.learning_rate, other.algorithm.clip_range) == (1e-4, 0.1)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from naospec import EvaluationSpec, TrainingSpec, plugins, read_stored, stored, validation_words
-from naospec.flat import nest
 from naospec.search import Objective, SearchSpec
 from pydantic import ValidationError
 from sqlalchemy import func, select
@@ -154,7 +153,7 @@ def _direction(metric: Mapping[str, Any]) -> str | None:
 def trial_job(job: JobRequest, params: Mapping[str, Any], *, field: str = "search.space") -> JobRequest:
     """Return the job of a trial with these settings. Raises InvalidError."""
     try:
-        spec = TrainingSpec.model_validate(nest(params, job.spec.without_preset()))
+        spec = TrainingSpec.model_validate(job.spec.written().with_settings(params))
     except KeyError as error:
         raise InvalidError(f"the training specification has no field {error.args[0]!r}", field) from None
     except ValidationError as error:

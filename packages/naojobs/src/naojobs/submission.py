@@ -158,13 +158,13 @@ def expand_group(request: GroupRequest) -> list[JobRequest]:
     size = math.prod(len(values) for values in axes.values())
     if size > MAX_GROUP_SIZE:
         raise InvalidError(f"{size} jobs are more than {MAX_GROUP_SIZE}; give fewer values", "grid")
-    base = request.job.spec.without_preset()
+    base = request.job.spec.written()
     jobs = []
     for values in itertools.product(*axes.values()):
         point = dict(zip(axes, values, strict=True))
         label = ",".join(f"{name}={value}" for name, value in point.items())
         try:
-            spec = TrainingSpec.model_validate(nest(point, base))
+            spec = TrainingSpec.model_validate(base.with_settings(point))
         except ValidationError as error:
             raise InvalidError(f"{label}: {validation_words(error.errors())}", f"grid.{next(iter(point))}") from error
         # Without blanks, so that it can be typed as it is.

@@ -4,18 +4,9 @@ from __future__ import annotations
 
 from naospec import formats, plugins, presets, recipes
 from naospec.sections import Section
-from naospec.specification import (
-    EvaluationSpec,
-    LearnerSettings,
-    RuntimeSettings,
-    SimulatorSettings,
-    Stage,
-    TaskSettings,
-    TrainingSpec,
-    read_stored,
-    stored,
-    validation_words,
-)
+from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings, TaskSettings
+from naospec.specification import EvaluationSpec, TrainingSpec, read_stored, stored, validation_words
+from naospec.written import Stage, WrittenSpec
 
 __all__ = [
     "EvaluationSpec",
@@ -26,6 +17,7 @@ __all__ = [
     "Stage",
     "TaskSettings",
     "TrainingSpec",
+    "WrittenSpec",
     "formats",
     "plugins",
     "presets",

@@ -47,7 +47,8 @@ def settings() -> dict[str, Setting]:
     A setting's short name is its field's; where two sections have a field of the same name, the later one is prefixed
     with its section.
     """
-    from naospec.specification import RuntimeSettings, TrainingSpec
+    from naospec.settings import RuntimeSettings
+    from naospec.specification import TrainingSpec
 
     found: dict[str, Setting] = {}
     for section, group in GROUPS.items():

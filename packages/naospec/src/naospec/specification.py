@@ -13,154 +13,16 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import formats, plugins, presets
 from naospec.abilities import lacking
-from naospec.flat import GROUPS, settings
-from naospec.sections import PluginSection, Section, as_mapping, section_models
+from naospec.flat import settings
+from naospec.sections import PluginSection, Section
+from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings, TaskSettings
+from naospec.written import DEFAULTS, Stage, WrittenSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from collections.abc import Set as AbstractSet
 
     from naospec.contracts import RobotContract, TaskContract
-
-DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
-"""Names of the sections that a specification omits."""
-
-DEFAULT_PRESET = "fast"
-
-
-class TaskSettings(Section):
-    """Settings that every task has; a task adds its own.
-
-    A section also records the version of the task that it was written for.
-    """
-
-    version: int | None = Field(
-        default=None,
-        ge=1,
-        le=1_000_000,
-        title="Task version",
-        description="Version of the task; left out: the installed one.",
-    )
-    reward_scale: float = Field(
-        default=100.0,
-        ge=1e-6,
-        le=1e6,
-        title="Reward scale",
-        description="Factor of the sum of all reward terms.",
-    )
-    start_noise_deg: float = Field(
-        default=2.0,
-        ge=0.0,
-        le=20.0,
-        title="Start noise",
-        description="Each joint of the start pose is offset by up to this angle, drawn for each start.",
-        json_schema_extra={"unit": "deg"},
-    )
-    start_episode_fraction: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.9,
-        title="Short-episode fraction",
-        description="Fraction of the environments whose episodes are truncated after two seconds, to train the start.",
-    )
-    history_steps: int = Field(
-        default=0,
-        ge=0,
-        le=10,
-        title="History",
-        description="Earlier steps that a policy observes besides the present one, actions included: enough to tell "
-        "how late its commands act, or how slippery the floor is.",
-        json_schema_extra={"unit": "steps"},
-    )
-
-    def for_evaluation(self) -> Self:
-        """Return the settings for episodes of evaluations; the same by default."""
-        return self
-
-
-class SimulatorSettings(Section):
-    """Settings that change what a simulator computes; a simulator adds its own for each family of robots."""
-
-    def for_evaluation(self) -> Self:
-        """Return the settings with which policies that were trained with these are evaluated."""
-        return self
-
-
-class LearnerSettings(Section):
-    """Settings that every learning algorithm has; an algorithm adds its own."""
-
-    preset: str = Field(
-        default=DEFAULT_PRESET,
-        title="Preset",
-        description="Preset of every setting that is left out.",
-        json_schema_extra={"enum": list(presets.names())},
-    )
-    n_envs: int = Field(
-        default=128, ge=1, le=4096, title="Environments", description="Robots that are simulated in parallel."
-    )
-    n_steps: int = Field(
-        default=64,
-        ge=2,
-        le=1_048_576,
-        title="Steps per rollout",
-        description="Steps of each environment between two updates of the policy.",
-        json_schema_extra={"unit": "steps"},
-    )
-
-    @field_validator("preset")
-    @classmethod
-    def _known_preset(cls, value: str) -> str:
-        presets.read(value)
-        return value
-
-    @property
-    def rollout_steps(self) -> int:
-        """Samples of one rollout: environments times steps of each."""
-        return self.n_envs * self.n_steps
-
-    def policy_shape(self) -> dict[str, Any]:
-        """Return the settings that two trainings must share for one to start from the other's policy."""
-        return {}
-
-
-class RuntimeSettings(BaseModel):
-    """Settings that change how fast a training runs and how it handles faults, but not what it learns."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    simulator_threads: int = Field(
-        default=2, ge=1, le=256, title="Simulator threads", description="Threads that step the embedded simulator."
-    )
-    learner_threads: int = Field(
-        default=2, ge=1, le=256, title="Learner threads", description="Threads of the learner."
-    )
-    compiled_update: bool = Field(
-        default=True,
-        title="Compiled update",
-        description="Compute actions and gradients by compiled kernels, not by PyTorch; the last digits differ.",
-    )
-    checkpoint_interval_steps: int = Field(
-        default=1_000_000,
-        ge=1,
-        title="Checkpoint interval",
-        description="Save a checkpoint at the first update after every this many steps, and at the end.",
-        json_schema_extra={"unit": "steps"},
-    )
-    standby_servers: bool = Field(
-        default=True,
-        title="Standby servers",
-        description=(
-            "Servers only: give every environment a second server, which prepares its next start while the robot runs "
-            "on the first. Without it all robots wait whenever one starts."
-        ),
-    )
-    max_server_failures: int = Field(
-        default=20,
-        ge=0,
-        le=1_000_000,
-        title="Server failures allowed",
-        description="Servers only: servers that may fail and be replaced; one more ends the training.",
-    )
 
 
 class _Specification(BaseModel):
@@ -176,49 +38,6 @@ class _Specification(BaseModel):
     def digest(self) -> str:
         """Return the SHA-256 of the canonical JSON as 64 hexadecimal digits."""
         return hashlib.sha256(self.canonical_json().encode()).hexdigest()
-
-
-class Stage(BaseModel):
-    """One of several successive parts of a training, with settings of its own.
-
-    A stage starts from the policy that the stage before it ended with, as a training that is started from a checkpoint
-    does: weights and observation statistics are kept, everything else is new.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    steps: int = Field(
-        ge=1,
-        le=10_000_000_000,
-        title="Steps",
-        description="Environment steps of the stage, for each candidate; rounded up to whole rollouts.",
-        json_schema_extra={"unit": "steps"},
-    )
-    seed: int | None = Field(
-        default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
-    )
-    candidates: int = Field(
-        default=1,
-        ge=1,
-        le=16,
-        title="Candidates",
-        description="Policies that the stage trains one after the other, each with a seed of its own. The one with the "
-        "highest mean reward per step, over its latest 100 episodes, continues.",
-    )
-    robot: str | None = Field(
-        default=None,
-        title="Robot",
-        description="Robot of the stage, with its default settings; left out: the training's.",
-    )
-    algorithm: dict[str, Any] = Field(
-        default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
-    )
-    task: dict[str, Any] = Field(
-        default_factory=dict,
-        title="Task",
-        description="Task settings that differ in this stage; with a name of its own, another task with its default "
-        "settings.",
-    )
 
 
 class TrainingSpec(_Specification):
@@ -292,42 +111,15 @@ class TrainingSpec(_Specification):
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in(cls, data: Any) -> Any:
-        """Fill in the preset's values; leave bad values to the fields' own validation."""
+    def _resolve(cls, data: Any) -> Any:
+        """Resolve what a user wrote; leave bad values to the fields' own validation."""
+        if isinstance(data, WrittenSpec):
+            return data.resolved()
         if not isinstance(data, dict):
             return data
-        filled = _of_this_format(formats.Kind.TRAINING, data)
-        _refuse_misplaced(cls.__name__, filled, cls.model_fields.keys())
-        for section, name in DEFAULTS.items():
-            value = as_mapping(filled.get(section) if filled.get(section) is not None else {})
-            filled[section] = {"name": name, **value} if isinstance(value, dict) else value
-        robot = _name(plugins.ROBOTS, filled["robot"])
-        family = None if robot is None else plugins.load(plugins.ROBOTS, robot).family
-        algorithm = filled["algorithm"]
-        preset = algorithm.get("preset", DEFAULT_PRESET) if isinstance(algorithm, dict) else None
-        if isinstance(preset, str) and preset in presets.names():
-            for section in presets.SECTIONS:
-                plugin = _name(GROUPS[section], filled[section])
-                if plugin is None:
-                    continue
-                fields = section_models(GROUPS[section], plugin).model_fields
-                values = presets.values(preset, section, family)
-                offered = {name: value for name, value in values.items() if name in fields}
-                filled[section] = {**offered, **filled[section]}
-        task = _name(plugins.TASKS, filled["task"])
-        if task is not None and filled["task"].get("version") is None:
-            filled["task"] = {**filled["task"], "version": plugins.load(plugins.TASKS, task).version}
-        if task is not None and robot is not None:
-            filled["task"] = _resolved_task(filled["task"], task, robot, filled["robot"])
-        stages = filled.get("stages")
-        # what is no list of stages is left to the field's own validation
-        known = isinstance(stages, list | tuple) and all(isinstance(stage, dict | Stage) for stage in stages)
-        if stages and known and "total_steps" not in filled:
-            given = [stage if isinstance(stage, dict) else stage.model_dump() for stage in stages]
-            factors = [(stage.get("steps"), stage.get("candidates", 1)) for stage in given]
-            if all(isinstance(factor, int) and factor > 0 for pair in factors for factor in pair):
-                filled["total_steps"] = sum(steps * candidates for steps, candidates in factors)
-        return filled
+        written = _of_this_format(formats.Kind.TRAINING, data)
+        _refuse_misplaced(cls.__name__, written, cls.model_fields.keys())
+        return WrittenSpec(written).resolved()
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -399,7 +191,7 @@ class TrainingSpec(_Specification):
             content = self.model_dump(exclude={"stages"})
             if stage.robot is not None:
                 # this robot decides what the training's own robot decided
-                content = {**self.without_preset(), "stages": (), "robot": {"name": stage.robot}}
+                content = {**self.written().content, "stages": (), "robot": {"name": stage.robot}}
             if stage.task.get("name", self.task.name) != self.task.name:
                 content["task"] = {}
             content["total_steps"] = stage.steps
@@ -448,32 +240,28 @@ class TrainingSpec(_Specification):
                     found[f"{section}.{name}"] = mine
         return found
 
-    def without_preset(self) -> dict[str, Any]:
-        """Return the sections without defaults and without values from preset, task and robot.
+    def written(self) -> WrittenSpec:
+        """Return what has to be written for this specification: what neither preset, task, robot nor default decide.
 
-        Another preset, task, robot or simulator can then set these.
+        With another preset, task, robot or simulator, these then decide the rest.
         """
-        content = self.model_dump(mode="json", exclude_defaults=False)
-        changed = self.overrides()
-        family = self.family
-        for section in presets.SECTIONS:
-            for name in presets.values(self.algorithm.preset, section, family):
-                if f"{section}.{name}" not in changed:
-                    content[section].pop(name, None)
-        bare = self._task.resolve(type(self.task)(name=self.task.name), self._robot)
-        for section, default in (
-            ("task", bare),
-            *((name, type(getattr(self, name))()) for name in GROUPS if name != "task"),
-        ):
-            given = presets.values(self.algorithm.preset, section, family) if section in presets.SECTIONS else {}
-            for name in type(default).model_fields:
-                same = getattr(getattr(self, section), name) == getattr(default, name)
-                if name not in ("name", "preset") and same and name not in given:
-                    content[section].pop(name, None)
+        bare = {name: type(getattr(self, name))(name=getattr(self, name).name) for name in DEFAULTS}
+        bare["task"] = self._task.resolve(bare["task"], self._robot)
+        content = self.model_dump(mode="json")
+        for section, default in bare.items():
+            usual = default.model_dump(mode="json")
+            if section in presets.SECTIONS:
+                usual |= presets.values(self.algorithm.preset, section, self.family)
+            chosen = content[section].items()
+            content[section] = {
+                name: value
+                for name, value in chosen
+                if name in _ALWAYS_WRITTEN or name not in usual or value != usual[name]
+            }
         content["task"].pop("version", None)
         if self.stages:
             content.pop("total_steps")
-        return content
+        return WrittenSpec(content)
 
 
 class EvaluationSpec(_Specification):
@@ -573,6 +361,8 @@ class EvaluationSpec(_Specification):
         return TrainingSpec.model_validate(content)
 
 
+_ALWAYS_WRITTEN = {"name", "preset"}
+
 Spec = TypeVar("Spec", bound=_Specification)
 
 
@@ -590,22 +380,6 @@ def read_stored(model: type[Spec], document: Mapping[str, Any]) -> Spec:
 def _of_this_format(kind: formats.Kind, data: dict[str, Any]) -> dict[str, Any]:
     """Return a copy of a specification; one that names no format has this version's."""
     return formats.current(kind, data) if "format" in data else dict(data)
-
-
-def _name(group: str, section: Any) -> str | None:
-    """Return the name of the plug-in that a section names, or None if validation will fail."""
-    name = section.get("name") if isinstance(section, dict) else None
-    return name if isinstance(name, str) and name in plugins.names(group) else None
-
-
-def _resolved_task(given: dict[str, Any], task: str, robot: str, robot_settings: Mapping[str, Any]) -> Any:
-    """Return a task's settings with those filled in that depend on the robot; as they are if either is not valid."""
-    try:
-        settings = section_models(plugins.TASKS, task).model_validate(given)
-        configured = plugins.load(plugins.ROBOTS, robot).with_parameters(robot_settings)
-    except ValidationError:
-        return given  # the fields' own validation names what is wrong
-    return plugins.load(plugins.TASKS, task).resolve(settings, configured)
 
 
 def _refuse_misplaced(title: str, data: dict[str, Any], fields: AbstractSet[str]) -> None:

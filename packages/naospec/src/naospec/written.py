@@ -1,0 +1,136 @@
+"""What a user writes of a training, and how it is resolved: by preset, task, robot and defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from naospec import plugins, presets
+from naospec.flat import GROUPS, nest
+from naospec.sections import as_mapping, section_models
+from naospec.settings import DEFAULT_PRESET
+
+DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
+"""Names of the sections that a specification omits."""
+
+
+class Stage(BaseModel):
+    """One of several successive parts of a training, with settings of its own.
+
+    A stage starts from the policy that the stage before it ended with, as a training that is started from a checkpoint
+    does: weights and observation statistics are kept, everything else is new.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    steps: int = Field(
+        ge=1,
+        le=10_000_000_000,
+        title="Steps",
+        description="Environment steps of the stage, for each candidate; rounded up to whole rollouts.",
+        json_schema_extra={"unit": "steps"},
+    )
+    seed: int | None = Field(
+        default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
+    )
+    candidates: int = Field(
+        default=1,
+        ge=1,
+        le=16,
+        title="Candidates",
+        description="Policies that the stage trains one after the other, each with a seed of its own. The one with the "
+        "highest mean reward per step, over its latest 100 episodes, continues.",
+    )
+    robot: str | None = Field(
+        default=None,
+        title="Robot",
+        description="Robot of the stage, with its default settings; left out: the training's.",
+    )
+    algorithm: dict[str, Any] = Field(
+        default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
+    )
+    task: dict[str, Any] = Field(
+        default_factory=dict,
+        title="Task",
+        description="Task settings that differ in this stage; with a name of its own, another task with its default "
+        "settings.",
+    )
+
+
+@dataclass(frozen=True)
+class WrittenSpec:
+    """What a user wrote: any of the sections and settings; ``TrainingSpec.model_validate`` resolves it.
+
+    Attributes:
+        content: settings by name; a section is a name, or a mapping with ``name`` and settings.
+    """
+
+    content: Mapping[str, Any]
+
+    def with_settings(self, chosen: Mapping[str, Any]) -> WrittenSpec:
+        """Return it with other settings, by path: ``algorithm.learning_rate``, or by name.
+
+        Raises:
+            KeyError: if a specification has no such setting.
+        """
+        return WrittenSpec(nest(chosen, dict(self.content)))
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the content with everything that was left out, as far as the plug-ins' names are valid."""
+        content = dict(self.content)
+        for section, name in DEFAULTS.items():
+            value = as_mapping(content.get(section) if content.get(section) is not None else {})
+            content[section] = {"name": name, **value} if isinstance(value, dict) else value
+        robot, task = (_plugin(name, content[name]) for name in ("robot", "task"))
+        family = None if robot is None else plugins.load(plugins.ROBOTS, robot).family
+        _add_preset(content, family)
+        if task is not None and content["task"].get("version") is None:
+            content["task"] = {**content["task"], "version": plugins.load(plugins.TASKS, task).version}
+        if task is not None and robot is not None:
+            content["task"] = _resolved_task(content["task"], task, robot, content["robot"])
+        total = _steps_of(content.get("stages"))
+        return {"total_steps": total, **content} if total else content
+
+
+def _add_preset(content: dict[str, Any], family: str | None) -> None:
+    """Fill in the preset's values where the plug-ins of the sections have such settings."""
+    algorithm = content["algorithm"]
+    preset = algorithm.get("preset", DEFAULT_PRESET) if isinstance(algorithm, dict) else None
+    if not isinstance(preset, str) or preset not in presets.names():
+        return
+    for section in presets.SECTIONS:
+        plugin = _plugin(section, content[section])
+        if plugin is not None:
+            fields = section_models(GROUPS[section], plugin).model_fields
+            values = presets.values(preset, section, family)
+            content[section] = {**{name: values[name] for name in values if name in fields}, **content[section]}
+
+
+def _plugin(section: str, value: Any) -> str | None:
+    """Return the name of the plug-in that a section names, or None if validation will fail."""
+    name = value.get("name") if isinstance(value, dict) else None
+    return name if isinstance(name, str) and name in plugins.names(GROUPS[section]) else None
+
+
+def _resolved_task(given: dict[str, Any], task: str, robot: str, robot_settings: Mapping[str, Any]) -> Any:
+    """Return a task's settings with those filled in that depend on the robot; as they are if either is not valid."""
+    try:
+        settings = section_models(plugins.TASKS, task).model_validate(given)
+        configured = plugins.load(plugins.ROBOTS, robot).with_parameters(robot_settings)
+    except ValidationError:
+        return given  # the fields' own validation names what is wrong
+    return plugins.load(plugins.TASKS, task).resolve(settings, configured)
+
+
+def _steps_of(stages: Any) -> int | None:
+    """Return the steps of all stages, candidates included; None if there are none, or validation will fail."""
+    if not isinstance(stages, list | tuple) or not all(isinstance(stage, dict | Stage) for stage in stages):
+        return None
+    given = [stage if isinstance(stage, dict) else stage.model_dump() for stage in stages]
+    factors = [(stage.get("steps"), stage.get("candidates", 1)) for stage in given]
+    if not all(isinstance(factor, int) and factor > 0 for pair in factors for factor in pair):
+        return None
+    return int(sum(steps * candidates for steps, candidates in factors))
