@@ -96,7 +96,7 @@ class Worlds {
  public:
   Worlds(const nb::dict& functions, std::uint64_t model, const Layout& layout, const Addresses& data, const Addresses& ctrl,
          const Addresses& sensordata, const Addresses& qpos, const Addresses& speeds,
-         const Addresses& xpos, const Addresses& xmat, const std::vector<int>& bodies, int substeps,
+         const Addresses& xpos, const Addresses& xmat, const Doubles& kp, const Doubles& kd, const std::vector<int>& bodies, int substeps,
          int delay, bool truncate, int threads)
       : step_(pointer_to<Step>(functions["mj_step"])),
         set_state_(pointer_to<SetState>(functions["mj_setState"])),
@@ -110,6 +110,8 @@ class Worlds {
         substeps_(substeps),
         delay_(delay),
         truncate_(truncate),
+        kp_(kp),
+        kd_(kd),
         bodies_(bodies),
         pool_(threads) {
     for (std::size_t k = 0; k < data.size(); ++k)
@@ -120,6 +122,7 @@ class Worlds {
     pending.assign(n * joints, 0.0);
     joint_angles.assign(n * joints, 0.0);
     joint_speeds.assign(n * joints, 0.0);
+    torques.assign(n * joints, 0.0);
     torso_quat.assign(n * 4, 0.0);
     for (auto* triple : {&torso_pos, &gyro, &accel, &position}) triple->assign(n * 3, 0.0);
     rotation.assign(n * 9, 0.0);
@@ -279,7 +282,7 @@ class Worlds {
         for (int s = 0; s < substeps_; ++s) step_(world.model, world.data);
   }
 
-  std::vector<double> pending, joint_angles, joint_speeds, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
+  std::vector<double> pending, joint_angles, joint_speeds, torques, torso_quat, torso_pos, gyro, accel, position, rotation, foot_frames;
   std::vector<double> body_position, body_rotation, body_velocity, body_spin;  // body by body, then row by row
   std::vector<double> contacts, ball;                                          // part by part; row by row
   std::vector<std::uint8_t> diverged;
@@ -402,6 +405,8 @@ class Worlds {
     print(s + 10, 3, 1.0, 100.0, &accel[3 * r]);
     print(s + 13, layout_.joints, kDegrees, 100.0, &joint_angles[joints * r]);
     print(s + 13 + joints, layout_.joints, kDegrees, 100.0, &joint_speeds[joints * r]);
+    const double *kp = kp_.data() + joints * r, *kd = kd_.data() + joints * r, *angles = s + 13, *speeds = angles + joints;
+    for (std::size_t j = 0; j < joints; ++j) torques[joints * r + j] = kp[j] * (worlds_[row].ctrl[3 * j + 1] - angles[j]) - kd[j] * speeds[j];
     const double* x = worlds_[row].qpos + layout_.torso;
     std::memcpy(&position[3 * r], x, 3 * sizeof(double));
     rotation_of(x + 3, &rotation[9 * r]);
@@ -474,6 +479,7 @@ class Worlds {
   Layout layout_;
   int substeps_, delay_;
   bool truncate_;
+  Doubles kp_, kd_;  // of every world's motors, which Python changes
   std::vector<World> worlds_;
   const Kernel* kernel_ = nullptr;  // null: mj_step
   naosim::humanoid::Library library_;
@@ -509,18 +515,19 @@ NB_MODULE(_mujoco, m) {
       .def("__init__",
            [](Worlds* self, const nb::dict& functions, std::uint64_t model, int joints, int positions, int torso, int state, int signature, int parts,
               const Addresses& data, const Addresses& ctrl, const Addresses& sensordata, const Addresses& qpos,
-              const Addresses& speeds, const Addresses& xpos, const Addresses& xmat,
+              const Addresses& speeds, const Addresses& xpos, const Addresses& xmat, const Doubles& kp, const Doubles& kd,
               const std::vector<int>& bodies, int substeps, int delay, bool truncate, int threads) {
              require(data.size() >= 1, "one world at least");
              for (const Addresses* each : {&ctrl, &sensordata, &qpos, &speeds, &xpos, &xmat})
                require(each->size() == data.size(), "one address per world is needed");
+             require(kp.size() == data.size() * static_cast<std::size_t>(joints) && kd.size() == kp.size(), "kp, kd: wrong shape");
              require(joints >= 1 && positions >= torso + 7 && torso >= 0 && state >= 1 && parts >= 0, "layout: out of range");
              require(substeps >= 1 && (delay == 0 || delay == 1) && threads >= 1, "substeps, delay, threads: out of range");
              new (self) Worlds(functions, model, {joints, positions, torso, state, signature, parts}, data, ctrl, sensordata, qpos, speeds,
-                               xpos, xmat, bodies, substeps, delay, truncate, threads);
+                               xpos, xmat, kp, kd, bodies, substeps, delay, truncate, threads);
            }, nb::kw_only(), nb::arg("functions"), nb::arg("model"), nb::arg("joints"), nb::arg("positions"), nb::arg("torso"),
            nb::arg("state"), nb::arg("signature"), nb::arg("parts"), nb::arg("data"), nb::arg("ctrl"), nb::arg("sensordata"), nb::arg("qpos"),
-           nb::arg("speeds"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("bodies"),
+           nb::arg("speeds"), nb::arg("xpos"), nb::arg("xmat"), nb::arg("kp"), nb::arg("kd"), nb::arg("bodies"),
            nb::arg("substeps"), nb::arg("delay"), nb::arg("truncate"), nb::arg("threads"))
       .def("step",
            [](Worlds& self, const Doubles& targets, int first, const std::optional<Bytes>& active) {
@@ -586,6 +593,7 @@ NB_MODULE(_mujoco, m) {
         nb::dict views;
         views["joint_angles"] = view(w.joint_angles, {n, joints});
         views["joint_speeds"] = view(w.joint_speeds, {n, joints});
+        views["torques"] = view(w.torques, {n, joints});
         views["torso_quat"] = view(w.torso_quat, {n, 4});
         views["torso_pos"] = view(w.torso_pos, {n, 3});
         views["gyro"] = view(w.gyro, {n, 3});

@@ -180,7 +180,7 @@ class Step {
     return table;
   }
   std::shared_ptr<Operation> kept(const OperationHolder& holder) {
-    require(holder.rows == n_, "operations: one row per robot is needed");
+    require(holder.rows == n_ || holder.rows < 0, "operations: one row per robot is needed");  // constants have none
     holders_.push_back(holder);
     return holder.operation;
   }

@@ -103,6 +103,35 @@ void sum(const Step& step, const double* const* in, double* out, const Rows& row
   }
 }
 
+// A table's value at a number, as numpy.interp: `constants` are its places, then its values.
+void interpolated(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  const auto half = static_cast<std::ptrdiff_t>(step.constants.size() / 2);
+  const double *at = step.constants.data(), *values = at + half;
+  for (int k = 0; k < rows.count; ++k) {
+    const double x = in[0][k];
+    const std::ptrdiff_t j = std::upper_bound(at, at + half, x) - at - 1;
+    if (x != x)
+      out[k] = x;
+    else if (j < 0)
+      out[k] = values[0];
+    else if (j == half - 1 || at[j] == x)
+      out[k] = values[j];
+    else
+      out[k] = (values[j + 1] - values[j]) / (at[j + 1] - at[j]) * (x - at[j]) + values[j];
+  }
+}
+
+// A 3 x 3 matrix times 3 x m numbers, both row by row.
+void product(const Step& step, const double* const* in, double* out, const Rows& rows) {
+  const int m = step.width / 3;
+  for (int i = 0; i < 3; ++i)
+    for (int c = 0; c < m; ++c)
+      for (int k = 0; k < rows.count; ++k) {
+        const double *a = in[0] + 3 * i * kLanes + k, *b = in[1] + c * kLanes + k;
+        out[(i * m + c) * kLanes + k] = a[0] * b[0] + a[kLanes] * b[m * kLanes] + a[2 * kLanes] * b[2 * m * kLanes];
+      }
+}
+
 // Numbers of stream in[0] in its in[1]-th draw, from [0, 1).
 void uniform(const Step& step, const double* const* in, double* out, const Rows& rows) {
   const auto seed = static_cast<std::uint64_t>(step.constants[0]);
@@ -147,10 +176,13 @@ const std::map<std::string, Entry> kFunctions = {
     {"where", {where, 3}},
     {"uniform", {uniform, 2}},
     {"centre_of_mass", {centre_of_mass, 1}},
+    {"interpolated", {interpolated, 1}},
+    {"product", {product, 2}},
     {"remainder", {binary<rest_of>, 2}},
     {"sin", UNARY(std::sin(a))},
     {"cos", UNARY(std::cos(a))},
     {"exp", UNARY(std::exp(a))},
+    {"log", UNARY(std::log(a))},
     {"sqrt", UNARY(std::sqrt(a))},
     {"absolute", UNARY(std::fabs(a))},
     {"add", BINARY(a + b)},
@@ -159,6 +191,7 @@ const std::map<std::string, Entry> kFunctions = {
     {"divide", BINARY(a / b)},
     {"arctan2", BINARY(std::atan2(a, b))},
     {"hypot", BINARY(std::hypot(a, b))},
+    {"copysign", BINARY(std::copysign(a, b))},
     {"minimum", BINARY(a < b || a != a ? a : b)},
     {"maximum", BINARY(a > b || a != a ? a : b)},
     {"less", BINARY(a < b ? 1.0 : 0.0)},
@@ -192,6 +225,10 @@ void check(const Node& node, const std::vector<Node>& nodes) {
     require(node.constants.size() == 1 && given(0) == 1 && given(1) == 1, node, "a seed, a stream and a draw are needed");
   } else if (node.function == "centre_of_mass") {
     require(node.width == 3 && node.address != 0, node, "the address of a function is needed");
+  } else if (node.function == "interpolated") {
+    require(node.width == 1 && given(0) == 1 && node.constants.size() >= 4 && node.constants.size() % 2 == 0, node, "a number and a table are needed");
+  } else if (node.function == "product") {
+    require(given(0) == 9 && given(1) % 3 == 0 && node.width == given(1), node, "a 3 x 3 matrix and 3 x m numbers are needed");
   } else if (node.function == "sum") {
     require(node.width == 1, node, "wrong width");
   } else {

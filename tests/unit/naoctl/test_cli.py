@@ -676,7 +676,6 @@ def test_policies_are_listed_evaluated_and_exported_without_the_service(
         "check.py",
         "terms.py",
         "Naosprint.py",
-        "onboard.py",
         "play.py",
         "runner.py",
         "policy.npz",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from naospec.plugins import SIMULATORS, Plugin
-from naospec.specification import SimulatorSettings
+from naospec.settings import SimulatorSettings
 from numpy.typing import NDArray
 
 from naosim.robots.description import PerceptorDescription, Shape
@@ -103,7 +103,7 @@ class Ability(StrEnum):
     STIFFER = "stiffer contacts"
     """:meth:`Simulator.vary` with stiffer contacts."""
     TORQUES = "motor torques"
-    """:meth:`Simulator.torque_shares`."""
+    """:meth:`Simulator.torques`."""
     LYING = "lying starts"
     """Starts with ``orientations``."""
     MOVING = "moving starts"
@@ -474,13 +474,24 @@ class Simulator(ABC):
         off: Flags = np.asarray((self.foot_frames() < CONTACT_N).all(axis=2))
         return np.asarray((off[:, :-1] & off[:, 1:]).any(axis=1) if off.shape[1] > 1 else off[:, 0])
 
+    def torques(self) -> Floats:
+        """Return the (n, J) torques in N m that the motors demanded last; the motors limit them.
+
+        Compiled code needs the same array at every call.
+
+        Raises:
+            ValueError: if the simulator does not report torques.
+        """
+        raise ValueError(f"torque_penalty: {type(self).__name__} does not report motor torques; set it to 0")
+
     def torque_shares(self, rows: slice | Ints) -> Floats:
         """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1.
 
         Raises:
             ValueError: if the simulator does not report torques.
         """
-        raise ValueError(f"torque_penalty: {type(self).__name__} does not report motor torques; set it to 0")
+        limits = np.array([joint.max_torque for joint in self.robot.joints])
+        return np.asarray(np.clip(self.torques()[rows] / limits, -1.0, 1.0))
 
     # disturbances
 

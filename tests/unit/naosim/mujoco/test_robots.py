@@ -212,6 +212,12 @@ def test_the_camera_is_where_the_model_has_it(robot: Robot) -> None:
     data.qpos[first + 7 : first + 9] = (0.4, 0.5)
     mujoco.mj_kinematics(built.model, data)
     assert robot.camera is not None
-    (position,), (rotation,) = robot.camera.pose(np.array([0.4]), np.array([0.5]))
+    (c, s), (d, z) = (np.cos(0.4), np.sin(0.4)), (np.cos(0.5), np.sin(0.5))
+    turn, nod = (
+        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]),
+        np.array([[d, 0.0, z], [0.0, 1.0, 0.0], [-z, 0.0, d]]),
+    )
+    mount, rotation = robot.camera, turn @ nod
+    position = mount.yaw_m + turn @ (mount.pitch_m + nod @ mount.camera_m)
     assert position + np.array([1.0, 2.0, 0.7]) == pytest.approx(data.site_xpos[built.camera], abs=1e-12)
     assert rotation.ravel() == pytest.approx(data.site_xmat[built.camera], abs=1e-12)

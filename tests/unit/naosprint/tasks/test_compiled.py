@@ -13,8 +13,10 @@ from naosim.simulator import NativeHandle, Simulator
 from naosprint import _compiled
 from naosprint.rl.normalization import Normalizer, RunningMoments
 from naosprint.tasks import ObservationBlock, RewardTerm, Task
+from naosprint.tasks.dribble import Dribble
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.getup import GetUp
+from naosprint.tasks.kick import Kick
 from naosprint.tasks.sprint import Sprint1, Sprint2, SprintSettings
 from naosprint.tasks.velocity import Velocity
 from naosprint.terms import source
@@ -47,7 +49,7 @@ def run(environment: Environment, steps: int) -> list[np.ndarray]:
         found += [flag.copy() for flag in environment.ends.values()]
         over = np.flatnonzero(environment.terminated | environment.truncated)
         found.append(environment.task.measure(over))
-        environment.restart(over, over % 8)
+        environment.restart(over, over % 2)
         found.append(environment.observations.copy())
     found += [array for _, array in sorted(environment.state().items())]
     environment.close()
@@ -78,6 +80,13 @@ def test_a_compiled_step_has_the_bits_of_the_python_code(
     assert compiled.ends["fallen"].dtype == np.bool_
 
 
+def test_a_robot_that_estimates_its_pose_too() -> None:
+    robot = robots.get("nao-3").with_parameters({"onboard_sensing": True})
+    compiled, plain = (opened(EmbeddedSimulator(robot, 3), compiled=wanted) for wanted in (True, False))
+    assert compiled.compiled
+    same(run(compiled, 60), run(plain, 60))
+
+
 def test_a_mujoco_robot_too() -> None:
     mujoco = pytest.importorskip("naosim.mujoco.embedded")
     robot = robots.get("t1")
@@ -93,7 +102,11 @@ def test_a_mujoco_robot_too() -> None:
     ("task", "settings"),
     [
         (Velocity, {"flight_weight": 0.3, "fall_penalty": 0.2, "command_steps": 12, "action_penalty": 0.1}),
-        (GetUp, {"smoothness_penalty": 0.2, "episode_steps": 30}),
+        (GetUp, {"smoothness_penalty": 0.2, "episode_steps": 30, "torque_penalty": 0.1}),
+        (Kick, {"handover_states": 8, "approach_steps": 30, "takeover_steps": 2}),
+        (Kick, {"handover_states": 8, "rolling_fraction": 1.0, "whole_roll": True}),
+        (Dribble, {"handover_states": 8, "line_steps": 10}),
+        (Dribble, {"handover_states": 8, "course": True}),
     ],
 )
 def test_tasks_of_expressions_have_the_same_bits_in_both_interpreters(
@@ -102,11 +115,13 @@ def test_tasks_of_expressions_have_the_same_bits_in_both_interpreters(
     mujoco = pytest.importorskip("naosim.mujoco.embedded")
     environments = []
     for wanted in (True, False):
-        simulator = mujoco.MujocoSimulator(robots.get("t1"), 4)
-        chosen = task.resolve(task.Parameters(name=task.name).model_copy(update=settings), simulator.robot)
-        environments.append(Environment(simulator, task, chosen, compiled=wanted))
-        environments[-1].load_starts(environments[-1].task.starts(8, 0, 2.0))
-        environments[-1].restart(np.arange(4), np.arange(4))
+        robot = robots.get("t1").with_parameters({"head_pitch_rad": 0.6})
+        simulator = mujoco.MujocoSimulator(robot, 4, scene=task.scene)
+        chosen = task.resolve(task.Parameters(name=task.name).model_copy(update=settings), robot)
+        environments.append(Environment(simulator, task, chosen, compiled=wanted, critic=True))
+        starts = environments[-1].task.starts(8, 0, 2.0)
+        environments[-1].load_starts(starts)
+        environments[-1].restart(np.arange(4), np.arange(4) % len(starts))
     assert [environment.compiled for environment in environments] == [True, False]
     same(*(run(environment, 45) for environment in environments))
 

@@ -11,7 +11,7 @@ from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.robots.booster import T1
 from naosim.simulator import BALL, STEP_S
 from naospec import TrainingSpec
-from naosprint.tasks.ball import along
+from naosprint.tasks.ball import components
 from naosprint.tasks.dribble import CORRIDOR_HALF_M, LEG_M, LOST_M, Dribble, DribbleSettings
 from naosprint.tasks.environment import Environment
 from naosprint.tasks.episodes import Episodes, Statistics
@@ -52,7 +52,7 @@ def test_the_walker_takes_the_ball_along() -> None:
     task = task_of(environment)
     first = environment.world.bodies[BALL].position[:, :2].copy()
     walk(environment, 100)
-    moved = along(task._aim, environment.world.bodies[BALL].position[:, :2] - first)[0]
+    moved = components(task._aim, environment.world.bodies[BALL].position[:, :2] - first)[0]
     assert np.median(moved) > 0.5
 
 
@@ -90,11 +90,11 @@ def test_the_reward_grows_with_a_ball_that_rolls_as_commanded_and_is_near() -> N
     every = slice(0, 3)
     task._apart[:] = 0.4
     task._error[:] = (0.0, 0.5, 2.0)
-    near = terms["track_ball"].value(every)
+    near = terms["track_ball"].compute(every)
     assert near[0] == pytest.approx(1.0)
     assert (np.diff(near) < 0.0).all()
     task._apart[:] = 1.0
-    assert (terms["track_ball"].value(every) < near).all()
+    assert (terms["track_ball"].compute(every) < near).all()
     assert terms["offset"].weight < 0.0
 
 

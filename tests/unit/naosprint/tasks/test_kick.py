@@ -21,6 +21,7 @@ from naosprint.tasks.handover import HandOver, record
 from naosprint.tasks.kick import UPRIGHT_S, Kick, KickSettings
 from naosprint.tasks.observations import ObservationBlock, Observer
 from naosprint.tasks.velocity import Velocity, VelocitySettings
+from naosprint.terms import source
 from pydantic import ValidationError
 
 RADIUS = T1.field.ball_radius_m
@@ -186,7 +187,7 @@ def test_rolls_are_those_of_the_exact_engine() -> None:
         if np.hypot(*ball.velocity[:, :2].T).max() < 0.01:
             break
     moved = ball.position[:, :2] - (0.0, -4.0)
-    predicted = rolling.rolling(velocity, spin, RADIUS)
+    predicted = rolling.roll(source(velocity), source(spin), RADIUS)(slice(None))
     distance, direction = rolling.stop(np.hypot(*predicted.T), np.arctan2(predicted[:, 1], predicted[:, 0]))
     found = np.hypot(*moved.T)
     np.testing.assert_allclose(distance[:4], found[:4], rtol=0.02)
@@ -244,12 +245,16 @@ def test_a_score_prefers_straight_kicks_of_the_commanded_distance() -> None:
     task._power[:] = False
     task._speed[:] = rolling.launch(np.full(3, 4.0), np.zeros(3))[0]
     angles, far = np.radians([0.0, 5.0, 20.0]), np.full(3, 4.0)
-    straight, off, wide = task._scored(angles, far, everyone)
+
+    def scored(angle: np.ndarray, reached: np.ndarray) -> np.ndarray:
+        return task._scored(source(angle), source(reached))(everyone)[:, 0]
+
+    straight, off, wide = scored(angles, far)
     assert straight > 1.2 * off > 2.0 * wide
-    short, right, long = task._scored(np.zeros(3), np.array([2.0, 4.0, 7.0]), everyone)
+    short, right, long = scored(np.zeros(3), np.array([2.0, 4.0, 7.0]))
     assert right > 1.5 * max(short, long)
     task._power[:] = True
-    assert task._scored(np.zeros(3), np.array([2.0, 4.0, 7.0]), everyone).argmax() == 2
+    assert scored(np.zeros(3), np.array([2.0, 4.0, 7.0])).argmax() == 2
 
 
 def test_a_walk_through_the_ball_moves_it_and_ends_upright() -> None:

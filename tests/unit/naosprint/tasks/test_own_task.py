@@ -37,7 +37,7 @@ def test_a_task_of_public_parts_is_disturbed_penalized_and_runs_compiled(offer: 
         for disturbed in (True, False):
             task = {"name": "stroll", **(settings if disturbed else {})}
             environment = open_environment(specification(robot, task), 2, threads=1)
-            assert environment.compiled != ("torque_penalty" in task)  # torques have no compiled form
+            assert environment.compiled
             environment.load_starts(environment.task.starts(2, 0, 0.0))
             for _ in range(10):
                 environment.step(np.zeros((2, environment.actuation.n_actions)))

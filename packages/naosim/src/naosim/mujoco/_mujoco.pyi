@@ -25,6 +25,8 @@ class Worlds:
         speeds: NDArray[np.uint64],
         xpos: NDArray[np.uint64],
         xmat: NDArray[np.uint64],
+        kp: NDArray[np.float64],
+        kd: NDArray[np.float64],
         bodies: list[int],
         substeps: int,
         delay: int,

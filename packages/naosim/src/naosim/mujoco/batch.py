@@ -40,6 +40,7 @@ class MujocoBatch:
         rotation: (n, 3, 3) rotations from the torso's frame into the world's.
         bodies: motion of the bodies that the world's scene names, at the end of the step.
         contacts: by part of the robot, (n,) share of the step in which the ball touched it.
+        torques: (n, J) torques in N m that the motors demand, whatever their limits, in the last 5 ms.
         foot_frames: (n, substeps, 2) upward forces of the ground on left and right foot in newtons, every 5 ms.
         diverged: (n,) worlds whose state is no longer finite; they are not stepped.
         data: the ``MjData`` of every world.
@@ -83,6 +84,8 @@ class MujocoBatch:
             speeds=_addresses(data.qvel[world.first_speed :].ctypes.data for data in self.data),
             xpos=_addresses(data.xpos.ctypes.data for data in self.data),
             xmat=_addresses(data.xmat.ctypes.data for data in self.data),
+            kp=self.kp,
+            kd=self.kd,
             bodies=list(world.moving),
             substeps=substeps,
             delay=delay,
@@ -116,6 +119,7 @@ class MujocoBatch:
         self.contacts: dict[str, Floats] = dict(zip(TOUCHING, views["contacts"], strict=False))
         self.position: Floats = views["position"]
         self.rotation: Floats = views["rotation"]
+        self.torques: Floats = views["torques"]
         self.foot_frames: Floats = views["foot_frames"]
         self.diverged: NDArray[np.bool_] = views["diverged"].view(np.bool_)
 

@@ -10,7 +10,7 @@ import numpy as np
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
-from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, torque_shares, world_of
+from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, world_of
 from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves
 
 if TYPE_CHECKING:
@@ -244,14 +244,9 @@ class MujocoSimulator(Simulator):
         forces: Floats = self.batch.foot_frames[:, -1]
         return forces
 
-    def torque_shares(self, rows: slice | Ints) -> Floats:
-        """Return the (k, J) share of its torque limit that each motor applied in the last 5 ms, from -1 to 1."""
-        chosen = self.batch.data[rows] if isinstance(rows, slice) else [self.batch.data[row] for row in rows]
-        joints = self.world.joints
-        sensed = np.array([data.sensordata[13 : 13 + 2 * joints] for data in chosen])
-        targets = np.array([data.ctrl[1::3] for data in chosen])
-        kp, kd = self.batch.kp[rows], self.batch.kd[rows]
-        return torque_shares(self.robot, targets, sensed[:, :joints], sensed[:, joints:], kp, kd)
+    def torques(self) -> Floats:
+        """Return the (n, J) torques in N m that the motors demanded in the last 5 ms."""
+        return self.batch.torques
 
     def foot_frames(self) -> Floats:
         """Return the (n, 4, 2) upward forces on left and right foot in newtons, every 5 ms of the last step."""

@@ -9,7 +9,7 @@ import numpy as np
 from naosim.fleet_simulator import FleetSimulator
 from naosim.mujoco.client import MujocoFleet
 from naosim.mujoco.shapes import body_poses, sole_heights
-from naosim.mujoco.world import PARKED_BALL_M, gains, library, torque_shares, world_of
+from naosim.mujoco.world import PARKED_BALL_M, gains, library, world_of
 from naosim.simulator import BALL, PLAIN, STEP_S, BodyState, Truth, finite
 
 if TYPE_CHECKING:
@@ -227,10 +227,11 @@ class RemoteMujocoSimulator(FleetSimulator):
         above = sole_heights(world_of(self.robot), self._coordinates()) > 0.0
         return np.asarray(above.all(axis=1))
 
-    def torque_shares(self, rows: slice | Ints) -> Floats:
-        """Return the (k, J) share of its torque limit that each motor applied last, from -1 to 1, as perceived."""
-        angles, speeds = (np.radians(self.perceptors[name][rows]) for name in ("joint_angles", "joint_speeds"))
-        return torque_shares(self.robot, self._acting[rows], angles, speeds, *gains(self.robot))
+    def torques(self) -> Floats:
+        """Return the (n, J) torques in N m that the motors demanded last, as perceived."""
+        angles, speeds = (np.radians(self.perceptors[name]) for name in ("joint_angles", "joint_speeds"))
+        kp, kd = gains(self.robot)
+        return np.asarray(kp * (self._acting - angles) - kd * speeds)
 
     def _coordinates(self) -> Floats:
         """Return (n, 7 + J) torso positions and quaternions, and joint angles in radians, as perceived."""

@@ -227,22 +227,6 @@ def gains(robot: Robot) -> tuple[Floats, Floats]:
     return np.array(kp), np.array(kd)
 
 
-def torque_shares(robot: Robot, targets: Floats, angles: Floats, speeds: Floats, kp: Floats, kd: Floats) -> Floats:
-    """Return the (k, J) share of its torque limit that each motor applies, from -1 to 1.
-
-    Args:
-        robot: the robot, with its torque limits.
-        targets: (k, J) target angles in radians.
-        angles: (k, J) joint angles in radians.
-        speeds: (k, J) joint speeds in rad/s.
-        kp: (J,) or (k, J) stiffness of the motors in N m/rad.
-        kd: (J,) or (k, J) damping in N m s/rad.
-    """
-    limits = np.array([joint.max_torque for joint in robot.joints])
-    shares: Floats = np.clip((kp * (targets - angles) - kd * speeds) / limits, -1.0, 1.0)
-    return shares
-
-
 def world_of(robot: Robot, *, engine: Engine = "mujoco", scene: Scene = PLAIN) -> MujocoWorld:
     """Return the world of a robot with its gains."""
     world = compiled(robot.data["model"], engine, scene)

@@ -96,21 +96,6 @@ class CameraMount:
     pitch_m: tuple[float, float, float]
     camera_m: tuple[float, float, float]
 
-    def pose(self, yaw_rad: Floats, pitch_rad: Floats) -> tuple[Floats, Floats]:
-        """Return (k, 3) positions and (k, 3, 3) rotations of the camera in the torso's frame.
-
-        Args:
-            yaw_rad: (k,) angles of ``head_yaw``.
-            pitch_rad: (k,) angles of ``head_pitch``.
-        """
-        turn, nod = np.zeros((2, len(yaw_rad), 3, 3))
-        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(yaw_rad)
-        turn[:, 1, 0], turn[:, 0, 1], turn[:, 2, 2] = np.sin(yaw_rad), -np.sin(yaw_rad), 1.0
-        nod[:, 0, 0] = nod[:, 2, 2] = np.cos(pitch_rad)
-        nod[:, 0, 2], nod[:, 2, 0], nod[:, 1, 1] = np.sin(pitch_rad), -np.sin(pitch_rad), 1.0
-        head = np.array(self.pitch_m) + nod @ np.array(self.camera_m)
-        return np.array(self.yaw_m) + np.einsum("kij,kj->ki", turn, head), turn @ nod
-
 
 @dataclass(frozen=True)
 class PerceptorDescription:

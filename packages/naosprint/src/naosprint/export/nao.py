@@ -34,7 +34,7 @@ def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
     """
     features = [name for name in observations if f"{name}_rate" in observations]
     both = [*features, *(f"{name}_rate" for name in features)]
-    model = model_of(robot)
+    model, sees = model_of(robot), any(each.name == "vision" for each in robot.perceptors)
     return {
         "robot_type": np.array(model.robot_type),
         "gain": np.array(GAIN),
@@ -43,27 +43,7 @@ def arrays(robot: Robot, observations: Sequence[str]) -> dict[str, AnyArray]:
         "observation_index": np.array([both.index(name) for name in observations if name in both]),
         "sees_velocity": np.array("forward_velocity" in observations),
         **kinematics(model),
-        **(onboard(model) if any(each.name == "vision" for each in robot.perceptors) else {}),
-    }
-
-
-def onboard(model: RobotModel) -> dict[str, AnyArray]:
-    """Return what estimates yaw and height of a NAO with onboard sensing; see ``naosprint.tasks.onboard_pose``."""
-    from naosprint.tasks import onboard_pose as pose
-
-    place = model.body_index
-    return {
-        "onboard_landmarks": np.array([position for _, position in LANDMARKS]),
-        "onboard_feet": np.array([place["lfoot"], place["rfoot"]]),
-        "onboard_head": np.array(place["head"]),
-        "onboard_sole_m": np.array(model.bodies[place["lfoot"]].shape.size) / 2.0,
-        "onboard_sole_height_m": np.array(pose.SOLE_HEIGHT_M),
-        "onboard_height_gain": np.array(pose.HEIGHT_GAIN),
-        "onboard_climb_gain": np.array(pose.CLIMB_GAIN),
-        "onboard_min_sight_gain": np.array(pose.MIN_SIGHT_GAIN),
-        "onboard_min_sights": np.array(pose.MIN_SIGHTS),
-        "onboard_level": np.array(pose.LEVEL),
-        "onboard_gravity": np.array(pose.GRAVITY),
+        **({"onboard_landmarks": np.array([place for _, place in LANDMARKS])} if sees else {}),
     }
 
 

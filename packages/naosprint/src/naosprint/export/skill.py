@@ -238,6 +238,9 @@ def _description(environment: Environment) -> Description:
     task = environment.task
     measured = [each for each in task.measurements if isinstance(each, StoredNumbers)]
     stores = [store for measurement in measured for store in measurement.stores]
+    # the skill itself knows the action, also that of the policy before it
+    actions = (environment.world.actions, environment.world.previous_actions)
+    stores = [store for store in stores if not any(store.target.array is each for each in actions)]
     return Description(environment.observer.blocks, stores, task.start_position())
 
 

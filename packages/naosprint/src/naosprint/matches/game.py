@@ -19,7 +19,7 @@ from naosprint.matches.log import GameLog, HalfRecorder, joined
 from naosprint.matches.stream import PLAY_MODES, Frame, Stream, StreamError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from naosim.launchers import Launcher, ServerHandle
 
@@ -293,8 +293,3 @@ class _Monitor:
         taken = bytes(self._buffer[:count])
         del self._buffer[:count]
         return taken
-
-
-def alternate(games: int) -> Sequence[int]:
-    """Return which team plays on the left in the first half of each game."""
-    return [game % 2 for game in range(games)]

@@ -7,7 +7,8 @@ a walk through the ball. What acts knows only what a player perceives; rewards a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Generic, Self, cast
+from abc import abstractmethod
+from typing import TYPE_CHECKING, ClassVar, Generic, Self
 
 import numpy as np
 from naosim.simulator import BALL, STEP_S, Ability, Scene, Starts
@@ -21,11 +22,28 @@ from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
 from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
 from naosprint.tasks.handover import HandOver, record
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, turned
+from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.velocity import Velocity, VelocitySettings
 from naosprint.tasks.world import World
+from naosprint.terms import (
+    Number,
+    Store,
+    arctan2,
+    clip,
+    constant,
+    cos,
+    equal,
+    given,
+    maximum,
+    sin,
+    source,
+    stack,
+    where,
+    wrapped,
+)
+from naosprint.terms.geometry import along, turned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,9 +129,12 @@ Settings = TypeVar("Settings", bound=BallSettings, default=BallSettings, covaria
 class BallTask(Task[Settings], Generic[Settings]):
     """A task with a ball that begins in a walker's stride.
 
-    Subclasses place robot and ball with :meth:`_put`, command a direction in :attr:`_aim`, and a walk in
-    :attr:`_command`.
+    Subclasses place robot and ball with :meth:`_put`, command a direction in :attr:`_aim`, and a walk by
+    :meth:`_steer`.
     """
+
+    velocity_share: ClassVar[float]
+    """Share of a new velocity in that of the ball which is expected, an average over sights."""
 
     scene = Scene(ball=True)
     needs = frozenset({Ability.MOVING})
@@ -157,28 +178,37 @@ class BallTask(Task[Settings], Generic[Settings]):
             "start": self._start,
         }
         self._fallen: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.flags = (self._fallen,)
+        # what the walker's state leaves behind in the first observation
+        self._entry_action: FloatArray = np.zeros((n, world.actuation.n_actions))
+        self._entry_velocity: FloatArray = np.zeros((n, 3))
         self.entries: IntArray = np.full(n, -1)  # of the next episode: number of its state, -1 to draw one
         usual = [name for name in world.defaults.observations if name != "heading"]
         self._usual = dict(zip(usual, blocks(world, usual), strict=True))
         (self._sight,) = blocks(world, ("ball",))
-        self._seen_at = cast("FloatArray", self._sight.arrays["ball_place"])
-        self._age = cast("FloatArray", self._sight.arrays["ball_seen"])  # steps since it was seen
+        self._seen_at = source(self._sight.arrays["ball_place"])
+        self._first_sight = source(np.zeros(n, dtype=np.bool_), "first_sight")
+        self._age = source(self._sight.arrays["ball_seen"])  # steps since it was seen
+
+    def stored(self, name: str) -> Number:
+        """Return an array of :attr:`arrays` for expressions."""
+        return source(self.arrays[name], f"task.{name}")
 
     # what is observed
 
     def observation_blocks(self) -> Sequence[ObservationBlock]:
         """Return the walker's observations, the ball as it is perceived, and the walker's command."""
+        entry = given("entry_velocity", source(self._entry_velocity))
+        velocity = self._usual.get("velocity")
+        moving = [] if velocity is None else [Store(source(velocity.arrays["velocity"], "velocity"), begin=entry)]
         command = ObservationBlock(
             ("command_forward", "command_sideways", "command_turn"),
-            lambda rows: self._command[rows],
+            self.stored("command"),
             signs=(1.0, -1.0, -1.0),
-            begin=self._look_first,
-            update=self._look,
+            stores=[*moving, *self._look(), *self._steer()],
         )
         path = ObservationBlock(
-            ("line_offset", "heading_sin", "heading_cos"),
-            lambda rows: np.tile((0.0, 0.0, 1.0), (len(self._command[rows]), 1)),
-            signs=(-1.0, -1.0, 1.0),
+            ("line_offset", "heading_sin", "heading_cos"), constant([0.0, 0.0, 1.0]), signs=(-1.0, -1.0, 1.0)
         )
         return [*self._usual.values(), self._sight, command, path]
 
@@ -187,80 +217,70 @@ class BallTask(Task[Settings], Generic[Settings]):
         return [
             ObservationBlock(
                 tuple(f"{side}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
-                lambda rows, side=side: self._foot(side, rows),  # type: ignore[misc]
+                self._foot(side),
                 partners=tuple(f"{other}_foot_{name}" for name in ("ball_ahead", "ball_aside", "height", "yaw")),
                 signs=(1.0, -1.0, 1.0, -1.0),
             )
             for side, other in (("left", "right"), ("right", "left"))
         ]
 
-    def _turn(self, rows: slice | IntArray) -> FloatArray:
-        """Return the angles from the perceived front to the aim."""
-        return wrapped(self._aim[rows] - perceived_yaw(self.world, rows))
+    @property
+    def _turn(self) -> Number:
+        """Angle from the perceived front to the aim."""
+        return wrapped(self.stored("aim") - seen_yaw(self.world))
 
-    def _behind(self, rows: slice | IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far ahead in the aim's direction, and to its left, the ball is perceived; 0 if it never was."""
-        apart = self._seen_at[rows] - self.world.perceptors["torso_pos"][rows, :2]
-        ahead, aside = along(self._aim[rows], apart)
-        known = self._sightings[rows] > 0
-        return np.clip(ahead, -1.0, 3.0) * known, np.clip(aside, -2.0, 2.0) * known
+    @property
+    def _behind(self) -> Number:
+        """How far ahead in the aim's direction, and to its left, the ball is perceived; 0 if it never was."""
+        way = along(self.stored("aim"), self._seen_at - self.world.perceived("torso_pos")[:2])
+        return clip(way, [-1.0, -2.0], [3.0, 2.0]) * (self.stored("sightings") > 0.0)
 
-    def _foot(self, side: str, rows: slice | IntArray) -> FloatArray:
-        """Return the ball before and left of an ankle in the foot's direction, its height, and its yaw from the aim."""
-        foot = self.world.bodies[f"{side}_foot"]
-        yaw = np.arctan2(foot.rotation[rows, 1, 0], foot.rotation[rows, 0, 0])
-        ahead, aside = along(yaw, self.world.bodies[BALL].position[rows, :2] - foot.position[rows, :2])
-        columns = [np.clip(ahead, -1.0, 1.5), np.clip(aside, -1.0, 1.0), foot.position[rows, 2]]
-        return np.stack([*columns, wrapped(yaw - self._aim[rows])], axis=1)
+    def _foot(self, side: str) -> Number:
+        """Ball before and left of an ankle in the foot's direction, the ankle's height, and its yaw from the aim."""
+        position, rotation = (self.world.body(f"{side}_foot", part) for part in ("position", "rotation"))
+        yaw = arctan2(rotation[3], rotation[0])
+        way = along(yaw, self.world.body(BALL, "position")[:2] - position[:2])
+        return stack(clip(way, -1.0, [1.5, 1.0]), position[2], wrapped(yaw - self.stored("aim")))
 
     # what the ball does, as it is perceived
 
-    def _look_first(self, rows: IntArray) -> None:
-        """Take in what is perceived at the start of an episode."""
-        if "velocity" in self._usual:
-            self._usual["velocity"].arrays["velocity"][rows] = self._states.velocity[self._state[rows]]
-        self._sightings[rows] = 0
-        self._unseen[rows] = 0
-        self._expected[rows] = 0.0
-        self._see(rows[self._age[rows] == 0.0])
-        self._steer(rows)
+    def _look(self) -> list[Store]:
+        """Return what is stored of sights of the ball: where it is, and how it moves, averaged over sightings."""
+        names = ("sighted", "expected", "sightings", "unseen")
+        sighted, expected, sightings, unseen = (self.stored(name) for name in names)
+        seen, place = equal(self._age, 0.0), self._seen_at
+        elapsed = maximum(unseen, 1.0) * STEP_S
+        moved = place - sighted
+        share = where(sightings > 0.0, where(sightings > 1.0, self.velocity_share, 1.0), 0.0)
+        zero = constant(0.0)
+        return [
+            Store(unseen, begin=zero, update=unseen + 1.0),
+            *self._notice(seen, moved, elapsed),
+            Store(
+                expected,
+                begin=constant([0.0, 0.0]),
+                update=where(seen, expected + share * (moved / elapsed - expected), expected),
+            ),
+            Store(self._first_sight, begin=seen, update=seen & equal(sightings, 0.0)),
+            Store(sighted, begin=where(seen, place, sighted), update=where(seen, place, sighted)),
+            Store(sightings, begin=seen, update=sightings + seen),
+            Store(unseen, update=where(seen, 0.0, unseen)),
+        ]
 
-    def _look(self, rows: slice) -> None:
-        """Take in what is perceived after a step."""
-        everyone = np.arange(self.n)[rows]
-        self._unseen[rows] += 1
-        self._see(everyone[self._age[rows] == 0.0])
-        self._steer(everyone)
+    def _notice(self, seen: Number, moved: Number, elapsed: Number) -> list[Store]:
+        """Return what is stored of how the ball, if it is seen now, has moved in the seconds since the last sight."""
+        del seen, moved, elapsed
+        return []
 
-    def _see(self, rows: IntArray) -> None:
-        """Take in that robots see the ball: where, and how it moves, averaged over sightings."""
-        place, count = self._seen_at[rows], self._sightings[rows]
-        elapsed = np.maximum(self._unseen[rows], 1)[:, None] * STEP_S
-        moved = place - self._sighted[rows]
-        self._notice(rows, moved, elapsed)
-        share = np.where(count == 0, 0.0, np.where(count == 1, 1.0, self._velocity_share()))[:, None]
-        self._expected[rows] += share * (moved / elapsed - self._expected[rows])
-        self._sighted[rows] = place
-        self._sightings[rows] += 1
-        self._unseen[rows] = 0
-        if len(rows[count == 0]):
-            self._first_seen(rows[count == 0])
+    @abstractmethod
+    def _steer(self) -> list[Store]:
+        """Return what is stored at first sights, and the walker's command."""
 
-    def _velocity_share(self) -> float:
-        """Return the share of a new velocity in the average."""
-        raise NotImplementedError
-
-    def _notice(self, rows: IntArray, moved: FloatArray, elapsed: FloatArray) -> None:
-        """Take in how the ball has (k, 2) moved in (k, 1) seconds between two sightings."""
-        del rows, moved, elapsed
-
-    def _first_seen(self, rows: IntArray) -> None:
-        """Take in that robots see the ball for the first time in an episode."""
-        del rows
-
-    def _steer(self, rows: IntArray) -> None:
-        """Command the walker."""
-        raise NotImplementedError
+    def _walk(self, forward: Number, left: Number, low: Sequence[float], high: Sequence[float]) -> Number:
+        """Return the walker's command for velocities in the aim's frame, limited to [low, high]."""
+        cosine, sine, turn = cos(self._turn), sin(self._turn), self._turn
+        command = stack(cosine * forward - sine * left, sine * forward + cosine * left, turn * 3.0)
+        return clip(command, low, high)
 
     # starts
 
@@ -294,6 +314,8 @@ class BallTask(Task[Settings], Generic[Settings]):
         self._state[rows] = np.where(self.entries[rows] < 0, drawn, self.entries[rows])
         zero = np.zeros_like(heading)
         self._states.begin(self.world, rows, self._state[rows], np.stack([zero, zero, heading], axis=1))
+        self._entry_action[rows] = self._states.actions[self._state[rows]]
+        self._entry_velocity[rows] = self._states.velocity[self._state[rows]]
 
     def _put_ball(
         self,
@@ -326,31 +348,32 @@ class BallTask(Task[Settings], Generic[Settings]):
         spin = np.stack([-moves[:, 1], moves[:, 0], zero], axis=1) / self._radius
         self.world.place_ball(rows, ball, moves, spin)
 
-    def begin(self, rows: IntArray) -> None:
-        """Restore the walker's latest action."""
-        self.world.actions[rows] = self.world.previous_actions[rows] = self._states.actions[self._state[rows]]
-        self._fallen[rows] = False
-
     def _last_step(self, row: int) -> dict[str, AnyArray]:
         """Return the walker's latest action and the torso's position before it, as an exported skill takes them."""
         # the perceived velocity is R^T (position - before) / time, with R of a truncated quaternion
-        inverse = turned(self.world.perceptors["torso_quat"][row : row + 1], np.eye(3))
+        quaternion, only = self.world.perceived("torso_quat"), slice(row, row + 1)
+        inverse = [turned(quaternion, constant(axis))(only)[0] for axis in np.eye(3).tolist()]
         moved = np.linalg.solve(inverse, self._states.velocity[self._state[row]]) * STEP_S
         position: FloatArray = self.world.perceptors["torso_pos"][row] - moved
         return {"action": self.world.actions[row].copy(), "position": position}
 
-    def _measure_falls(self, rows: slice) -> None:
-        """Measure which robots have fallen."""
-        up = self.world.rotation(rows)[:, 2, 2]
-        self._fallen[rows] = (self.world.position(rows)[:, 2] < self._min_height) | (up < UPRIGHT)
+    def _entry(self) -> list[Store]:
+        """Return what restores the walker's latest action, so that an episode continues its motion."""
+        action = source(self._entry_action)
+        return [Store(each, begin=action) for each in (self.world.action, self.world.previous_action)]
+
+    def _falls(self) -> Store:
+        """Return what is stored of falls."""
+        low = self.world.true_position[2] < self._min_height
+        return Store(source(self._fallen), begin=constant(0.0), update=low | (self.world.true_rotation[8] < UPRIGHT))
 
 
-def along(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+def components(heading: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the parts of (k, 2) displacements along (k,) headings, and to the left of them."""
     cosine, sine = np.cos(heading), np.sin(heading)
     return cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]
 
 
-def wrapped(angles: FloatArray) -> FloatArray:
+def principal(angles: FloatArray) -> FloatArray:
     """Return angles in [-pi, pi)."""
     return np.asarray((angles + np.pi) % (2.0 * np.pi) - np.pi)

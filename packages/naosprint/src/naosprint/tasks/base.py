@@ -211,7 +211,7 @@ class Task(Plugin, Generic[Settings]):
     def take_over(self, rows: slice, observer: Observer) -> None:
         """Replace ``world.actions`` of those robots ``rows`` in which another policy acts now, by the observations.
 
-        It is called before a step of tasks that set :attr:`frozen`.
+        It is called before a step in which some of them are :attr:`frozen`.
         """
         del rows, observer
 

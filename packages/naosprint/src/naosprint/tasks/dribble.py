@@ -13,13 +13,36 @@ from naosim.simulator import BALL, STEP_S
 from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
-from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
+from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, components, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
 from naosprint.tasks.world import World
-from naosprint.terms.randomness import uniform
+from naosprint.terms import (
+    Number,
+    Store,
+    absolute,
+    clip,
+    constant,
+    cos,
+    equal,
+    exp,
+    given,
+    hypot,
+    maximum,
+    minimum,
+    randomness,
+    sin,
+    source,
+    square,
+    stack,
+    uniform,
+    where,
+    wrapped,
+)
+from naosprint.terms.geometry import along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -216,6 +239,7 @@ class Dribble(BallTask[DribbleSettings]):
         headline=("line_rate", "corner_rate", "kept_rate", "course_speed_mps", "fall_rate"),
         repeats=False,
     )
+    velocity_share = _SHARE
 
     def __init__(self, parameters: DribbleSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
@@ -238,7 +262,10 @@ class Dribble(BallTask[DribbleSettings]):
         self._ahead: FloatArray = np.zeros(n)
         self._apart: FloatArray = np.zeros(n)
         self._lost: BoolArray = np.zeros(n, dtype=np.bool_)
+        self._over: BoolArray = np.zeros(n, dtype=np.bool_)  # the ball has passed the end of its line
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
+        self.measurements = (StoredNumbers([*self._entry(), *self._follow(), *self._lines_begin()]),)
+        self.flags = (self._fallen, self._lost, self._done)
 
     # what is observed
 
@@ -253,13 +280,12 @@ class Dribble(BallTask[DribbleSettings]):
         )
         return [*super().observation_blocks(), line]
 
-    def _dribbled(self, rows: slice | IntArray) -> FloatArray:
-        turn, (ahead, aside) = self._turn(rows), self._behind(rows)
-        known = self._sightings[rows] > 0
-        faster, drifting = along(self._aim[rows], np.clip(self._expected[rows], -4.0, 4.0))
-        offset = np.clip(along(self._aim[rows], self._seen_at[rows] - self._line[rows])[1], -_OFFSET_M, _OFFSET_M)
-        columns = [np.sin(turn), np.cos(turn), ahead, aside, faster, drifting, offset * known, self._speed[rows]]
-        return np.stack(columns, axis=1)
+    @property
+    def _dribbled(self) -> Number:
+        sighted, aim = self.stored("sightings") > 0.0, self.stored("aim")
+        speeds = along(aim, clip(self.stored("expected"), -4.0, 4.0))
+        offset = clip(along(aim, self._seen_at - self.stored("line"))[1], -_OFFSET_M, _OFFSET_M)
+        return stack(sin(self._turn), cos(self._turn), self._behind, speeds, offset * sighted, self.stored("speed"))
 
     def critic_blocks(self) -> Sequence[ObservationBlock]:
         """Return what only a critic observes: the ball's true motion, and where it is before the feet."""
@@ -269,61 +295,47 @@ class Dribble(BallTask[DribbleSettings]):
         )
         return [*super().critic_blocks(), truth, *self._foot_blocks()]
 
-    def _truth(self, rows: slice | IntArray) -> FloatArray:
-        ball, aim = self.world.bodies[BALL], self._aim[rows]
-        speed, flow = along(aim, ball.velocity[rows, :2]), along(aim, self._flow[rows])
-        apart = along(self.world.yaw(rows), ball.position[rows, :2] - self.world.position(rows)[:, :2])[0]
-        offset = along(aim, ball.position[rows, :2] - self._line[rows])[1]
-        return np.stack([*speed, *flow, np.clip(apart, -3.0, 3.0), np.clip(offset, -3.0, 3.0)], axis=1)
+    @property
+    def _truth(self) -> Number:
+        world, aim = self.world, self.stored("aim")
+        ball, velocity = world.body(BALL, "position")[:2], world.body(BALL, "velocity")[:2]
+        ahead = along(world.true_yaw, ball - world.true_position[:2])[0]
+        offset = along(aim, ball - self.stored("line"))[1]
+        return stack(along(aim, velocity), along(aim, self.stored("flow")), clip(stack(ahead, offset), -3.0, 3.0))
 
-    def _velocity_share(self) -> float:
-        return _SHARE
+    def _steer(self) -> list[Store]:
+        """Return the walker's command, and where the first line begins: where the ball is seen.
 
-    def _first_seen(self, rows: IntArray) -> None:
-        """Begin the first line where the ball is seen."""
-        self._line[rows] = self._sighted[rows]
-
-    def _steer(self, rows: IntArray) -> None:
-        """Command the walker: turn to the line, bring the nearer foot behind the ball, and walk through it."""
-        turn, (ahead, across) = self._turn(rows), self._behind(rows)
-        aside = across - np.where(across >= 0.0, FOOT_M, -FOOT_M)
-        ready = np.clip(2.0 - np.abs(aside) / 0.1 - np.abs(turn) / 0.3, 0.0, 1.0)
-        forward = self._speed[rows] * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.4), -0.4, 0.8)
-        left = np.clip(3.0 * aside, -0.5, 0.5)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        command = np.stack(
-            [
-                np.clip(cosine * forward - sine * left, -0.4, 2.0),
-                np.clip(sine * forward + cosine * left, -0.5, 0.5),
-                np.clip(3.0 * turn, -1.0, 1.0),
-            ],
-            axis=1,
-        )
-        self._command[rows] = np.where((self._sightings[rows] > 0)[:, None], command, 0.0)
+        Turn to the line, bring the nearer foot behind the ball, and walk through it.
+        """
+        line, turn, speed = self.stored("line"), self._turn, self.stored("speed")
+        ahead, across = self._behind[0], self._behind[1]
+        begun = where(self._first_sight, self.stored("sighted"), line)
+        aside = across - where(across >= 0.0, FOOT_M, -FOOT_M)
+        ready = clip(2.0 - absolute(aside) / 0.1 - absolute(turn) / 0.3, 0.0, 1.0)
+        forward = speed * ready + (1.0 - ready) * clip((ahead - 0.4) * 2.0, -0.4, 0.8)
+        walk = self._walk(forward, clip(aside * 3.0, -0.5, 0.5), (-0.4, -0.5, -1.0), (2.0, 0.5, 1.0))
+        command = where(self.stored("sightings") > 0.0, walk, 0.0)
+        return [
+            Store(line, begin=begun, update=begun),
+            Store(self.stored("command"), begin=command, update=command),
+        ]
 
     # starts
 
     def place(self, rows: IntArray) -> None:
         """Draw state, ball, first line and speed, and put the robot into the state and the ball to its place."""
         settings = self.parameters
-        draw = uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 6).T
+        draw = randomness.uniform(self.seed + _STREAM, self.world.streams[rows], self._draws[rows], 6).T
         self._draws[rows] += 1
         heading = 2.0 * np.pi * draw[1]
         self._put(rows, draw[0], heading)
         ahead = settings.ball_near_m + (settings.ball_far_m - settings.ball_near_m) * draw[2]
         self._put_ball(rows, heading, ahead, settings.ball_aside_m * (2.0 * draw[3] - 1.0))
-        self._aim[rows] = wrapped(heading + np.radians(settings.aim_max_deg) * (2.0 * draw[4] - 1.0))
+        self._aim[rows] = principal(heading + np.radians(settings.aim_max_deg) * (2.0 * draw[4] - 1.0))
         self._speed[rows] = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * draw[5]
         self._line[rows] = self._start[rows]
         self._lines[rows] = 1
-
-    def begin(self, rows: IntArray) -> None:
-        """Reset what is stored, and restore the walker's latest action."""
-        super().begin(rows)
-        self._flow[rows] = 0.0
-        self._sums[rows] = 0.0
-        for flags in (self._lost, self._done):
-            flags[rows] = False
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given at its start: direction and speed, and the walker's last step."""
@@ -331,85 +343,76 @@ class Dribble(BallTask[DribbleSettings]):
 
     # steps
 
-    def advance(self, rows: slice) -> None:
-        """Measure ball, falls and ends against the line, and begin new lines."""
-        world, aim = self.world, self._aim[rows]
-        ball = world.bodies[BALL]
-        self._flow[rows] += _FLOW_SHARE * (ball.velocity[rows, :2] - self._flow[rows])
-        faster, drifting = along(aim, self._flow[rows])
-        self._error[rows] = np.hypot(faster - self._speed[rows], drifting)
-        reached, offset = along(aim, ball.position[rows, :2] - self._line[rows])
-        self._offset[rows] = np.minimum(np.abs(offset), _OFFSET_M)
-        apart = ball.position[rows, :2] - world.position(rows)[:, :2]
-        self._apart[rows] = np.hypot(*apart.T)
-        self._ahead[rows] = along(world.yaw(rows), apart)[0]
-        speed = along(aim, ball.velocity[rows, :2])[0]
-        self._sums[rows] += np.stack([speed, self._error[rows], self._ahead[rows]], axis=1)
-        self._measure_falls(rows)
-        self._lost[rows] = (self._apart[rows] > LOST_M) & ~self._fallen[rows]
-        over = reached >= LEG_M
-        if self.parameters.course:
-            self._done[rows] = over & (self._lines[rows] > 1) & ~self._fallen[rows]
-            self._turn_off(np.arange(self.n)[rows][over & (self._lines[rows] == 1)])
+    def _follow(self) -> list[Store]:
+        """Return what is measured of a step: the ball against the line, falls and ends."""
+        world, aim, flow, zero = self.world, self.stored("aim"), self.stored("flow"), constant(0.0)
+        ball, velocity = world.body(BALL, "position")[:2], world.body(BALL, "velocity")[:2]
+        error, offset, ahead, distance, fallen = (
+            source(each) for each in (self._error, self._offset, self._ahead, self._apart, self._fallen)
+        )
+        over, sums = source(self._over), self.stored("sums")
+        flowing, way = along(aim, flow), along(aim, ball - self.stored("line"))
+        apart = ball - world.true_position[:2]
+        course = constant(float(self.parameters.course))
+        return [
+            Store(flow, begin=constant([0.0, 0.0]), update=flow + _FLOW_SHARE * (velocity - flow)),
+            Store(error, update=hypot(flowing[0] - self.stored("speed"), flowing[1])),
+            Store(offset, update=minimum(absolute(way[1]), _OFFSET_M)),
+            Store(over, update=way[0] >= LEG_M),
+            Store(distance, update=hypot(apart[0], apart[1])),
+            Store(ahead, update=along(world.true_yaw, apart)[0]),
+            Store(sums, begin=constant([0.0] * 3), update=sums + stack(along(aim, velocity)[0], error, ahead)),
+            self._falls(),
+            Store(source(self._lost), begin=zero, update=(distance > LOST_M) & ~fallen),
+            Store(source(self._done), begin=zero, update=course & over & (self.stored("lines") > 1.0) & ~fallen),
+        ]
+
+    def _lines_begin(self) -> list[Store]:
+        """Return what begins new lines where the ball is perceived, and draws their directions and the ball's speed.
+
+        A course has one, to the left or to the right. Otherwise they begin at random moments.
+        """
+        settings, world, streams = self.parameters, self.world, source(self.world.streams)
+        aim, speed, line, lines, draws = (self.stored(name) for name in ("aim", "speed", "line", "lines", "draws"))
+        fresh = source(np.zeros(self.n, dtype=np.bool_))
+        if settings.course:
+            drawn = uniform(self.seed + _STREAM + 2, streams, draws, 1)
+            begins = source(self._over) & equal(lines, 1.0)
+            turn, drawn_speed = where(drawn < 0.5, -_TURN, _TURN), speed
         else:
-            self._begin_lines(np.arange(self.n)[rows])
-
-    def _begin_lines(self, rows: IntArray) -> None:
-        """Begin new lines at random moments, in random directions and at random speeds."""
-        settings = self.parameters
-        draw = uniform(self.seed + _STREAM + 1, self.world.streams[rows], self._moments(rows), 3).T
-        chosen = draw[0] < 1.0 / settings.line_steps
-        rows, draw = rows[chosen], draw[:, chosen]
-        self._begin_line(rows, np.radians(settings.turn_max_deg) * (2.0 * draw[1] - 1.0))
-        self._speed[rows] = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * draw[2]
-
-    def _moments(self, rows: IntArray) -> IntArray:
-        """Return (k,) numbers that count the steps of a robot's episodes one after the other."""
-        return np.asarray(self._draws[rows] * self.max_steps + self.world.steps[rows])
-
-    def _turn_off(self, rows: IntArray) -> None:
-        """Begin the second line of a course, to the left or to the right."""
-        draw = uniform(self.seed + _STREAM + 2, self.world.streams[rows], self._draws[rows], 1)[:, 0]
-        self._begin_line(rows, np.where(draw < 0.5, -_TURN, _TURN))
-
-    def _begin_line(self, rows: IntArray, turn: FloatArray) -> None:
-        """Begin a line that turns off by (k,) angles, where the ball is perceived."""
-        self._aim[rows] = wrapped(self._aim[rows] + turn)
-        seen = (self._sightings[rows] > 0)[:, None]
-        self._line[rows] = np.where(seen, self._sighted[rows], self._line[rows])
-        self._lines[rows] += 1
+            # numbers that count the steps of a robot's episodes one after the other
+            moments = draws * self.max_steps + world.step
+            drawn = uniform(self.seed + _STREAM + 1, streams, moments, 3)
+            begins = drawn[0] < 1.0 / settings.line_steps
+            turn = np.radians(settings.turn_max_deg) * (2.0 * drawn[1] - 1.0)
+            drawn_speed = settings.speed_min_mps + (settings.speed_max_mps - settings.speed_min_mps) * drawn[2]
+        renewed = given("new_line", fresh) & (self.stored("sightings") > 0.0)
+        return [
+            Store(fresh, update=begins),
+            Store(aim, begin=given("aim", aim), update=given("aim", where(fresh, wrapped(aim + turn), aim))),
+            Store(speed, begin=given("speed", speed), update=given("speed", where(fresh, drawn_speed, speed))),
+            Store(line, update=where(renewed, self.stored("sighted"), line)),
+            Store(lines, update=lines + fresh),
+        ]
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return rewards for a ball that is near and moves as commanded, and the penalties."""
-        settings = self.parameters
-
-        def near(rows: slice) -> FloatArray:
-            return np.exp(-np.square(np.maximum(self._apart[rows] - _NEAR_M, 0.0) / _NEAR_SPREAD_M))
-
-        def track(rows: slice) -> FloatArray:
-            error = self._error[rows]
-            # the Gaussian alone has no slope for a ball that lies and should roll at 1.5 m/s
-            tracking = 0.5 * np.exp(-np.square(error) / _TRACKING_SCALE) + 0.5 / (1.0 + error)
-            return np.asarray(tracking * (0.3 + 0.7 * near(rows)))
-
-        def fallen(rows: slice) -> FloatArray:
-            return self._fallen[rows].astype(np.float64)
-
+        settings, error = self.parameters, source(self._error)
+        far = maximum(source(self._apart) - _NEAR_M, 0.0) / _NEAR_SPREAD_M
+        near = exp(square(far) * -1.0)
+        # the Gaussian alone has no slope for a ball that lies and should roll at 1.5 m/s
+        tracking = 0.5 * exp(square(error) * -1.0 / _TRACKING_SCALE) + 0.5 / (1.0 + error)
         return (
-            RewardTerm("track_ball", 1.0, track),
+            RewardTerm("track_ball", 1.0, tracking * (0.3 + 0.7 * near)),
             RewardTerm("near", settings.near_weight, near),
-            RewardTerm("offset", -settings.offset_penalty, lambda rows: self._offset[rows]),
-            RewardTerm("fall", -settings.fall_penalty, fallen),
+            RewardTerm("offset", -settings.offset_penalty, source(self._offset)),
+            RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
             *penalties(self.world, settings),
         )
 
-    def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return which robots have fallen, have lost the ball, or have completed the course."""
-        return (self._fallen[rows], self._lost[rows], self._done[rows])
-
     def share_of_speed(self) -> FloatArray:
         """Return the (n,) speed of the ball along its line, averaged over half a second, as a share of the command."""
-        return along(self._aim, self._flow)[0] / np.maximum(self._speed, 0.1)
+        return components(self._aim, self._flow)[0] / np.maximum(self._speed, 0.1)
 
     # results
 
@@ -456,7 +459,7 @@ class _Leg:
 
     def __init__(self, rows: FloatArray, free_m: float, *, over: bool) -> None:
         ball, line, direction = rows[:, :2], rows[0, 4:6], rows[0, 6]
-        reached, offset = along(np.array(direction), ball - line)
+        reached, offset = components(np.array(direction), ball - line)
         inside = (np.abs(offset) <= CORRIDOR_HALF_M) | (np.maximum.accumulate(reached) < free_m)
         self.passed = bool((over or reached[-1] >= LEG_M) and inside.all())
         self.seconds = len(rows) * STEP_S

@@ -104,7 +104,7 @@ class Environment:
     def _compile(self) -> _compiled.Step | None:
         """Return the task's step as a compiled program; None if a part of it exists in Python only."""
         task, actuation = self.task, self.actuation
-        methods = ("begin", "advance", "ended", "take_over")
+        methods = ("begin", "advance", "ended")
         own = any(getattr(type(task), name) is not getattr(Task, name) for name in methods)
         native = self.simulator.native
         measurements = [each for each in task.measurements if isinstance(each, StoredNumbers) and each.is_whole]
@@ -237,16 +237,19 @@ class Environment:
 
     def step_async(self, actions: FloatArray | Float32Array, rows: slice, active: BoolArray | None = None) -> None:
         """Begin a step of one of the simulator's groups with (k, A) actions; :meth:`step_wait` finishes it."""
-        world = self.world
+        world, frozen = self.world, self.task.frozen
         if self._program is not None:
             self._program.act(rows.start, actions)
-            targets = self._targets[rows]
         else:
             world.previous_actions[rows] = world.actions[rows]
             np.clip(actions, -1.0, 1.0, out=world.actions[rows])
-            if self.task.frozen is not None:
-                self.task.take_over(rows, self.observer)
+        taken_over = frozen is not None and frozen[rows].any()
+        if taken_over:
+            self.task.take_over(rows, self.observer)
+        if self._program is None or taken_over:
             targets = self.actuation.targets(world.actions[rows])
+        else:
+            targets = self._targets[rows]
         targets = self.disturbances.delayed(targets, rows)
         began = perf_counter()
         self.simulator.step_async(targets, rows, active)

@@ -18,12 +18,34 @@ from naospec.metrics import Chart, Metric, Presentation, Result, ResultTable
 from pydantic import Field
 
 from naosprint.tasks import rolling
-from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, along, wrapped
+from naosprint.tasks.ball import FOOT_M, BallSettings, BallTask, components, principal
 from naosprint.tasks.base import End, RewardTerm
 from naosprint.tasks.falls import FALL, FALL_RATE
+from naosprint.tasks.measurements import StoredNumbers
 from naosprint.tasks.observations import ObservationBlock
 from naosprint.tasks.penalties import penalties
 from naosprint.tasks.world import World
+from naosprint.terms import (
+    Number,
+    Store,
+    absolute,
+    arctan2,
+    clip,
+    constant,
+    cos,
+    exp,
+    given,
+    hypot,
+    log,
+    maximum,
+    minimum,
+    sin,
+    source,
+    square,
+    stack,
+    where,
+)
+from naosprint.terms.geometry import along
 from naosprint.terms.randomness import uniform
 
 if TYPE_CHECKING:
@@ -302,6 +324,7 @@ class Kick(BallTask[KickSettings]):
         repeats=False,
     )
     horizon_is_terminal = True
+    velocity_share = _CALM
 
     def __init__(self, parameters: KickSettings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
@@ -334,6 +357,9 @@ class Kick(BallTask[KickSettings]):
         self._placed: FloatArray = np.zeros(n)
         self._done: BoolArray = np.zeros(n, dtype=np.bool_)
         self._missed: BoolArray = np.zeros(n, dtype=np.bool_)
+        aim = self.stored("aim")
+        self.measurements = (StoredNumbers([*self._entry(), Store(aim, begin=given("aim", aim)), *self._follow()]),)
+        self.flags = (self._fallen, self._done, self._missed)
 
     # what is observed
 
@@ -363,64 +389,52 @@ class Kick(BallTask[KickSettings]):
         )
         return [*super().critic_blocks(), progress, *self._foot_blocks()]
 
-    def _aimed(self, rows: slice | IntArray) -> FloatArray:
-        turn, (ahead, aside) = self._turn(rows), self._behind(rows)
-        kicked = np.minimum((self._kicked[rows] + 1.0) / 10.0, 1.0)
-        columns = [np.sin(turn), np.cos(turn), ahead, aside, self._speed[rows], self._power[rows], kicked]
-        return np.stack(columns, axis=1)
+    @property
+    def _aimed(self) -> Number:
+        kicked = minimum((self.stored("kicked") + 1.0) / 10.0, 1.0)
+        power, speed = given("power", self.stored("power")), given("launch_speed", self.stored("speed"))
+        return stack(sin(self._turn), cos(self._turn), self._behind, speed, power, kicked)
 
-    def _progress(self, rows: slice | IntArray) -> FloatArray:
-        ball = self.world.bodies[BALL]
-        ahead, aside = along(self._aim[rows], ball.velocity[rows, :2])
-        touched, kicked = (np.minimum(each[rows] + 1.0, 100.0) / 50.0 for each in (self._touched, self._kicked))
-        columns = [ahead, aside, ball.position[rows, 2], touched > 0.0, touched, kicked, self._score[rows]]
-        return np.stack(columns, axis=1)
+    @property
+    def _progress(self) -> Number:
+        way = along(self.stored("aim"), self.world.body(BALL, "velocity")[:2])
+        height = self.world.body(BALL, "position")[2]
+        touched, kicked = (minimum(self.stored(name) + 1.0, 100.0) / 50.0 for name in ("touched", "kicked"))
+        return stack(way, height, touched > 0.0, touched, kicked, self.stored("score"))
 
     # what the ball does, as it is perceived
 
-    def _look_first(self, rows: IntArray) -> None:
-        self._kicked[rows] = -1
-        super()._look_first(rows)
+    def _notice(self, seen: Number, moved: Number, elapsed: Number) -> list[Store]:
+        """Return what is stored of the kick: it is perceived when the ball has left the path that it was on."""
+        kicked, off = self.stored("kicked"), moved - self.stored("expected") * elapsed
+        surprise = hypot(off[0], off[1]) > KICKED_M + 0.3 * maximum(elapsed - 2 * STEP_S, 0.0)
+        now = seen & (self.stored("sightings") >= 2.0) & surprise & (kicked < 0.0)
+        return [
+            Store(kicked, begin=constant(-1.0), update=kicked + (kicked >= 0.0)),
+            Store(kicked, update=where(now, 0.0, kicked)),
+        ]
 
-    def _look(self, rows: slice) -> None:
-        self._kicked[rows] += self._kicked[rows] >= 0
-        super()._look(rows)
+    def _steer(self) -> list[Store]:
+        """Return the foot to kick with, that on the ball's side, and the walker's command.
 
-    def _velocity_share(self) -> float:
-        return _CALM
-
-    def _notice(self, rows: IntArray, moved: FloatArray, elapsed: FloatArray) -> None:
-        """Take in whether the ball has left the path that it was on."""
-        surprise = np.hypot(*(moved - self._expected[rows] * elapsed).T)
-        kicked = (self._sightings[rows] >= 2) & (
-            surprise > KICKED_M + 0.3 * np.maximum(elapsed[:, 0] - 2 * STEP_S, 0.0)
-        )
-        self._kicked[rows[kicked & (self._kicked[rows] < 0)]] = 0
-
-    def _first_seen(self, rows: IntArray) -> None:
-        """Choose the foot to kick with: that on the ball's side."""
-        self._side[rows] = np.where(self._behind(rows)[1] >= 0.0, 1.0, -1.0)
-
-    def _steer(self, rows: IntArray) -> None:
-        """Command the walker: bring a foot behind the ball, walk through it, and stand once it has been kicked."""
-        turn, (ahead, across) = self._turn(rows), self._behind(rows)
-        aside = across - self._side[rows] * FOOT_M
-        ready = np.clip(1.6 - np.abs(aside) / 0.05 - np.abs(turn) / 0.2, 0.0, 1.0)
-        through = np.clip(0.25 * self._speed[rows], 0.4, 0.8)  # a soft kick begins with a slow walk
-        forward = through * ready + (1.0 - ready) * np.clip(2.0 * (ahead - 0.52), -0.3, 0.8)
-        left = np.clip(3.0 * aside, -0.45, 0.45)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        command = np.stack(
-            [
-                np.clip(cosine * forward - sine * left, 0.0, 1.0),
-                np.clip(sine * forward + cosine * left, -0.45, 0.45),
-                np.clip(3.0 * turn, -1.0, 1.0),
-            ],
-            axis=1,
-        )
-        approaching = (self._kicked[rows] < 0) & (self._sightings[rows] > 0)
-        self._command[rows] = np.where(approaching[:, None], command, 0.0)
-        self._walks[rows] = self._kicked[rows] >= self.parameters.takeover_steps
+        Bring the foot behind the ball, walk through it, and stand once it has been kicked.
+        """
+        side, kicked, turn, speed = self.stored("side"), self.stored("kicked"), self._turn, self.stored("speed")
+        ahead, across = self._behind[0], self._behind[1]
+        chosen = where(self._first_sight, where(across >= 0.0, 1.0, -1.0), side)
+        aside = across - side * FOOT_M
+        ready = clip(1.6 - absolute(aside) / 0.05 - absolute(turn) / 0.2, 0.0, 1.0)
+        # a soft kick begins with a slow walk
+        through = clip(given("launch_speed", speed) * 0.25, 0.4, 0.8)
+        forward = through * ready + (1.0 - ready) * clip((ahead - 0.52) * 2.0, -0.3, 0.8)
+        walk = self._walk(forward, clip(aside * 3.0, -0.45, 0.45), (0.0, -0.45, -1.0), (1.0, 0.45, 1.0))
+        approaching = (kicked < 0.0) & (self.stored("sightings") > 0.0)
+        command = where(approaching, walk, 0.0)
+        return [
+            Store(side, begin=chosen, update=chosen),
+            Store(self.stored("command"), begin=command, update=command),
+            Store(source(self._walks), begin=constant(0.0), update=kicked >= self.parameters.takeover_steps),
+        ]
 
     # starts
 
@@ -447,7 +461,7 @@ class Kick(BallTask[KickSettings]):
         self._power[rows] = draw[7] < settings.power_fraction
         drawn = settings.distance_min_m + (settings.distance_max_m - settings.distance_min_m) * draw[8]
         self._aligned[rows] = aligned
-        self._target[rows, 0] = wrapped(heading + aim)
+        self._target[rows, 0] = principal(heading + aim)
         self._target[rows, 1] = np.where(self._power[rows], KickSettings.model_fields["distance_max_m"].default, drawn)
         self._speed[rows], self._aim[rows] = self._launched(self._target[rows], self._power[rows])
         # a rolling ball gets there after 0.3 to 0.8 s
@@ -467,15 +481,6 @@ class Kick(BallTask[KickSettings]):
         speed, aim = rolling.launch(target[:, 1], target[:, 0])
         straight = rolling.launch(target[:, 1], np.zeros(len(target)))[0]
         return np.where(power, straight, speed), np.where(power, target[:, 0], aim)
-
-    def begin(self, rows: IntArray) -> None:
-        """Reset what is stored, and restore the walker's latest action."""
-        super().begin(rows)
-        self._touched[rows] = -1
-        self._score[rows] = 0.0
-        self._launch[rows] = 0.0
-        for flags in (self._done, self._missed, self._walks):
-            flags[rows] = False
 
     def handed_over(self, row: int) -> dict[str, AnyArray]:
         """Return what an exported skill is given when its kick begins: target, and the walker's last step."""
@@ -499,91 +504,87 @@ class Kick(BallTask[KickSettings]):
         """Return in which robots the walker has to take over."""
         return self._walks[rows]
 
-    def advance(self, rows: slice) -> None:
-        """Measure touch, score, falls and ends."""
-        settings, world = self.parameters, self.world
-        ball = world.bodies[BALL]
-        fresh = (self._touched[rows] < 0) & (world.contacts["robot"][rows] > 0.0)
-        self._touched[rows] += self._touched[rows] >= 0
-        self._touched[rows] = np.where(fresh, 0, self._touched[rows])
-        touched = self._touched[rows]
-        self._measure_placement(rows, fresh)
-        # direction and speed of the roll that would follow from now on
-        roll = rolling.rolling(ball.velocity[rows], ball.spin[rows], self._radius)
-        apart = ball.position[rows, :2] - self._start[rows]
-        speed = np.hypot(*roll.T)
-        ahead, aside = along(
-            self._aim[rows], apart + roll * (rolling.straight_m(speed) / np.maximum(speed, 1e-6))[:, None]
-        )
-        angle, reached = np.arctan2(aside, ahead), np.hypot(ahead, aside)
-        live = (touched >= 0) & (touched <= _SETTLED)
-        score = np.where(live, self._scored(angle, reached, rows), self._score[rows])
-        self._gain[rows] = score - self._score[rows]
-        self._score[rows] = score
-        self._launch[rows] = np.where(live[:, None], np.stack([angle, reached], axis=1), self._launch[rows])
-        self._measure_falls(rows)
-        kicked = self._kicked[rows]
+    def _follow(self) -> list[Store]:
+        """Return what is measured of a step: touch, launch and score, falls and ends."""
+        world, settings, zero = self.world, self.parameters, constant(0.0)
+        names = ("touched", "launch", "score", "kicked")
+        touched, launch, score, kicked = (self.stored(name) for name in names)
+        gain, placed, fallen, done = (source(each) for each in (self._gain, self._placed, self._fallen, self._done))
+        fresh, before = source(np.zeros(self.n, dtype=np.bool_)), source(np.zeros(self.n))
+        live = (touched >= 0.0) & ~(touched > _SETTLED)
         if settings.whole_roll:
-            still = np.hypot(*ball.velocity[rows, :2].T) < _LEAST_SPEED
-            over = (kicked >= 0) & (touched >= round(UPRIGHT_S / STEP_S)) & still
+            velocity = world.body(BALL, "velocity")
+            still = hypot(velocity[0], velocity[1]) < _LEAST_SPEED
+            over = (kicked >= 0.0) & (touched >= round(UPRIGHT_S / STEP_S)) & still
         else:
             over = kicked >= settings.takeover_steps + settings.watch_steps
-        self._done[rows] = over & ~self._fallen[rows]
-        self._missed[rows] = (kicked < 0) & (world.steps[rows] >= settings.approach_steps) & ~self._fallen[rows]
+        late = (kicked < 0.0) & (world.step >= settings.approach_steps)
+        return [
+            Store(fresh, update=(touched < 0.0) & (world.contact("robot") > 0.0)),
+            Store(touched, begin=constant(-1.0), update=where(fresh, 0.0, touched + (touched >= 0.0))),
+            Store(placed, update=where(fresh, self._placement(), 0.0)),
+            Store(launch, begin=constant([0.0, 0.0]), update=where(live, self._launch_now(), launch)),
+            Store(before, update=score),
+            Store(score, begin=zero, update=where(live, self._scored(launch[0], launch[1]), score)),
+            Store(gain, update=score - before),
+            self._falls(),
+            Store(done, begin=zero, update=over & ~fallen),
+            Store(source(self._missed), begin=zero, update=late & ~fallen),
+        ]
 
-    def _measure_placement(self, rows: slice, fresh: BoolArray) -> None:
-        """Score how the ball lies before the nearer foot in robots that have just touched it."""
-        self._placed[rows] = 0.0
-        now = np.arange(self.n)[rows][fresh]
-        if not len(now):
-            return
-        feet = np.stack([self._foot(side, now) for side in ("left", "right")])
-        nearer = np.argmin(np.hypot(feet[:, :, 0] - PLACED[0], feet[:, :, 1]), axis=0)
-        _, aside, _, yaw = feet[nearer, np.arange(len(now))].T
-        self._placed[now] = np.exp(-np.square(aside / PLACED[1])) * (0.3 + 0.7 * np.exp(-np.square(yaw / PLACED[2])))
+    def _placement(self) -> Number:
+        """Return the score of how the ball lies before the nearer foot."""
+        left, right = self._foot("left"), self._foot("right")
+        distances = [hypot(foot[0] - PLACED[0], foot[1]) for foot in (left, right)]
+        foot = where(distances[1] < distances[0], right, left)
+        return _bell(foot[1] / PLACED[1]) * (0.3 + 0.7 * _bell(foot[3] / PLACED[2]))
 
-    def _scored(self, angle: FloatArray, reached: FloatArray, rows: slice) -> FloatArray:
-        """Return the score of launches at (k,) angles from the aim, that let the ball roll (k,) metres straight."""
-        error = np.abs(angle)
-        direction = (
-            0.25 * np.maximum(np.cos(error) - 2.5 * np.sin(error), -0.5)
-            + 0.35 * np.exp(-np.square(error / np.radians(14.0)))
-            + 0.4 * np.exp(-np.square(error / np.radians(5.0)))
+    def _launch_now(self) -> Number:
+        """Return angle from the aim and length of the roll that would follow from now on."""
+        ball = {part: self.world.body(BALL, part) for part in ("position", "velocity", "spin")}
+        roll = rolling.roll(ball["velocity"], ball["spin"], self._radius)
+        speed = hypot(roll[0], roll[1])
+        start = source(self._start)
+        way = along(
+            self.stored("aim"),
+            ball["position"][:2] - start + roll * (rolling.straight(speed) / maximum(speed, 1e-6)),
         )
-        ratio = reached / np.maximum(rolling.straight_m(self._speed[rows]), 0.1)
+        return stack(arctan2(way[1], way[0]), hypot(way[0], way[1]))
+
+    def _scored(self, angle: Number, reached: Number) -> Number:
+        """Return the score of a launch at an angle from the aim, that lets the ball roll straight so far."""
+        error = absolute(angle)
+        direction = (
+            0.25 * maximum(cos(error) - 2.5 * sin(error), -0.5)
+            + 0.35 * _bell(error / np.radians(14.0))
+            + 0.4 * _bell(error / np.radians(5.0))
+        )
+        ratio = reached / maximum(rolling.straight(self.stored("speed")), 0.1)
         # a kick that goes four times too far still scores, so that there is a slope towards softer ones
-        off = np.log(np.maximum(ratio, 1e-3))
-        close = 0.3 * np.exp(-1.5 * np.abs(off)) + 0.7 * np.exp(-np.square(off / _DISTANCE_SPREAD))
-        far = np.minimum(reached / _POWER_M, 1.0)
-        return np.asarray(_SCORE_M * direction * np.where(self._power[rows], far, close))
+        off = log(maximum(ratio, 1e-3))
+        close = 0.3 * exp(-1.5 * absolute(off)) + 0.7 * _bell(off / _DISTANCE_SPREAD)
+        far = minimum(reached / _POWER_M, 1.0)
+        return _SCORE_M * direction * where(self.stored("power"), far, close)
 
     def reward_terms(self) -> Sequence[RewardTerm]:
         """Return the gain of the score, so that a second touch counts, and what becomes of the robot."""
         settings = self.parameters
-
-        def flag(array: BoolArray) -> object:
-            return lambda rows: array[rows].astype(np.float64)
-
         return (
-            RewardTerm("kick", 1.0, lambda rows: self._gain[rows]),
-            RewardTerm("placement", settings.place_weight, lambda rows: self._placed[rows]),
-            RewardTerm("upright", settings.upright_weight, flag(self._done)),  # type: ignore[arg-type]
-            RewardTerm("fall", -settings.fall_penalty, flag(self._fallen)),  # type: ignore[arg-type]
-            RewardTerm("miss", -settings.miss_penalty, flag(self._missed)),  # type: ignore[arg-type]
-            RewardTerm("time", -settings.time_penalty, lambda rows: (self._touched[rows] < 0).astype(np.float64)),
+            RewardTerm("kick", 1.0, source(self._gain)),
+            RewardTerm("placement", settings.place_weight, source(self._placed)),
+            RewardTerm("upright", settings.upright_weight, source(self._done)),
+            RewardTerm("fall", -settings.fall_penalty, source(self._fallen)),
+            RewardTerm("miss", -settings.miss_penalty, source(self._missed)),
+            RewardTerm("time", -settings.time_penalty, self.stored("touched") < 0.0),
             *penalties(self.world, settings),
         )
-
-    def ended(self, rows: slice) -> Sequence[BoolArray]:
-        """Return which robots have fallen, have kicked and stand, or have not kicked in time."""
-        return (self._fallen[rows], self._done[rows], self._missed[rows])
 
     # results
 
     def measure(self, rows: IntArray) -> FloatArray:
         """Return touch, errors of launch and roll, roll, and fall."""
         angle, reached = self._launch[rows].T
-        asked = rolling.straight_m(self._speed[rows])
+        asked = rolling.straight(self.stored("speed"))(rows)[:, 0]
         error = np.where(self._power[rows], 0.0, np.abs(reached / np.maximum(asked, 0.1) - 1.0))
         touched = self._touched[rows] >= 0
         return np.stack([touched, np.degrees(np.abs(angle)), reached, error, self._fallen[rows]], axis=1)
@@ -621,6 +622,11 @@ class Kick(BallTask[KickSettings]):
         return results, (corridors,)
 
 
+def _bell(number: Number) -> Number:
+    """Return exp(-x^2)."""
+    return exp(square(number) * -1.0)
+
+
 class _Kicks:
     """What became of the balls of an evaluation.
 
@@ -637,12 +643,15 @@ class _Kicks:
         late = episodes.steps - moment >= UPRIGHT_S / STEP_S
         self._touched, self._upright = touched, touched & (late | ~episodes.ends["fallen"])
         self._along, self._across = zip(
-            *(along(np.array(direction), path) for direction, path in zip(self._direction, self._paths, strict=True)),
+            *(
+                components(np.array(direction), path)
+                for direction, path in zip(self._direction, self._paths, strict=True)
+            ),
             strict=True,
         )
         ends = np.array([path[-1] for path in self._paths])
         self._rolled = np.hypot(*ends.T)
-        self._error = np.degrees(np.abs(wrapped(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
+        self._error = np.degrees(np.abs(principal(np.arctan2(ends[:, 1], ends[:, 0]) - self._direction)))
         self._power = np.isinf(self._distance)
 
     def passed(self, length: float, chosen: BoolArray) -> BoolArray:

@@ -24,9 +24,13 @@ from naosprint.terms import (
     Store,
     arctan2,
     constant,
+    copysign,
     cos,
-    equal,
     given,
+    known,
+    maximum,
+    minimum,
+    product,
     sin,
     source,
     square,
@@ -34,6 +38,7 @@ from naosprint.terms import (
     where,
 )
 from naosprint.terms.expressions import centre_of_mass
+from naosprint.terms.geometry import along, hinge, turned
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +49,7 @@ PAST = "_ago"
 """Between an observation's name and how many steps ago it was observed."""
 
 _AXES = ("x", "y", "z")
-_NEVER = 1e6  # steps since a report that there has not been
+NEVER = 1e6  # steps since a report that there has not been
 
 
 class ObservationBlock:
@@ -187,10 +192,10 @@ class Observer:
                 store.apply(store.begin, rows)
             if block.begin is not None:
                 block.begin(rows)
-        for name, known in (remembered or {}).items():
+        for name, values in (remembered or {}).items():
             for block in self.blocks:
                 if name in block.arrays:
-                    block.arrays[name][rows] = known
+                    block.arrays[name][rows] = values
         values = self._measure(rows)
         self.values[rows] = values
         first = np.zeros((len(rows), self.observations.shape[1]))
@@ -338,12 +343,11 @@ def _onboard_pose(world: World) -> ObservationBlock:
     estimate = OnboardPose(world)
     return ObservationBlock(
         ("yaw", "height"),
-        stack(given("yaw", source(estimate.values)[0]), given("height", source(estimate.values)[1])),
+        stack(estimate.yaw, estimate.height),
         signs=(-1.0, 1.0),
         rates=True,
         angular=True,
-        begin=estimate.begin,
-        update=estimate.update,
+        stores=estimate.stores,
         arrays=estimate.arrays,
     )
 
@@ -389,7 +393,7 @@ def _foot(side: str, other: str, kind: str) -> Callable[[World], ObservationBloc
         values = world.perceived(f"foot_{side}")[part]
         return ObservationBlock(
             tuple(f"{side}_foot_{kind}_{axis}" for axis in _AXES),
-            where(equal(values, values), values, 0.0),  # NaN differs from itself
+            where(known(values), values, 0.0),
             partners=tuple(f"{other}_foot_{kind}_{axis}" for axis in _AXES),
             signs=_vector_signs(world),
             rates=True,
@@ -462,65 +466,46 @@ def _ball(world: World) -> ObservationBlock:
         raise ValueError(
             f"observations: ball: robot {world.robot.name} perceives none; give the task a scene with a ball"
         )
-    yaw, pitch = joints.index("head_yaw"), joints.index("head_pitch")
-    place: FloatArray = np.zeros((world.n, 2))
-    velocity: FloatArray = np.zeros((world.n, 2))
-    age: FloatArray = np.full(world.n, _NEVER)  # steps
-
-    def look(rows: IntArray) -> None:
-        """Take in the reports of the robots that have one."""
-        seen = rows[np.isfinite(world.perceptors[BALL][rows, 0])]
-        if not len(seen):
-            return
-        # the server truncates: the middle of the interval is half a digit farther from zero
-        middle = world.perceptors[BALL][seen]
-        middle = middle + np.copysign(0.005, middle)
-        distance, (azimuth, elevation) = middle[:, 0], np.radians(middle[:, 1:]).T
-        level = distance * np.cos(elevation)
-        polar = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
-        angles = np.radians(world.perceptors["joint_angles"][seen])
-        position, rotation = camera.pose(angles[:, yaw], angles[:, pitch])
-        ball = position + np.einsum("kij,kj->ki", rotation, polar)
-        found = world.perceptors["torso_pos"][seen, :2] + turned(world.perceptors["torso_quat"][seen], ball)[:, :2]
-        known = (age[seen] < _NEVER)[:, None]
-        elapsed = np.where(known, np.maximum(age[seen], 1.0)[:, None], 1.0) * STEP_S
-        velocity[seen] = np.where(known, (found - place[seen]) / elapsed, 0.0)
-        place[seen] = found
-        age[seen] = 0.0
-
-    def begin(rows: IntArray) -> None:
-        place[rows] = velocity[rows] = 0.0
-        age[rows] = _NEVER
-        look(rows)
-
-    def update(rows: slice) -> None:
-        age[rows] += 1.0
-        look(np.arange(world.n)[rows])
-
-    def measure(rows: slice | IntArray) -> FloatArray:
-        heading, known = perceived_yaw(world, rows), age[rows] < _NEVER
-        cosine, sine = np.cos(heading), np.sin(heading)
-        x, y = (place[rows] - world.perceptors["torso_pos"][rows, :2]).T * known
-        vx, vy = velocity[rows].T
-        return np.stack(
-            [
-                cosine * x + sine * y,
-                cosine * y - sine * x,
-                cosine * vx + sine * vy,
-                cosine * vy - sine * vx,
-                np.minimum(age[rows] * STEP_S, 1.0),
-            ],
-            axis=1,
-        )
-
+    arrays = {
+        "ball_place": np.zeros((world.n, 2)),
+        "ball_velocity": np.zeros((world.n, 2)),
+        "ball_seen": np.full(world.n, NEVER),  # steps since the last report
+    }
+    place, velocity, age = (source(array, name) for name, array in arrays.items())
+    report = world.perceived(BALL)
+    seen, before = known(report[0]), age < NEVER
+    # the server truncates: the middle of the interval is half a digit farther from zero
+    middle = report + copysign(0.005, report)
+    distance, azimuth, elevation = middle[0], middle[1] * (np.pi / 180.0), middle[2] * (np.pi / 180.0)
+    level = distance * cos(elevation)
+    polar = stack(level * cos(azimuth), level * sin(azimuth), distance * sin(elevation))
+    angles = world.perceived("joint_angles") * (np.pi / 180.0)
+    turn = hinge((0.0, 0.0, 1.0), angles[joints.index("head_yaw")])
+    nod = hinge((0.0, 1.0, 0.0), angles[joints.index("head_pitch")])
+    in_head = constant(camera.pitch_m) + product(nod, constant(camera.camera_m) + polar)
+    ball = constant(camera.yaw_m) + product(turn, in_head)
+    position = world.perceived("torso_pos")[:2]
+    found = source(np.zeros((world.n, 2)), "ball_found")
+    elapsed = where(before, maximum(age, 1.0), 1.0) * STEP_S
+    nothing, heading = constant([0.0, 0.0]), seen_yaw(world)
+    report_now = where(seen, position + turned(world.perceived("torso_quat"), ball)[:2], nothing)
     return ObservationBlock(
         ("ball_forward", "ball_left", "ball_forward_velocity", "ball_left_velocity", "ball_age"),
-        measure,
+        stack(along(heading, (place - position) * before), along(heading, velocity), minimum(age * STEP_S, 1.0)),
         signs=(1.0, -1.0, 1.0, -1.0, 1.0),
         spread=(0.3, 0.2, 0.5, 0.5, 0.05),
-        begin=begin,
-        update=update,
-        arrays={"ball_place": place, "ball_velocity": velocity, "ball_seen": age},
+        stores=[
+            Store(age, update=age + 1.0),
+            Store(found, begin=report_now, update=report_now),
+            Store(
+                velocity,
+                begin=nothing,
+                update=where(seen, where(before, (found - place) / elapsed, nothing), velocity),
+            ),
+            Store(place, begin=found, update=where(seen, found, place)),
+            Store(age, begin=where(seen, 0.0, NEVER), update=where(seen, 0.0, age)),
+        ],
+        arrays=arrays,
     )
 
 
@@ -565,18 +550,6 @@ def seen_yaw(world: World) -> Number:
     if world.robot.front_axis == 0:
         return arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
     return arctan2(1 - 2 * (x * x + z * z), 2 * (x * y - w * z))
-
-
-def perceived_yaw(world: World, rows: slice | IntArray) -> FloatArray:
-    """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise, as perceived."""
-    return seen_yaw(world)(rows)[:, 0]
-
-
-def turned(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return (k, 3) vectors of the torso's frame in the world's, by (k, 4) quaternions w, x, y, z."""
-    axis = quaternions[:, 1:]
-    across = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + quaternions[:, :1] * across + np.cross(axis, across))
 
 
 def _vector_signs(world: World) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from naospec.abilities import perceptor
 from pydantic import Field
 
 from naosprint.tasks.base import RewardTerm
-from naosprint.terms import maximum, mean, square, total
+from naosprint.terms import constant, maximum, mean, square, total
 
 if TYPE_CHECKING:
     from naosprint.tasks.world import World
@@ -61,12 +61,11 @@ def penalties(world: World, settings: PenaltySettings) -> tuple[RewardTerm, ...]
     Raises:
         ValueError: if torque is penalized and the simulator does not report motor torques.
     """
-    if settings.torque_penalty:
-        world.torque_share(slice(0, 1))
     hop = (hopping(world, settings.hop_penalty),) if settings.hop_penalty else ()
+    torque = mean(square(world.torque_shares)) if settings.torque_penalty else constant(0.0)
 
     return (
-        RewardTerm("torque", -settings.torque_penalty, world.torque_share),
+        RewardTerm("torque", -settings.torque_penalty, torque),
         RewardTerm("smoothness", -settings.smoothness_penalty, mean(square(world.action - world.previous_action))),
         RewardTerm("action", -settings.action_penalty, mean(square(world.action))),
         *hop,

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from naosprint.terms import Number, interpolated
+
 if TYPE_CHECKING:
     from naosprint.arrays import FloatArray
 
@@ -30,12 +32,12 @@ def table() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     return speeds, directions, np.array(found["distance_m"]), np.radians(found["stop_deg"])
 
 
-def rolling(velocity: FloatArray, spin: FloatArray, radius_m: float) -> FloatArray:
-    """Return the (k, 2) velocities with which balls of (k, 3) velocities and spins roll once they no longer slide.
+def roll(velocity: Number, spin: Number, radius_m: float) -> Number:
+    """Return the velocity (x, y) with which a ball of this velocity and spin rolls once it no longer slides.
 
     Sliding friction keeps the angular momentum about the contact: v' = (5 v + 2 r (w x up)) / 7 for a uniform sphere.
     """
-    return np.asarray((5.0 * velocity[:, :2] + 2.0 * radius_m * spin[:, 1::-1] * (1.0, -1.0)) / 7.0)
+    return (velocity[:2] * 5.0 + spin[[1, 0]] * (2.0 * radius_m) * [1.0, -1.0]) / 7.0
 
 
 def stop(speed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -54,10 +56,10 @@ def stop(speed: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArr
     return slow * _between(distances, row, column), axis + np.sign(aside) * _between(turned, row, column)
 
 
-def straight_m(speed: FloatArray) -> FloatArray:
-    """Return how far balls of (k,) speeds roll along the field's x axis, metres."""
+def straight(speed: Number) -> Number:
+    """Return how far a ball of this speed rolls along the field's x axis, metres."""
     speeds, _, distances, _ = table()
-    return np.asarray(np.interp(speed, np.append(0.0, speeds), np.append(0.0, distances[:, 0])))
+    return interpolated(speed, [0.0, *speeds.tolist()], [0.0, *distances[:, 0].tolist()])
 
 
 def launch(distance_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:

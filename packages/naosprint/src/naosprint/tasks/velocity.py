@@ -14,7 +14,7 @@ from naosprint.tasks.base import RewardTerm, Task
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FALL, FALL_RATE, FallSettings, with_min_height
 from naosprint.tasks.measurements import StoredNumbers
-from naosprint.tasks.observations import ObservationBlock, blocks, perceived_yaw, seen_yaw
+from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings, penalties
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.world import World
@@ -39,6 +39,7 @@ from naosprint.terms import (
     where,
     wrapped,
 )
+from naosprint.terms.geometry import along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -350,13 +351,14 @@ class Velocity(Task[VelocitySettings]):
         perceived, perceived_before = world.perceived("torso_pos")[:2], self._stored("perceived_position")
         velocity, offset = source(self.velocity), self._stored("offset")
         errors, advance = self._stored("errors"), self._stored("advance")
-        forward, sideways = _along(heading, position - before)
+        moved = along(heading, position - before)
+        forward = moved[0]
         missed = velocity[:2] - command[:2]
         # path and heading are observed, so they follow what the robot perceives
-        _, aside = _along(heading, perceived - perceived_before)
+        aside = along(heading, perceived - perceived_before)[1]
         zero = constant(0.0)
         return [
-            Store(velocity, update=stack(forward, sideways, wrapped(yaw - yaw_before)) / STEP_S),
+            Store(velocity, update=stack(moved, wrapped(yaw - yaw_before)) / STEP_S),
             Store(advance, begin=zero, update=advance + forward),
             Store(errors, begin=zero, update=errors + hypot(missed[0], missed[1])),
             Store(offset, update=offset + aside - command[1] * STEP_S),
@@ -445,7 +447,7 @@ class Velocity(Task[VelocitySettings]):
     def set_command(self, rows: IntArray, command: FloatArray) -> None:
         """Give robots new commands, (k, 3) in m/s and rad/s; heading and path begin again."""
         self.command[rows] = command
-        self._heading[rows] = perceived_yaw(self.world, rows)
+        self._heading[rows] = seen_yaw(self.world)(rows)[:, 0]
         self._heading_error[rows] = 0.0
         self._offset[rows] = 0.0
 
@@ -496,9 +498,3 @@ class Velocity(Task[VelocitySettings]):
             statistics.rate(FLIGHT_RATE, flight),
         )
         return results, ()
-
-
-def _along(heading: Number, moved: Number) -> tuple[Number, Number]:
-    """Return the parts of a displacement along a heading, and to the left of it."""
-    cosine, sine = cos(heading), sin(heading)
-    return cosine * moved[0] + sine * moved[1], cosine * moved[1] - sine * moved[0]

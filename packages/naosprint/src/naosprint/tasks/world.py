@@ -12,7 +12,7 @@ from naosim.robots.actuation import Actuation
 from naosim.simulator import CONTACT_N
 
 from naosprint.tasks.robot_defaults import RobotDefaults, robot_defaults
-from naosprint.terms import Number, arctan2, maximum, source
+from naosprint.terms import Number, arctan2, clip, maximum, source
 
 if TYPE_CHECKING:
     from naosim.robots import Robot
@@ -102,6 +102,24 @@ class World:
         pairs = [first & second for first, second in itertools.pairwise(off)] or off
         return reduce(maximum, pairs)
 
+    @cached_property
+    def torque_shares(self) -> Number:
+        """Share of its torque limit that each motor applies, from -1 to 1, for expressions.
+
+        Raises:
+            ValueError: if the simulator does not report motor torques.
+        """
+        limits = [joint.max_torque for joint in self.robot.joints]
+        return clip(source(self.simulator.torques) / limits, -1.0, 1.0)
+
+    def body(self, name: str, part: str) -> Number:
+        """Return a part of :attr:`bodies` for expressions: position, rotation, velocity or spin of a body."""
+        return source(lambda: getattr(self.bodies[name], part))
+
+    def contact(self, part: str) -> Number:
+        """Return the share of the latest step in which the ball touched a part of the robot, for expressions."""
+        return source(lambda: self.contacts[part])
+
     def position(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k, 3) true torso positions in metres."""
         return self.simulator.truth.torso_position[rows]
@@ -149,15 +167,6 @@ class World:
             ValueError: if the simulator's robots can begin at rest only.
         """
         self.simulator.set_motion(rows, motion)
-
-    def torque_share(self, rows: slice | IntArray) -> FloatArray:
-        """Return the (k,) mean over the joints of the squared share of its torque limit that each motor applies.
-
-        Raises:
-            ValueError: if the simulator does not report motor torques.
-        """
-        torques = self.simulator.torque_shares(rows)
-        return np.asarray(np.square(torques).mean(axis=1))
 
     def yaw(self, rows: slice | IntArray) -> FloatArray:
         """Return the (k,) angles in radians from the world's +x to the torso's front, counter-clockwise."""

@@ -111,6 +111,9 @@ class Number:
     def __and__(self, other: Number) -> Number:
         return _apply("multiply", self, other)
 
+    def __or__(self, other: Number) -> Number:
+        return _apply("maximum", self, other)
+
     def __invert__(self) -> Number:
         return 1.0 - self
 
@@ -210,6 +213,11 @@ def exp(number: Number) -> Number:
     return _apply("exp", number)
 
 
+def log(number: Number) -> Number:
+    """Return the natural logarithm of each number."""
+    return _apply("log", number)
+
+
 def arctan2(y: Operand, x: Operand) -> Number:
     """Return the angle of (x, y) from the x axis, radians."""
     return _apply("arctan2", y, x)
@@ -218,6 +226,11 @@ def arctan2(y: Operand, x: Operand) -> Number:
 def hypot(x: Operand, y: Operand) -> Number:
     """Return the length of (x, y)."""
     return _apply("hypot", x, y)
+
+
+def copysign(size: Operand, sign: Operand) -> Number:
+    """Return numbers of this size with the sign of others."""
+    return _apply("copysign", size, sign)
 
 
 def minimum(a: Operand, b: Operand) -> Number:
@@ -240,6 +253,11 @@ def equal(a: Operand, b: Operand) -> Number:
     return _apply("equal", a, b)
 
 
+def known(number: Number) -> Number:
+    """Return 1 where a number is one, 0 where it is NaN, which differs from itself."""
+    return equal(number, number)
+
+
 def where(flag: Number, yes: Operand, no: Operand) -> Number:
     """Return ``yes`` where a flag is not 0, else ``no``."""
     return _apply("where", flag, yes, no)
@@ -248,6 +266,16 @@ def where(flag: Number, yes: Operand, no: Operand) -> Number:
 def wrapped(angle: Number) -> Number:
     """Return angles in [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def interpolated(number: Number, at: Sequence[float], values: Sequence[float]) -> Number:
+    """Return a table's value at one number, linearly between ``at``, which increase, and constant beyond them."""
+    return Number("interpolated", (number,), 1, (*map(float, at), *map(float, values)))
+
+
+def product(matrix: Number, columns: Number) -> Number:
+    """Return the product of a 3 x 3 matrix, row by row, and 3 x m numbers: a vector, a matrix, or m vectors."""
+    return Number("product", (matrix, columns), columns.width)
 
 
 def uniform(seed: int, streams: Number, draws: Number, count: int) -> Number:
@@ -290,6 +318,18 @@ def _where(flag: FloatArray, yes: FloatArray, no: FloatArray) -> FloatArray:
     return np.asarray(np.where(flag != 0.0, yes, no))
 
 
+def _interpolated(number: Number, values: FloatArray) -> FloatArray:
+    half = len(number.constants) // 2
+    return np.interp(values, number.constants[:half], number.constants[half:])
+
+
+def _product(number: Number, matrix: FloatArray, columns: FloatArray) -> FloatArray:
+    k = max(len(matrix), len(columns))
+    a, b = matrix.reshape(-1, 3, 3, 1), columns.reshape(-1, 1, 3, number.width // 3)
+    rows = a[:, :, 0] * b[:, :, 0] + a[:, :, 1] * b[:, :, 1] + a[:, :, 2] * b[:, :, 2]
+    return rows.reshape(k, number.width)
+
+
 def _uniform(number: Number, streams: FloatArray, draws: FloatArray) -> FloatArray:
     return randomness.uniform(
         int(number.constants[0]), streams[:, 0].astype(np.int64), draws[:, 0].astype(np.int64), number.width
@@ -298,17 +338,26 @@ def _uniform(number: Number, streams: FloatArray, draws: FloatArray) -> FloatArr
 
 _ELEMENTWISE = (
     *("add", "subtract", "multiply", "divide", "remainder", "hypot", "sin", "cos", "sqrt"),
-    *("absolute", "minimum", "maximum", "less", "greater", "greater_equal", "equal"),
+    *("absolute", "copysign", "minimum", "maximum", "less", "greater", "greater_equal", "equal"),
 )
 
 FUNCTIONS: Mapping[str, Callable[..., AnyArray]] = {
     "sum": _sum,
     "where": _where,
     "exp": _of_the_c_library(math.exp, 1),
+    "log": _of_the_c_library(math.log, 1),
     "arctan2": _of_the_c_library(math.atan2, 2),
     **{name: getattr(np, name) for name in _ELEMENTWISE},
 }
 """Functions of (k, width) arrays by name, besides those that `_evaluated` treats."""
+
+
+_OF_CONSTANTS: Mapping[str, Callable[..., AnyArray]] = {
+    "uniform": _uniform,
+    "interpolated": _interpolated,
+    "product": _product,
+}
+"""Functions that depend on the number's constants or width, too."""
 
 
 def _evaluated(number: Number, rows: slice | IntArray, known: dict[int, FloatArray]) -> FloatArray:
@@ -319,7 +368,8 @@ def _evaluated(number: Number, rows: slice | IntArray, known: dict[int, FloatArr
     values: AnyArray
     if number.function == "source":
         chosen = number.array[rows]
-        values = chosen.reshape(len(chosen), -1)[:, np.array(number.constants, dtype=np.int64)]
+        width = int(np.prod(chosen.shape[1:], dtype=np.int64))
+        values = chosen.reshape(len(chosen), width)[:, np.array(number.constants, dtype=np.int64)]
     elif number.function == "constant":
         values = np.array([number.constants])
     elif number.function == "given":
@@ -329,8 +379,8 @@ def _evaluated(number: Number, rows: slice | IntArray, known: dict[int, FloatArr
     elif number.function == "stack":
         k = max(map(len, arguments))
         values = np.concatenate([np.broadcast_to(each, (k, each.shape[1])) for each in arguments], axis=1)
-    elif number.function == "uniform":
-        values = _uniform(number, *arguments)
+    elif number.function in _OF_CONSTANTS:
+        values = _OF_CONSTANTS[number.function](number, *arguments)
     elif number.compute is not None:
         values = number.compute(*arguments)
     else:

@@ -31,6 +31,10 @@ class Observations:
         """Return whether an input is observed."""
         return any(label == [name] for _, _, _, *label in self.nodes)
 
+    def get(self, name):
+        """Return what is stored by this name."""
+        return self.arrays[[each for each, _ in self.stored].index(name)]
+
     def observe(self, inputs):
         """Return the observation, once per cycle. Raises KeyError for an input that is missing."""
         self.inputs = inputs
@@ -71,6 +75,10 @@ class Observations:
             return np.concatenate(values)
         if function == "sum":
             return values[0].sum(keepdims=True)
+        if function == "product":
+            return (values[0].reshape(3, 3) @ values[1].reshape(3, -1)).ravel()
+        if function == "interpolated":
+            return np.interp(values[0], *np.split(np.array(constants), 2))
         if function == "where":
             return np.where(values[0] != 0, *values[1:])
         return np.asarray(getattr(np, function)(*values), float)

@@ -97,7 +97,15 @@ class Memory:
     def in_field(self, polar):
         """Return where something is that the camera sees at (distance, azimuth, elevation in degrees)."""
         yaw, pitch = np.radians(self.angles[:2])
-        return self.position[:2] + (self.rotation @ self.camera(polar, yaw, pitch))[:2]
+        distance, azimuth, elevation = polar + np.copysign(0.005, polar)  # the server truncates
+        azimuth, elevation = np.radians([azimuth, elevation])
+        level = distance * np.cos(elevation)
+        seen = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
+        (c, s), (d, z) = (np.cos(yaw), np.sin(yaw)), (np.cos(pitch), np.sin(pitch))
+        turn, nod = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([[d, 0, z], [0, 1, 0], [-z, 0, d]])
+        at_yaw, at_pitch, at_camera = self.camera
+        in_torso = at_yaw + turn @ (at_pitch + nod @ (at_camera + seen))
+        return self.position[:2] + (self.rotation @ in_torso)[:2]
 
     def mates(self, age_s=3.0):
         """Return where teammates were seen lately, by number."""
@@ -120,7 +128,7 @@ class Player:
         self.walk, self.kick, self.getup = (Runner(folder / f"{name}.npz") for name in ("walk", "kick", "getup"))
         names = [name.replace("e", "j") for name in map(str, self.walk.effector_names)]
         self.joints = ["q_" + name for name in names]
-        self.world = Memory(team, number, self.kick.ball.in_torso)
+        self.world = Memory(team, number, self.kick.camera_m)
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
         self.settling = 0
@@ -154,7 +162,7 @@ class Player:
                 self.change(self.getup)
         elif lies and not beam:
             self.change(self.getup)
-        elif self.active is self.kick and (self.kick.ball.done or self.since > KICK_CYCLES):
+        elif self.active is self.kick and (self.kick.kicked or self.since > KICK_CYCLES):
             self.change(self.walk, after=self.kick)
             self.rest = STAND_CYCLES
         elif self.active is self.walk and self.rest == 0:

@@ -46,7 +46,7 @@ class Naosprint(Skill):
     @property
     def kicked(self):
         """Whether the ball has been kicked."""
-        return self.runner.ball.done
+        return self.runner.kicked
 
     def hold(self):
         """Take the pose that runs start from, for one cycle."""

@@ -35,8 +35,8 @@ class Naosprint:
         feet = [np.zeros(6) if foot is None else served(foot) for foot in map(robot.frp.get, ("lf", "rf"))]
         felt = served(robot.gyro), served(robot.acc), *feet
         self.move(self.runner.act(self.runner.observe(yaw, height, self.angles(), *felt, self.vision(), position)))
-        if self.runner.estimate is not None:
-            height = self.runner.estimate.height
+        if self.runner.estimates:
+            height = self.runner.estimated_height
         return bool(height < FALLEN_M)
 
     def pose(self):
@@ -47,7 +47,7 @@ class Naosprint:
 
     def vision(self):
         """Return the landmarks in sight (8, 3) for a policy with onboard sensing; none for another."""
-        if self.runner.estimate is None:
+        if not self.runner.estimates:
             return None
         seen = {**self.world.flags_posts, **self.world.flags_corners}
         return np.array([seen.get(tuple(place), (np.nan,) * 3) for place in self.runner.onboard_landmarks.tolist()])

@@ -3,10 +3,8 @@
 import numpy as np
 
 try:  # in the team's code, or beside check.py
-    from behaviors.custom.Naosprint.onboard import OnboardPose
     from behaviors.custom.Naosprint.terms import Observations
 except ModuleNotFoundError:
-    from onboard import OnboardPose
     from terms import Observations
 
 ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0), "linear": lambda values: values}
@@ -18,7 +16,7 @@ class Runner:
     def __init__(self, path):
         self.__dict__.update(np.load(path))
         self.observations = Observations(self.terms, len(self.observation_names))
-        self.estimate = OnboardPose(self.__dict__) if "onboard_landmarks" in self.__dict__ else None
+        self.estimates = self.observations.has("perceptors.vision")  # yaw and height, from the other inputs
         # A symmetric policy hops from a perfectly symmetric pose, which training never starts from.
         noise = np.random.default_rng(0).uniform(-2, 2, len(self.start_pose_rad))
         self.start_targets = self.start_pose_rad + np.radians(noise)
@@ -42,19 +40,13 @@ class Runner:
         A policy that observes its velocity on the field needs the torso's position (2,) there, in metres.
         """
         self.angles = np.array(angles_deg, float)
-        feet = np.nan_to_num([left_foot, right_foot])
-        if self.estimate is not None and self.cycles == 0:
-            yaw, height = self.estimate.begin(self.heading, self.bodies(), np.array(accel, float))
-        elif self.estimate is not None:
-            touching = np.isfinite([left_foot[0], right_foot[0]]) & feet.any(axis=1)
-            yaw, height = self.estimate.update(
-                self.bodies(), np.radians(gyro_deg), accel, touching, np.reshape(vision, (-1, 3))
-            )
+        left_foot, right_foot = (np.where(np.any(foot), foot, np.nan) for foot in (left_foot, right_foot))
         inputs = {
             "yaw": (yaw - self.heading + np.pi) % (2 * np.pi) - np.pi,
             **{"height": height, "centre_of_mass": self.centre_of_mass(), "steps": self.cycles},
             **{"perceptors.joint_angles": self.angles, "perceptors.gyro": gyro_deg, "perceptors.accel": accel},
             **{"perceptors.foot_left": left_foot, "perceptors.foot_right": right_foot},
+            **{"perceptors.vision": vision, "heading": self.heading},
         }
         if position is not None:
             c, s = np.cos(self.heading), np.sin(self.heading)
@@ -62,18 +54,19 @@ class Runner:
         self.cycles += 1
         return self.observations.observe(inputs)
 
-    def bodies(self):
-        """Return positions (B, 3) in metres and rotations (B, 3, 3) of all bodies in the torso's frame."""
+    @property
+    def estimated_height(self):
+        """Height of the torso in metres by the estimate of a policy with onboard sensing."""
+        return self.observations.get("onboard_pose")[1]
+
+    def centre_of_mass(self):
+        """Return the centre of mass in the torso's frame, in metres."""
         at, turn = np.zeros((len(self.body_mass), 3)), np.tile(np.eye(3), (len(self.body_mass), 1, 1))
         for joint, body, parent, offset, anchor, axis in self.chain:
             angle, cross = np.radians(self.angles[joint]), np.cross(np.eye(3), axis)
             turn[body] = turn[parent] @ (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
             at[body] = at[parent] + turn[parent] @ offset - turn[body] @ anchor
-        return at, turn
-
-    def centre_of_mass(self):
-        """Return the centre of mass in the torso's frame, in metres."""
-        return self.body_mass @ self.bodies()[0] / self.body_mass.sum()
+        return self.body_mass @ at / self.body_mass.sum()
 
     def act(self, observation):
         """Return the target angles of all joints in the order of `joint_names`, in radians."""
