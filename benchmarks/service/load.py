@@ -90,8 +90,8 @@ def write_metrics(sessions: sessionmaker[Session], lease: Lease, stop: threading
     while not stop.wait(0.1):
         step += 32_768
         row = {name: step / 7 for name in ("reward", "distance_m", "speed_mps", "policy_loss", "value_loss", "entropy")}
-        records.append_metrics(sessions, lease, [{"step": step, **row}])
-        records.append_logs(sessions, lease, [records.LogLine("info", f"step {step}")])
+        rows = [records.MetricsRow(step, {"step": step, **row})]
+        records.write(sessions, lease, records.Batch(metrics=rows, logs=[records.LogLine("info", f"step {step}")]))
     outcomes.transition(sessions, lease, WorkState.SUCCEEDED)
     return step // 32_768
 

@@ -40,7 +40,6 @@ from typing import Any
 import httpx
 import psutil
 from naojobs import retention
-from naojobs.history import violations
 from naojobs.models import Checkpoint, Evaluation, Event, Job, LeaseClock, Log, MetricsRecord, Worker
 from naojobs.states import ENDED, WorkState
 from naojobs.store import StoreError, StoreManifest
@@ -49,6 +48,7 @@ from sqlalchemy import DateTime, func, select, update
 from stack import SPOILED, Stack, wait_until_ready
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.integration.history import violations
 from tests.integration.tiny import ROLLOUT, TINY
 
 SEEDS = (1, 2)

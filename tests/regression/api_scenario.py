@@ -32,6 +32,9 @@ from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 from sqlalchemy.orm import Session, sessionmaker
 
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tests.integration.writes import append_metrics, record_checkpoint
+
 MIGRATIONS = Path(__file__).parents[2] / "migrations"
 LONGEST_LIST = 25
 
@@ -97,13 +100,13 @@ def fill(sessions: sessionmaker[Session], store: ArtifactStore, folder: Path) ->
     evaluated = EvaluationSpec.model_validate(EVALUATION)
     request = JobRequest(_spec(SPEC), evaluated, name="first", tags=["regression", "a=b"], priority=7)
     lease = _run(sessions, request)
-    records.append_metrics(sessions, lease, ROWS)
+    append_metrics(sessions, lease, ROWS)
     records.append_logs(sessions, lease, [LogLine("info", "training sprint1"), LogLine("warning", "second line")])
     (folder / "policy.npz").write_bytes(b"weights")
     (folder / "checkpoint.json").write_bytes(b"{}")
     key = checkpoint_key(lease.job_id, 24576, lease.attempt)
     manifest = store.put_directory(key, folder).model_dump()
-    checkpoint = records.record_checkpoint(sessions, lease, step=24576, key=key, manifest=manifest)
+    checkpoint = record_checkpoint(sessions, lease, step=24576, key=key, manifest=manifest)
     outcomes.transition(sessions, lease, WorkState.EVALUATING)
     evaluation = records.record_evaluation(
         sessions,

@@ -12,7 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import outcomes, records, submission
+from naojobs import outcomes, submission
 from naojobs.leases import Lease
 from naojobs.models import Job
 from naojobs.states import WorkState
@@ -22,6 +22,7 @@ from naosprint_api.recent import KEEP_S
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import record_checkpoint
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,6 @@ def save_checkpoint(sessions: sessionmaker[Session], store: ArtifactStore, tmp_p
             (folder / name).write_bytes(content)
         key = checkpoint_key(lease.job_id, step, lease.attempt)
         manifest = store.put_directory(key, folder)
-        return records.record_checkpoint(sessions, lease, step=step, key=key, manifest=manifest.model_dump())
+        return record_checkpoint(sessions, lease, step=step, key=key, manifest=manifest.model_dump())
 
     return save

@@ -24,6 +24,7 @@ from naospec.metrics import Metric, Result
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import append_metrics
 
 CONTENT = {
     "checkpoint.json": b'{"format": 1}',
@@ -254,7 +255,7 @@ def test_a_jobs_result_is_its_newest_evaluation_with_the_most_episodes(
     evaluate(100, 500, 1.0)
     chosen = [evaluate(step, 1000, height) for step, height in ((200, 2.0), (300, 3.0))][-1]
     evaluate(400, 10, 4.0)
-    records.append_metrics(sessions, lease, [{"step": 400, "c": 0.5}])
+    append_metrics(sessions, lease, [{"step": 400, "c": 0.5}])
     result = client.get(path).json()["result"]
     assert (result["evaluation_id"], result["step"], result["episodes"]) == (chosen, 300, 1000)
     assert [item["name"] for item in result["results"]] == ["a", "c"], "the headline, then training results"

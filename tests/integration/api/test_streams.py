@@ -24,6 +24,7 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import append_metrics
 
 Sessions = sessionmaker[Session]
 
@@ -36,7 +37,7 @@ def test_a_follower_sees_a_job_live_until_it_ends(
         backlog = list(islice(messages, 5))
         assert [message.event for message in backlog] == ["event"] * 4 + ["state"]
         assert backlog[-1].data["state"] == "running"
-        records.append_metrics(sessions, lease, [{"step": 10, "reward": 1.0}])
+        append_metrics(sessions, lease, [{"step": 10, "reward": 1.0}])
         news = list(islice(messages, 2))
         assert (news[0].event, news[0].data) == ("metrics", {"step": 10, "reward": 1.0, "attempt": 1})
         assert (news[1].event, news[1].data["progress_step"]) == ("state", 10)
@@ -70,7 +71,7 @@ def test_a_follower_that_comes_back_misses_nothing_and_hears_nothing_twice(
     lease = run_job()
     path = f"/jobs/{lease.job_id}/stream"
     total = 1200  # more than two batches
-    records.append_metrics(sessions, lease, [{"step": step} for step in range(1, total + 1)])
+    append_metrics(sessions, lease, [{"step": step} for step in range(1, total + 1)])
     records.append_logs(sessions, lease, [records.LogLine("info", f"{n}") for n in range(700)])
     outcomes.transition(sessions, lease, WorkState.FAILED, error="gone")
 
@@ -93,9 +94,9 @@ def test_a_follower_may_start_behind_what_it_has_fetched(
     client: httpx.Client, sessions: Sessions, run_job: Callable[..., Lease], follow: Any
 ) -> None:
     lease = run_job()
-    records.append_metrics(sessions, lease, [{"step": step} for step in (1, 2, 3)])
+    append_metrics(sessions, lease, [{"step": step} for step in (1, 2, 3)])
     seq = client.get(f"/jobs/{lease.job_id}/metrics").json()["last_seq"]
-    records.append_metrics(sessions, lease, [{"step": 4}])
+    append_metrics(sessions, lease, [{"step": 4}])
     with follow(client, f"/jobs/{lease.job_id}/stream", only="metrics", metrics_after=seq) as messages:
         assert next(messages).data["step"] == 4
 
@@ -105,13 +106,13 @@ def test_a_resumed_job_sends_its_steps_again(
 ) -> None:
     lease = run_job()
     with follow(client, f"/jobs/{lease.job_id}/stream", only=["metrics", "event"], events_after=10**9) as messages:
-        records.append_metrics(sessions, lease, [{"step": step} for step in (10, 20)])
+        append_metrics(sessions, lease, [{"step": step} for step in (10, 20)])
         assert [m.data["step"] for m in islice(messages, 2)] == [10, 20]
         outcomes.lose(sessions, lease, "the trainer died")
         claim = claim_work(sessions, Job, lease.job_id, "worker-2")
         assert claim is not None
         outcomes.begin(sessions, claim.lease, step=10, resumed_from="x")
-        records.append_metrics(sessions, claim.lease, [{"step": 20}])
+        append_metrics(sessions, claim.lease, [{"step": 20}])
         again = next(messages)
         assert (again.data["step"], again.data["attempt"]) == (20, 2)
 
@@ -197,16 +198,16 @@ def test_followers_hear_again_after_the_database_cut_the_line(
 ) -> None:
     lease = run_job()
     with follow(client, f"/jobs/{lease.job_id}/stream", only="metrics") as messages:
-        records.append_metrics(sessions, lease, [{"step": 1}])
+        append_metrics(sessions, lease, [{"step": 1}])
         assert next(messages).data["step"] == 1
         with psycopg.connect(database_url, autocommit=True) as connection:
             cut = connection.execute(
                 "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name LIKE 'naosprint-api%'"
             ).fetchall()
         assert cut
-        records.append_metrics(sessions, lease, [{"step": 2}])
+        append_metrics(sessions, lease, [{"step": 2}])
         assert next(messages).data["step"] == 2
-        records.append_metrics(sessions, lease, [{"step": 3}])
+        append_metrics(sessions, lease, [{"step": 3}])
         assert next(messages).data["step"] == 3
 
 

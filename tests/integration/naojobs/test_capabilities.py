@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from naojobs import leases, records, registry, submission
+from naojobs import leases, registry, submission
 from naojobs.capabilities import Capabilities, live_workers, waiting_reasons
 from naojobs.leases import Claim
 from naojobs.models import Evaluation, Job
@@ -20,6 +20,7 @@ from sqlalchemy import delete, update
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import record_checkpoint
 
 Sessions = sessionmaker[Session]
 
@@ -96,7 +97,7 @@ def test_work_is_claimed_by_priority_and_waiting_time_in_the_simulators_of_a_wor
 def test_evaluations_are_claimed_beside_jobs(sessions: Sessions, submit: Callable[..., str]) -> None:
     trained = claim_work(sessions, Job, submit(), "w")
     assert trained is not None
-    records.record_checkpoint(sessions, trained.lease, step=1, key=trained.lease.id, manifest={"files": []})
+    record_checkpoint(sessions, trained.lease, step=1, key=trained.lease.id, manifest={"files": []})
     waiting = submit()
     spec = EvaluationSpec(task="sprint2")
     evaluation = submission.request_evaluation(sessions, trained.lease.job_id, spec=spec).id

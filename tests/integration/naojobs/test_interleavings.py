@@ -13,11 +13,10 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from naojobs import leases, outcomes, records, requests, submission
+from naojobs import leases, outcomes, requests, submission
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
 from naojobs.errors import ConflictError, LeaseLostError, NotFoundError
-from naojobs.history import states_of, violations
 from naojobs.leases import JobClaim
 from naojobs.models import Evaluation, Event, Job
 from naojobs.settings import ServiceSettings
@@ -32,6 +31,8 @@ from naosprint_worker.supervisor import Ending, Intent
 from sqlalchemy import func, select, text, update
 
 from tests.integration.attempts import claim_work
+from tests.integration.history import states_of, violations
+from tests.integration.writes import record_checkpoint
 
 REQUESTS = ("cancel", "pause", "resume", "retry", "delete")
 ENDS = ("finished", "crashed", "failed", "unavailable", "stalled", "memory", "crowded", "time_limit")
@@ -86,7 +87,7 @@ class Attempt:
         elif action == "checkpoint":
             step = next(self._steps)
             key = f"jobs/{self.lease.job_id}/checkpoints/{step}"
-            records.record_checkpoint(sessions, self.lease, step=step, key=key, manifest={"files": []})
+            record_checkpoint(sessions, self.lease, step=step, key=key, manifest={"files": []})
         elif action == "look":
             requests = leases.read_requests(sessions, self.lease)
             if requests.cancel:

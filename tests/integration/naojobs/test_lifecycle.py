@@ -25,6 +25,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import append_metrics, record_checkpoint, record_event
 
 Sessions = sessionmaker[Session]
 
@@ -110,10 +111,10 @@ def test_a_lost_lease_fences_every_write(sessions: Sessions, running: JobClaim, 
         lambda: outcomes.begin(sessions, running.lease, step=0),
         lambda: outcomes.transition(sessions, running.lease, WorkState.SUCCEEDED),
         lambda: outcomes.lose(sessions, running.lease, "late"),
-        lambda: records.append_metrics(sessions, running.lease, [{"step": 1}]),
+        lambda: append_metrics(sessions, running.lease, [{"step": 1}]),
         lambda: records.append_logs(sessions, running.lease, [records.LogLine("info", "late")]),
-        lambda: records.record_event(sessions, running.lease, "late", "late"),
-        lambda: records.record_checkpoint(sessions, running.lease, step=1, key="late", manifest={"files": []}),
+        lambda: record_event(sessions, running.lease, "late", "late"),
+        lambda: record_checkpoint(sessions, running.lease, step=1, key="late", manifest={"files": []}),
     ]
     for write in writes:
         with pytest.raises(LeaseLostError):
@@ -209,7 +210,7 @@ def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions,
         claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
         key = f"{job.id}/{round_}"
-        records.record_checkpoint(sessions, claim.lease, step=step, key=key, manifest={"files": []})
+        record_checkpoint(sessions, claim.lease, step=step, key=key, manifest={"files": []})
         state = outcomes.lose(sessions, claim.lease, "the trainer died")
         assert get(sessions, job.id).failures == failures
     assert state is WorkState.FAILED
@@ -217,7 +218,7 @@ def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions,
     for step in (10, 20, 30):
         claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
-        records.record_checkpoint(sessions, claim.lease, step=step, key=f"{job.id}/{step}", manifest={"files": []})
+        record_checkpoint(sessions, claim.lease, step=step, key=f"{job.id}/{step}", manifest={"files": []})
         assert outcomes.lose(sessions, claim.lease, "the trainer died") is WorkState.QUEUED
         assert get(sessions, job.id).failures == 1
 
@@ -291,7 +292,7 @@ def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
     sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
 ) -> None:
     parent = running.lease.job_id
-    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
     child = submit(parent_job_id=parent)
     requests.request_cancel(sessions, Job, child.id)
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
@@ -308,7 +309,7 @@ def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
 
 def test_deleting_a_job_while_its_evaluation_ends_causes_no_deadlock(sessions: Sessions, running: JobClaim) -> None:
     job_id = running.lease.job_id
-    records.record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
+    record_checkpoint(sessions, running.lease, step=10, key=f"{job_id}/10", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, job_id)
     claim = claim_work(sessions, Evaluation, evaluation.id, "w")
     assert claim is not None
@@ -486,10 +487,10 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
 ) -> None:
     parent = running.lease.job_id
-    first = records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    first = record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
     child = submit(parent_job_id=parent, parent_checkpoint_id=first)
     other = submit(parent_job_id=parent)
-    second = records.record_checkpoint(sessions, running.lease, step=20, key=f"{parent}/20", manifest={"files": []})
+    second = record_checkpoint(sessions, running.lease, step=20, key=f"{parent}/20", manifest={"files": []})
 
     claim = claim_work(sessions, Job, child.id, "w")
     assert claim is not None
@@ -501,14 +502,14 @@ def test_a_child_starts_from_its_parents_policy_until_it_has_a_checkpoint_of_its
     assert newest.initial_policy.id == second
     with sessions() as session:
         assert session.get_one(Job, other.id).parent_checkpoint_id == second, "the lineage names the used checkpoint"
-    records.record_checkpoint(sessions, running.lease, step=30, key=f"{parent}/30", manifest={"files": []})
+    record_checkpoint(sessions, running.lease, step=30, key=f"{parent}/30", manifest={"files": []})
     outcomes.transition(sessions, newest.lease, WorkState.QUEUED)
     once_more = claim_work(sessions, Job, other.id, "w")
     assert once_more is not None
     assert once_more.initial_policy is not None
     assert once_more.initial_policy.id == second, "every attempt starts from the same policy"
 
-    own = records.record_checkpoint(sessions, claim.lease, step=5, key=f"{child.id}/5", manifest={"files": []})
+    own = record_checkpoint(sessions, claim.lease, step=5, key=f"{child.id}/5", manifest={"files": []})
     outcomes.transition(sessions, claim.lease, WorkState.QUEUED)
     again = claim_work(sessions, Job, child.id, "w")
     assert again is not None
@@ -595,9 +596,9 @@ def test_success_clears_the_errors_of_lost_attempts(sessions: Sessions, running:
 
 def test_deleting_a_job_leaves_no_row_of_it(sessions: Sessions, running: JobClaim) -> None:
     job_id = running.lease.job_id
-    records.append_metrics(sessions, running.lease, [{"step": 1, "reward": 2.0}])
+    append_metrics(sessions, running.lease, [{"step": 1, "reward": 2.0}])
     records.append_logs(sessions, running.lease, [records.LogLine("info", "x")])
-    records.record_checkpoint(sessions, running.lease, step=1, key=f"{job_id}/1", manifest={"files": []})
+    record_checkpoint(sessions, running.lease, step=1, key=f"{job_id}/1", manifest={"files": []})
     submission.request_evaluation(sessions, job_id)
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
     requests.delete(sessions, job_id)
@@ -617,13 +618,13 @@ def test_a_child_waits_for_the_first_policy_of_its_parent(sessions: Sessions, su
     claim = claim_work(sessions, Job, parent.id, "w")
     assert claim is not None
     assert claim_work(sessions, Job, child.id, "w") is None
-    records.record_checkpoint(sessions, claim.lease, step=0, key=f"{parent.id}/0", manifest={"files": []})
+    record_checkpoint(sessions, claim.lease, step=0, key=f"{parent.id}/0", manifest={"files": []})
     assert claim_work(sessions, Job, child.id, "w") is None
     assert get(sessions, child.id).state is WorkState.QUEUED
     with sessions() as session:
         reasons = waiting_reasons(session, [get(sessions, child.id)], live_workers(session, stale_s=30))
     assert reasons == {child.id: f"job {parent.id}, whose policy it starts from, has no trained checkpoint yet"}
-    first = records.record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
+    first = record_checkpoint(sessions, claim.lease, step=9, key=f"{parent.id}/9", manifest={"files": []})
     got = claim_work(sessions, Job, child.id, "w")
     assert got is not None
     assert got.initial_policy is not None
@@ -649,7 +650,7 @@ def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
     sessions: Sessions, running: JobClaim, submit: Callable[..., Job]
 ) -> None:
     parent = running.lease.job_id
-    records.record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
+    record_checkpoint(sessions, running.lease, step=10, key=f"{parent}/10", manifest={"files": []})
     child = submit(parent_job_id=parent)
     requests.request_cancel(sessions, Job, child.id)
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
@@ -662,8 +663,8 @@ def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
 
 
 def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessions, running: JobClaim) -> None:
-    records.append_metrics(sessions, running.lease, [{"step": step, "reward": 1.0} for step in (10, 20, 30, 40)])
-    checkpoint = records.record_checkpoint(
+    append_metrics(sessions, running.lease, [{"step": step, "reward": 1.0} for step in (10, 20, 30, 40)])
+    checkpoint = record_checkpoint(
         sessions, running.lease, step=20, key=f"{running.lease.job_id}/20", manifest={"files": []}
     )
     outcomes.lose(sessions, running.lease, "the trainer died")
@@ -674,7 +675,7 @@ def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessi
     outcomes.begin(sessions, claim.lease, step=20, resumed_from=checkpoint)
     kept = get(sessions, running.lease.job_id)
     assert (kept.progress_step, kept.latest_metrics["step"]) == (20, 20)
-    records.append_metrics(sessions, claim.lease, [{"step": step, "reward": 2.0} for step in (25, 35)])
+    append_metrics(sessions, claim.lease, [{"step": step, "reward": 2.0} for step in (25, 35)])
 
     def rows() -> list[tuple[int, int]]:
         with sessions.begin() as session:
@@ -687,6 +688,6 @@ def test_metrics_are_kept_until_a_new_checkpoint_supersedes_them(sessions: Sessi
 
     assert rows() == [(10, 1), (20, 1), (25, 2), (30, 1), (35, 2), (40, 1)]
     key = f"{running.lease.job_id}/35"
-    records.record_checkpoint(sessions, claim.lease, step=35, key=key, manifest={"files": []})
+    record_checkpoint(sessions, claim.lease, step=35, key=key, manifest={"files": []})
     assert rows() == [(10, 1), (20, 1), (25, 2), (35, 2)]
     assert "resumed" in kinds(sessions, running.lease.job_id)

@@ -20,6 +20,7 @@ from sqlalchemy.exc import DataError, IntegrityError
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import append_metrics, record_checkpoint, record_event
 
 Sessions = sessionmaker[Session]
 
@@ -47,9 +48,9 @@ def rows(sessions: Sessions, model: Any, job_id: str) -> list[Any]:
 
 def test_metrics_written_twice_are_there_once(sessions: Sessions, lease: Lease) -> None:
     batch = [{"step": 10, "time_s": 1.5, "reward": 1.0}, {"step": 20, "reward": 2.0}]
-    records.append_metrics(sessions, lease, batch)
-    records.append_metrics(sessions, lease, batch)
-    records.append_metrics(sessions, lease, [{"step": 20, "reward": 3.0}])
+    append_metrics(sessions, lease, batch)
+    append_metrics(sessions, lease, batch)
+    append_metrics(sessions, lease, [{"step": 20, "reward": 3.0}])
     found = rows(sessions, MetricsRecord, lease.job_id)
     assert [(row.step, row.time_s, row.values["reward"]) for row in found] == [(10, 1.5, 1.0), (20, None, 3.0)]
     assert found[1].seq > found[0].seq
@@ -59,10 +60,10 @@ def test_metrics_written_twice_are_there_once(sessions: Sessions, lease: Lease) 
 
 
 def test_figures_that_are_no_numbers_are_left_out(sessions: Sessions, lease: Lease) -> None:
-    records.append_metrics(sessions, lease, [{"step": 1, "a": float("nan"), "b": float("inf"), "c": 1.0}])
+    append_metrics(sessions, lease, [{"step": 1, "a": float("nan"), "b": float("inf"), "c": 1.0}])
     assert rows(sessions, MetricsRecord, lease.job_id)[0].values == {"step": 1.0, "c": 1.0}
     with pytest.raises(ValueError, match="without step"):
-        records.append_metrics(sessions, lease, [{"reward": 1.0}])
+        append_metrics(sessions, lease, [{"reward": 1.0}])
 
 
 def test_logs_keep_their_order_and_any_text(sessions: Sessions, lease: Lease) -> None:
@@ -83,9 +84,9 @@ def test_text_that_the_server_cannot_hold_is_replaced_everywhere(sessions: Sessi
     def stored(text: str) -> str:
         return text.replace("\\u0000", "-").replace("\N{REPLACEMENT CHARACTER}", "?")
 
-    records.append_metrics(sessions, lease, [{"step": 1, f"m{bad}": 1.0, "reward": 2.0}])
+    append_metrics(sessions, lease, [{"step": 1, f"m{bad}": 1.0, "reward": 2.0}])
     records.append_logs(sessions, lease, [records.LogLine("error", f"l{bad}"), records.LogLine("info", "fine")])
-    records.record_event(sessions, lease, "report", f"e{bad}", {"paths": [f"p{bad}"], f"k{bad}": {"x": f"v{bad}"}})
+    record_event(sessions, lease, "report", f"e{bad}", {"paths": [f"p{bad}"], f"k{bad}": {"x": f"v{bad}"}})
     submission.edit(sessions, lease.job_id, notes=f"o{bad}", tags=[f"t{bad}"])
     outcomes.transition(sessions, lease, WorkState.FAILED, error=f"f{bad}")
     (metric,) = rows(sessions, MetricsRecord, lease.job_id)
@@ -104,8 +105,8 @@ def test_text_that_the_server_cannot_hold_is_replaced_everywhere(sessions: Sessi
 
 def test_a_checkpoint_recorded_twice_is_there_once(sessions: Sessions, lease: Lease) -> None:
     key = f"jobs/{lease.job_id}/checkpoints/1"
-    first = records.record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []})
-    assert records.record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []}) == first
+    first = record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []})
+    assert record_checkpoint(sessions, lease, step=1, key=key, manifest={"files": []}) == first
     events = [event for event in rows(sessions, Event, lease.job_id) if event.kind == "checkpoint"]
     assert [event.data["checkpoint_id"] for event in events] == [first]
 
@@ -130,7 +131,7 @@ def test_ids_ascend_in_the_order_of_commits(sessions: Sessions, lease: Lease) ->
     """A follower reads after the last id it saw, so it would miss a lower id that is committed later."""
 
     def write(number: int) -> None:
-        records.record_event(sessions, lease, "test", str(number))
+        record_event(sessions, lease, "test", str(number))
 
     seen: list[int] = []
     with ThreadPoolExecutor(6) as pool:
@@ -150,7 +151,7 @@ def test_ids_ascend_in_the_order_of_commits(sessions: Sessions, lease: Lease) ->
 
 
 def test_an_evaluation_at_the_end_of_a_job(sessions: Sessions, lease: Lease) -> None:
-    checkpoint = records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/c", manifest={"files": []})
+    checkpoint = record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/c", manifest={"files": []})
     evaluation = records.record_evaluation(
         sessions,
         lease,
@@ -167,8 +168,8 @@ def test_an_evaluation_at_the_end_of_a_job(sessions: Sessions, lease: Lease) -> 
 def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, lease: Lease) -> None:
     with pytest.raises(ConflictError, match="no checkpoint yet"):
         submission.request_evaluation(sessions, lease.job_id)
-    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
-    newest = records.record_checkpoint(sessions, lease, step=2, key=f"{lease.job_id}/2", manifest={"files": []})
+    record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    newest = record_checkpoint(sessions, lease, step=2, key=f"{lease.job_id}/2", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, lease.job_id, spec=EvaluationSpec(episodes=5))
     assert (evaluation.checkpoint_id, evaluation.state) == (newest, WorkState.QUEUED)
 
@@ -190,7 +191,7 @@ def test_an_evaluation_on_request_from_claim_to_figures(sessions: Sessions, leas
 
 
 def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease: Lease) -> None:
-    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     evaluation = submission.request_evaluation(sessions, lease.job_id)
     for _ in range(3):
         claim = claim_work(sessions, Evaluation, evaluation.id, "w")
@@ -206,7 +207,7 @@ def test_an_evaluation_whose_workers_die_fails_at_last(sessions: Sessions, lease
 
 
 def test_a_checkpoint_of_another_job_is_not_evaluated(sessions: Sessions, lease: Lease) -> None:
-    foreign = records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    foreign = record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     other, _ = submission.submit(sessions, JobRequest(), owner="alice")
     with pytest.raises(NotFoundError):
         submission.request_evaluation(sessions, other.id, checkpoint_id=foreign)
@@ -254,7 +255,7 @@ def test_a_batch_is_written_as_a_whole_or_not_at_all(sessions: Sessions, lease: 
 @pytest.fixture
 def evaluation(sessions: Sessions, lease: Lease) -> Evaluation:
     """An evaluation that waits."""
-    records.record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
+    record_checkpoint(sessions, lease, step=1, key=f"{lease.job_id}/1", manifest={"files": []})
     return submission.request_evaluation(sessions, lease.job_id, time_limit_s=7.0)
 
 

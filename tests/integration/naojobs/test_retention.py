@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from datetime import timedelta
 
 import pytest
-from naojobs import outcomes, records, requests, submission
+from naojobs import outcomes, requests, submission
 from naojobs.__main__ import main
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease
@@ -24,6 +24,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
+from tests.integration.writes import append_metrics, record_checkpoint
 
 Sessions = sessionmaker[Session]
 
@@ -51,7 +52,7 @@ def save(sessions: Sessions, store: ArtifactStore, lease: Lease) -> Callable[[in
         entry = store.put_bytes(f"{key}/policy.npz", b"policy")
         manifest = {"files": [entry.model_dump()]}
         store.put_bytes(f"{key}/manifest.json", json.dumps(manifest).encode())
-        return records.record_checkpoint(sessions, lease, step=step, key=key, manifest=manifest)
+        return record_checkpoint(sessions, lease, step=step, key=key, manifest=manifest)
 
     return save
 
@@ -101,8 +102,8 @@ def test_what_something_refers_to_and_the_best_are_kept(
 ) -> None:
     ids = {step: save(step) for step in PLANNED}
     rewards: Iterable[tuple[int, float]] = ((300, 1.0), (500, 10.0), (700, 99.0), (1000, 9.5), (1800, -1.0))
-    records.append_metrics(sessions, lease, [{"step": step, "reward": reward} for step, reward in rewards])
-    records.append_metrics(sessions, lease, [{"step": 2000, "loss": 1.0}])
+    append_metrics(sessions, lease, [{"step": step, "reward": reward} for step, reward in rewards])
+    append_metrics(sessions, lease, [{"step": 2000, "loss": 1.0}])
     submission.request_evaluation(sessions, lease.job_id, checkpoint_id=ids[800])
     parent = JobRequest(parent_job_id=lease.job_id, parent_checkpoint_id=ids[1300], spec=TrainingSpec())
     submission.submit(sessions, parent, owner="alice")

@@ -13,7 +13,7 @@ from typing import Any
 
 import httpx
 import pytest
-from naojobs import leases, outcomes, records, requests, studies
+from naojobs import leases, outcomes, requests, studies
 from naojobs.errors import ConflictError, InvalidError
 from naojobs.models import Evaluation, Job, Study, StudyState, Trial, TrialState
 from naojobs.roles import Role
@@ -29,6 +29,7 @@ from sqlalchemy import select, text
 
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import as_role
+from tests.integration.writes import append_metrics
 
 from .conftest import ROLLOUT, TINY, Broker, Service
 
@@ -181,7 +182,7 @@ def test_a_report_whose_row_was_not_written_counts_once(service: Service, conduc
     conductor.advance(study.id)
     job_id = str(study_of(service, study.id)[1][0].job_id)
     lease = take(service, job_id)
-    records.append_metrics(service.sessions, lease, [{"step": ROLLOUT * 20, "reward": 3.0}])
+    append_metrics(service.sessions, lease, [{"step": ROLLOUT * 20, "reward": 3.0}])
     outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
     import optuna
 
@@ -201,12 +202,12 @@ def test_a_trial_that_falls_behind_is_pruned_and_says_why(service: Service, cond
     held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
     for lease in held[:2]:
         rows = [{"step": ROLLOUT * n, "reward": float(n)} for n in range(1, 21)]
-        records.append_metrics(service.sessions, lease, rows)
+        append_metrics(service.sessions, lease, rows)
         outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
-    records.append_metrics(service.sessions, held[2], [{"step": ROLLOUT, "reward": -5.0}])
+    append_metrics(service.sessions, held[2], [{"step": ROLLOUT, "reward": -5.0}])
     conductor.advance(study.id)
     assert not leases.read_requests(service.sessions, held[2]).cancel, "within its first interval"
-    records.append_metrics(service.sessions, held[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
+    append_metrics(service.sessions, held[2], [{"step": ROLLOUT * 2, "reward": -5.0}])
     conductor.advance(study.id)
     assert leases.read_requests(service.sessions, held[2]).cancel
     outcomes.transition(service.sessions, held[2], WorkState.CANCELLED, message="cancelled as requested")
@@ -227,7 +228,7 @@ def test_halving_keeps_the_best_at_each_rung(service: Service, conductor: Conduc
     held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
     for falls, lease in zip((0.1, 0.9, 0.8, 0.2), held, strict=True):
         rows = [{"step": ROLLOUT * n, "fall_rate": falls} for n in (1, 2)]
-        records.append_metrics(service.sessions, lease, rows)
+        append_metrics(service.sessions, lease, rows)
         conductor.advance(study.id)
     pruned = [leases.read_requests(service.sessions, lease).cancel for lease in held]
     assert pruned == [False, True, True, False]
@@ -240,7 +241,7 @@ def test_several_objectives_have_a_pareto_front(service: Service, conductor: Con
     points = [(3.0, 0.5), (2.0, 0.1), (2.5, 0.6), (3.0, 0.4)]
     for (speed, falls), row in zip(points, study_of(service, study.id)[1], strict=True):
         lease = take(service, str(row.job_id))
-        records.append_metrics(service.sessions, lease, [{"step": 320, "speed_mps": speed, "fall_rate": falls}])
+        append_metrics(service.sessions, lease, [{"step": 320, "speed_mps": speed, "fall_rate": falls}])
         outcomes.transition(service.sessions, lease, WorkState.SUCCEEDED)
     conductor.advance(study.id)
     study, rows = study_of(service, study.id)
@@ -346,9 +347,7 @@ def test_a_study_continues_without_the_tables_of_optuna(service: Service, conduc
     conductor.advance(study.id)
     held = [take(service, str(row.job_id)) for row in study_of(service, study.id)[1]]
     for lease, reward in zip(held, (3.0, 1.0, 2.0), strict=True):
-        records.append_metrics(
-            service.sessions, lease, [{"step": ROLLOUT * n, "reward": reward * n} for n in range(1, 21)]
-        )
+        append_metrics(service.sessions, lease, [{"step": ROLLOUT * n, "reward": reward * n} for n in range(1, 21)])
     for lease, state in zip(held[:2], (WorkState.SUCCEEDED, WorkState.FAILED), strict=True):
         outcomes.transition(service.sessions, lease, state)
     conductor.advance(study.id)

@@ -147,7 +147,7 @@ def kinds_in(tree: ast.AST) -> Iterator[tuple[str, set[str]]]:
     """Find the literal kinds in calls that record an event, with the literal names in their data."""
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
         name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-        at: dict[str, int] = {"add_event": 2, "event": 0, "record_event": 2}
+        at: dict[str, int] = {"add_event": 2, "event": 0}
         values: list[ast.expr] = []
         if name in at and len(call.args) > at[name]:
             values = _literals(call.args[at[name]])

@@ -133,32 +133,10 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     return ids
 
 
-def append_metrics(sessions: Sessions, lease: Lease, rows: Sequence[Mapping[str, float]]) -> None:
-    """Write rows of metrics, each with its `step`. Raises LeaseLostError, and ValueError for a row without a step."""
-    if any("step" not in row for row in rows):
-        raise ValueError("metrics row without step")
-    write(sessions, lease, Batch(metrics=[MetricsRow(int(row["step"]), row) for row in rows]))
-
-
 def append_logs(sessions: Sessions, lease: Lease, lines: Sequence[LogLine]) -> None:
     """Write lines of the job's log, in this order. Raises LeaseLostError."""
     if lines:
         write(sessions, lease, Batch(logs=list(lines)))
-
-
-def record_event(
-    sessions: Sessions, lease: Lease, kind: str, message: str, data: Mapping[str, object] | None = None
-) -> None:
-    """Write an event of a leased job. Raises LeaseLostError."""
-    write(sessions, lease, Batch(events=[EventRecord(kind, message, data or {})]))
-
-
-def record_checkpoint(sessions: Sessions, lease: Lease, *, step: int, key: str, manifest: Mapping[str, object]) -> str:
-    """Write a checkpoint whose files are all in the store; return its id.
-
-    The same step of the same attempt keeps its id. Raises LeaseLostError.
-    """
-    return write(sessions, lease, Batch(checkpoints=[StoredCheckpoint(step, key, manifest)]))[step]
 
 
 def _write_metrics(session: Session, job: Job, metrics: Sequence[MetricsRow]) -> None:

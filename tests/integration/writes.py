@@ -1,0 +1,31 @@
+"""Rows that a worker writes in batches, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from naojobs.database import Sessions
+from naojobs.leases import Lease
+from naojobs.records import Batch, EventRecord, MetricsRow, StoredCheckpoint, write
+
+
+def append_metrics(sessions: Sessions, lease: Lease, rows: Sequence[Mapping[str, float]]) -> None:
+    """Write rows of metrics, each with its `step`. Raises LeaseLostError, and ValueError for a row without a step."""
+    if any("step" not in row for row in rows):
+        raise ValueError("metrics row without step")
+    write(sessions, lease, Batch(metrics=[MetricsRow(int(row["step"]), row) for row in rows]))
+
+
+def record_event(
+    sessions: Sessions, lease: Lease, kind: str, message: str, data: Mapping[str, object] | None = None
+) -> None:
+    """Write an event of a leased job. Raises LeaseLostError."""
+    write(sessions, lease, Batch(events=[EventRecord(kind, message, data or {})]))
+
+
+def record_checkpoint(sessions: Sessions, lease: Lease, *, step: int, key: str, manifest: Mapping[str, object]) -> str:
+    """Write a checkpoint whose files are all in the store; return its id.
+
+    The same step of the same attempt keeps its id. Raises LeaseLostError.
+    """
+    return write(sessions, lease, Batch(checkpoints=[StoredCheckpoint(step, key, manifest)]))[step]
