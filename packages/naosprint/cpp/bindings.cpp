@@ -12,6 +12,7 @@
 #include <tuple>
 #include <vector>
 
+#include "adam_bindings.hpp"
 #include "forward_bindings.hpp"
 #include "network.hpp"
 
@@ -218,5 +219,6 @@ NB_MODULE(_kernel, m) {
       if (naosprint::runs_here(kernel->name)) names.push_back(kernel->name);
     return names;
   });
+  naosprint::bind_adam(m);
   naosprint::bind_forward(m);
 }

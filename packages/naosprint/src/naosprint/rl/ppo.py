@@ -344,9 +344,7 @@ class PPO(Learner):
                 if target_kl is not None and kl > 1.5 * target_kl:
                     break
                 # g <- g min(1, max_grad_norm / |g|), then Adam
-                if settings.max_grad_norm is not None:
-                    nn.utils.clip_grad_norm_(parameters, settings.max_grad_norm)
-                self._optimizer.step()
+                self._optimizer.step(settings.max_grad_norm)
             self._n_passes += 1
             if target_kl is not None and kls[-1] > 1.5 * target_kl:
                 break
