@@ -545,6 +545,8 @@ NB_MODULE(_mujoco, m) {
              const std::size_t joints = static_cast<std::size_t>(self.layout().joints), count = targets.size() / joints;
              require(targets.size() == count * joints, "targets: wrong shape");
              require(first >= 0 && first + static_cast<int>(count) <= self.size(), "rows: out of range");
+             require(std::all_of(targets.data(), targets.data() + targets.size(), [](double target) { return std::isfinite(target); }),
+                     "targets_rad: expected finite numbers");
              self.begin(targets.data(), first, static_cast<int>(count));
            }, nb::arg("targets"), nb::arg("first"))
       .def("finish",

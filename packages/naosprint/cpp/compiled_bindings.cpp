@@ -202,10 +202,45 @@ double normal(std::uint64_t seed, std::uint64_t stream, std::uint64_t draw, std:
   return (static_cast<double>(sum) + 6.0) / 65536.0 - 6.0;
 }
 
-Moments moments_of(const Doubles& mean, const Doubles& variance, const Doubles& count) {
-  require(mean.size() == variance.size() && count.size() == 1, "moments: wrong shape");
-  return {mean.data(), variance.data(), count.data(), static_cast<int>(mean.size())};
-}
+// Moments of samples, on the threads at an address. The arrays are kept and changed.
+class RunningMoments {
+ public:
+  RunningMoments(const Doubles& mean, const Doubles& variance, const Doubles& count, const std::optional<Index>& index,
+                 const std::optional<Inputs>& sign, std::uint64_t threads)
+      : arrays_{mean, variance, count}, index_(index), sign_(sign), threads_(threads) {
+    require(mean.size() == variance.size() && count.size() == 1, "moments: wrong shape");
+    moments_ = {mean.data(), variance.data(), count.data(), static_cast<int>(mean.size())};
+    require(index.has_value() == sign.has_value() && (!index || (index->size() == mean.size() && sign->size() == mean.size())),
+            "mirror: wrong shape");
+    for (std::size_t j = 0; index && j < index->size(); ++j)
+      require(index->data()[j] >= 0 && index->data()[j] < moments_.width, "mirror: out of range");
+  }
+
+  void merge(const Inputs& samples) const {
+    require(samples.ndim() == 2 && samples.shape(0) > 0 && static_cast<int>(samples.shape(1)) == moments_.width, "samples: wrong shape");
+    naosprint::merge(moments_, {index_ ? index_->data() : nullptr, sign_ ? sign_->data() : nullptr}, samples.data(),
+                     static_cast<std::int64_t>(samples.shape(0)), threads_);
+  }
+
+  bool standardize(const Inputs& samples, double clip, const Floats& out) const {
+    require(samples.ndim() == 2 && static_cast<int>(samples.shape(1)) == moments_.width && out.size() == samples.size(), "samples: wrong shape");
+    return naosprint::standardize(moments_, samples.data(), static_cast<std::int64_t>(samples.shape(0)), clip, out.data(), threads_);
+  }
+
+  void scale_rewards(const Doubles& returns, const Inputs& rewards, const Flags& dones, double gamma, double clip, const Floats& out) const {
+    require(moments_.width == 1 && returns.size() == rewards.size() && dones.size() == rewards.size() && out.size() == rewards.size(),
+            "rewards: wrong shape");
+    naosprint::scale_rewards(moments_, returns.data(), rewards.data(), dones.data(), static_cast<std::int64_t>(rewards.size()), gamma, clip,
+                             out.data());
+  }
+
+ private:
+  std::vector<Doubles> arrays_;
+  std::optional<Index> index_;
+  std::optional<Inputs> sign_;
+  std::uint64_t threads_;
+  Moments moments_;
+};
 
 }  // namespace
 }  // namespace naosprint
@@ -229,27 +264,13 @@ NB_MODULE(_compiled, m) {
       .def("step", &Step::step, nb::arg("first"), nb::arg("count"), nb::arg("lost").none(), nb::arg("max_steps"), nb::arg("short_steps"),
            nb::arg("horizon_is_terminal"), nb::arg("threads"))
       .def("begin", &Step::begin, nb::arg("rows"));
-  m.def("merge",
-        [](const Doubles& mean, const Doubles& variance, const Doubles& count, const std::optional<Index>& index, const std::optional<Inputs>& sign,
-           const Inputs& samples, std::uint64_t threads) {
-          const Moments moments = moments_of(mean, variance, count);
-          require(samples.ndim() == 2 && samples.shape(0) > 0 && static_cast<int>(samples.shape(1)) == moments.width, "samples: wrong shape");
-          require(index.has_value() == sign.has_value() && (!index || (index->size() == mean.size() && sign->size() == mean.size())),
-                  "mirror: wrong shape");
-          for (std::size_t j = 0; index && j < index->size(); ++j)
-            require(index->data()[j] >= 0 && index->data()[j] < moments.width, "mirror: out of range");
-          merge(moments, {index ? index->data() : nullptr, sign ? sign->data() : nullptr}, samples.data(), static_cast<std::int64_t>(samples.shape(0)),
-                threads);
-        },
-        nb::arg("mean"), nb::arg("variance"), nb::arg("count"), nb::arg("index").none(), nb::arg("sign").none(), nb::arg("samples"), nb::arg("threads"));
-  m.def("standardize",
-        [](const Doubles& mean, const Doubles& variance, const Inputs& samples, double clip, const Floats& out, std::uint64_t threads) {
-          require(mean.size() == variance.size() && samples.ndim() == 2 && samples.shape(1) == mean.size() && out.size() == samples.size(),
-                  "samples: wrong shape");
-          standardize({mean.data(), variance.data(), nullptr, static_cast<int>(mean.size())}, samples.data(),
-                      static_cast<std::int64_t>(samples.shape(0)), clip, out.data(), threads);
-        },
-        nb::arg("mean"), nb::arg("variance"), nb::arg("samples"), nb::arg("clip"), nb::arg("out"), nb::arg("threads"));
+  nb::class_<RunningMoments>(m, "Moments")
+      .def(nb::init<const Doubles&, const Doubles&, const Doubles&, const std::optional<Index>&, const std::optional<Inputs>&, std::uint64_t>(),
+           nb::arg("mean"), nb::arg("variance"), nb::arg("count"), nb::arg("index").none(), nb::arg("sign").none(), nb::arg("threads"))
+      .def("merge", &RunningMoments::merge, nb::arg("samples"))
+      .def("standardize", &RunningMoments::standardize, nb::arg("samples"), nb::arg("clip"), nb::arg("out"))
+      .def("scale_rewards", &RunningMoments::scale_rewards, nb::arg("returns"), nb::arg("rewards"), nb::arg("dones"), nb::arg("gamma"),
+           nb::arg("clip"), nb::arg("out"));
   m.def("normal",
         [](std::uint64_t seed, const Index& streams, const Index& draws, const Doubles& out) {
           require(out.ndim() == 2 && out.shape(0) == streams.size() && streams.size() == draws.size(), "streams, draws: one per row is needed");
@@ -260,14 +281,4 @@ NB_MODULE(_compiled, m) {
                   normal(seed, static_cast<std::uint64_t>(streams.data()[k]), static_cast<std::uint64_t>(draws.data()[k]), c);
         },
         nb::arg("seed"), nb::arg("streams"), nb::arg("draws"), nb::arg("out"));
-  m.def("scale_rewards",
-        [](const Doubles& mean, const Doubles& variance, const Doubles& count, const Doubles& returns, const Inputs& rewards, const Flags& dones,
-           double gamma, double clip, const Floats& out) {
-          const Moments moments = moments_of(mean, variance, count);
-          require(moments.width == 1 && returns.size() == rewards.size() && dones.size() == rewards.size() && out.size() == rewards.size(),
-                  "rewards: wrong shape");
-          scale_rewards(moments, returns.data(), rewards.data(), dones.data(), static_cast<std::int64_t>(rewards.size()), gamma, clip, out.data());
-        },
-        nb::arg("mean"), nb::arg("variance"), nb::arg("count"), nb::arg("returns"), nb::arg("rewards"), nb::arg("dones"), nb::arg("gamma"),
-        nb::arg("clip"), nb::arg("out"));
 }

@@ -1,7 +1,9 @@
 #include "normalization.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <cstring>
 
 #include "operations.hpp"
 #include "threads.hpp"
@@ -37,15 +39,24 @@ NAOSPRINT_WIDE void column_sums(const double* samples, std::int64_t rows, std::i
   }
 }
 
-NAOSPRINT_WIDE void standardize_rows(const double* samples, const double* mean, const double* spread, std::int64_t rows, int width, double clip,
+// Returns whether the results are finite.
+NAOSPRINT_WIDE bool standardize_rows(const double* samples, const double* mean, const double* spread, std::int64_t rows, int width, double clip,
                                      float* out) {
-  for (std::int64_t r = 0; r < rows; ++r)
+  std::uint32_t largest = 0;
+  for (std::int64_t r = 0; r < rows; ++r) {
     for (int c = 0; c < width; ++c) {
       double value = (samples[r * width + c] - mean[c]) / spread[c];
       value = value < -clip ? -clip : value;
       value = value > clip ? clip : value;
       out[r * width + c] = static_cast<float>(value);
     }
+    for (int c = 0; c < width; ++c) {
+      std::uint32_t bits;
+      std::memcpy(&bits, out + r * width + c, sizeof bits);
+      largest = std::max(largest, bits & 0x7FFFFFFFu);
+    }
+  }
+  return largest < 0x7F800000u;
 }
 
 void merge_moments(const Moments& moments, const double* mean, const double* squares, double k) {
@@ -99,14 +110,17 @@ void merge(const Moments& moments, const MirrorImage& mirror, const double* samp
   merge_moments(moments, mean.data(), squares.data(), k);
 }
 
-void standardize(const Moments& moments, const double* samples, std::int64_t rows, double clip, float* out, std::uint64_t threads) {
+bool standardize(const Moments& moments, const double* samples, std::int64_t rows, double clip, float* out, std::uint64_t threads) {
   const int width = moments.width;
   std::vector<double> spread(static_cast<std::size_t>(width));
   for (int j = 0; j < width; ++j) spread[j] = std::sqrt(moments.variance[j] + kEpsilon);
+  std::atomic<bool> finite{true};
   run_on(threads, static_cast<int>((rows + kRows - 1) / kRows), [&](int part) {
     const std::int64_t first = part * kRows;
-    standardize_rows(samples + first * width, moments.mean, spread.data(), std::min(kRows, rows - first), width, clip, out + first * width);
+    const std::int64_t count = std::min(kRows, rows - first);
+    if (!standardize_rows(samples + first * width, moments.mean, spread.data(), count, width, clip, out + first * width)) finite = false;
   });
+  return finite;
 }
 
 void scale_rewards(const Moments& moments, double* returns, const double* rewards, const bool* dones, std::int64_t rows, double gamma, double clip,

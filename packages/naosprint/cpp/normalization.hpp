@@ -20,8 +20,8 @@ struct MirrorImage {
 // Merge (rows, width) samples into the moments.
 void merge(const Moments& moments, const MirrorImage& mirror, const double* samples, std::int64_t rows, std::uint64_t threads);
 
-// Write the standardized and clipped samples.
-void standardize(const Moments& moments, const double* samples, std::int64_t rows, double clip, float* out, std::uint64_t threads);
+// Write the standardized and clipped samples; return whether they are finite.
+bool standardize(const Moments& moments, const double* samples, std::int64_t rows, double clip, float* out, std::uint64_t threads);
 
 // Merge the discounted returns, and write the rewards divided by the returns' spread and clipped. Returns of episodes that are over become 0.
 void scale_rewards(const Moments& moments, double* returns, const double* rewards, const bool* dones, std::int64_t rows, double gamma, double clip,

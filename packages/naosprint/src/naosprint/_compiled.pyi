@@ -40,27 +40,26 @@ class Step:
     ) -> None: ...
     def begin(self, rows: IntArray) -> None: ...
 
-def merge(
-    mean: FloatArray,
-    variance: FloatArray,
-    count: FloatArray,
-    index: IntArray | None,
-    sign: FloatArray | None,
-    samples: FloatArray,
-    threads: int,
-) -> None: ...
-def standardize(
-    mean: FloatArray, variance: FloatArray, samples: FloatArray, clip: float, out: Float32Array, threads: int
-) -> None: ...
+class Moments:
+    def __init__(
+        self,
+        mean: FloatArray,
+        variance: FloatArray,
+        count: FloatArray,
+        index: IntArray | None,
+        sign: FloatArray | None,
+        threads: int,
+    ) -> None: ...
+    def merge(self, samples: FloatArray) -> None: ...
+    def standardize(self, samples: FloatArray, clip: float, out: Float32Array) -> bool: ...
+    def scale_rewards(
+        self,
+        returns: FloatArray,
+        rewards: FloatArray,
+        dones: BoolArray,
+        gamma: float,
+        clip: float,
+        out: Float32Array,
+    ) -> None: ...
+
 def normal(seed: int, streams: IntArray, draws: IntArray, out: FloatArray) -> None: ...
-def scale_rewards(
-    mean: FloatArray,
-    variance: FloatArray,
-    count: FloatArray,
-    returns: FloatArray,
-    rewards: FloatArray,
-    dones: BoolArray,
-    gamma: float,
-    clip: float,
-    out: Float32Array,
-) -> None: ...

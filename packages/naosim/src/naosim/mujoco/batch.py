@@ -138,7 +138,7 @@ class MujocoBatch:
         Until :meth:`finish` has returned, nothing else may use these worlds.
 
         Raises:
-            ValueError: if a shape is wrong.
+            ValueError: if a shape is wrong, or a target is not finite.
             RuntimeError: if these worlds have not finished the step before.
         """
         self._worlds.begin(np.ascontiguousarray(targets_rad, dtype=np.float64), first)

@@ -89,18 +89,18 @@ class MujocoSimulator(Simulator):
         """
         self.require_open()
         self.require_group(rows)
-        targets = np.array(targets_rad, dtype=np.float64)
+        targets = np.asarray(targets_rad, dtype=np.float64)
         if targets.shape != (rows.stop - rows.start, self.world.joints):
             raise ValueError(
                 f"targets_rad: expected shape {(rows.stop - rows.start, self.world.joints)}, got {targets.shape}"
             )
-        if not np.isfinite(targets if active is None else targets[active]).all():
-            raise ValueError("targets_rad: expected finite numbers")
         if active is None:
             self.batch.begin(targets, rows.start)
             self._begun.add(rows.start)
+        elif np.isfinite(targets[active]).all():
+            self._pending[rows.start] = targets.copy(), active
         else:
-            self._pending[rows.start] = targets, active
+            raise ValueError("targets_rad: expected finite numbers")
 
     def step_wait(self, rows: slice) -> None:
         """Finish the step that :meth:`step_async` began."""

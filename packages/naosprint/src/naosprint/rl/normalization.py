@@ -36,23 +36,25 @@ class RunningMoments:
     Args:
         width: numbers in a sample.
         mirror: if given, the moments are those of the samples and their mirror images together.
+        threads: address of a simulator's threads; see ``naosim.simulator.NativeHandle``.
 
     Attributes:
         mean: (width,) mean.
         variance: (width,) variance.
         count: (1,) number of samples.
+        compiled: what changes these arrays.
     """
 
-    def __init__(self, width: int, mirror: Mirror | None = None) -> None:
-        self.mirror = mirror
+    def __init__(self, width: int, mirror: Mirror | None = None, threads: int = 0) -> None:
         self.mean: FloatArray = np.zeros(width)
         self.variance: FloatArray = np.ones(width)
         self.count: FloatArray = np.array([1e-4])
+        index, sign = (None, None) if mirror is None else (mirror.index, mirror.sign)
+        self.compiled = _compiled.Moments(self.mean, self.variance, self.count, index, sign, threads)
 
-    def update(self, batch: FloatArray, threads: int = 0) -> None:
-        """Merge (k, width) samples, on the threads at this address."""
-        index, sign = (None, None) if self.mirror is None else (self.mirror.index, self.mirror.sign)
-        _compiled.merge(self.mean, self.variance, self.count, index, sign, batch, threads)
+    def update(self, batch: FloatArray) -> None:
+        """Merge (k, width) samples."""
+        self.compiled.merge(batch)
 
     def sums(self) -> FloatArray:
         """Return the sums over the samples: (3, width) of ones, of the samples and of their squares."""
@@ -61,9 +63,11 @@ class RunningMoments:
 
     def load_sums(self, sums: FloatArray) -> None:
         """Take over what :meth:`sums` returned."""
-        self.count = sums[0, :1].copy()
-        self.mean = sums[1] / sums[0]
-        self.variance = np.maximum(sums[2] / sums[0] - np.square(self.mean), 0.0)
+        self.load(sums[1] / sums[0], np.maximum(sums[2] / sums[0] - np.square(sums[1] / sums[0]), 0.0), sums[0, :1])
+
+    def load(self, mean: AnyArray, variance: AnyArray, count: AnyArray) -> None:
+        """Take over these moments."""
+        self.mean[:], self.variance[:], self.count[:] = mean, variance, count
 
 
 class Normalizer:
@@ -92,14 +96,13 @@ class Normalizer:
         mirror: Mirror | None = None,
         threads: int = 0,
     ) -> None:
-        self.observation_moments = RunningMoments(width, mirror)
+        self.observation_moments = RunningMoments(width, mirror, threads)
         self.return_moments = RunningMoments(1)
         self._returns: FloatArray = np.zeros(n)
         self._observations = observations
         self._clip = observation_clip
         self._rewards = rewards
         self.gamma = gamma
-        self._threads = threads
         self._note_merged()
 
     def _note_merged(self) -> None:
@@ -109,28 +112,39 @@ class Normalizer:
     def update_observations(self, observations: FloatArray) -> None:
         """Merge (k, width) raw observations into the statistics."""
         if self._observations:
-            self.observation_moments.update(observations, self._threads)
+            self.observation_moments.update(observations)
 
     def observations(self, observations: FloatArray, out: Float32Array | None = None) -> Float32Array:
         """Return (k, width) raw observations as the policy sees them, in ``out`` if it is given."""
         if out is None:
             out = np.empty(observations.shape, np.float32)
         if self._observations:
-            moments = self.observation_moments
-            _compiled.standardize(moments.mean, moments.variance, observations, self._clip, out, self._threads)
+            self.observation_moments.compiled.standardize(observations, self._clip, out)
         else:
             out[:] = observations
         return out
 
-    def rewards(self, rewards: FloatArray, dones: BoolArray, rows: slice = _ALL) -> Float32Array:
-        """Merge (k,) raw rewards of the environments ``rows`` and return them as the learner sees them."""
-        scaled: Float32Array = rewards.astype(np.float32)
+    def observe(self, observations: FloatArray, out: Float32Array) -> bool:
+        """Merge (k, width) raw observations, write them to ``out`` as the policy sees them; return if they are finite."""
+        if self._observations:
+            compiled = self.observation_moments.compiled
+            compiled.merge(observations)
+            return compiled.standardize(observations, self._clip, out)
+        out[:] = observations
+        return bool(np.isfinite(out).all())
+
+    def rewards(
+        self, rewards: FloatArray, dones: BoolArray, rows: slice = _ALL, out: Float32Array | None = None
+    ) -> Float32Array:
+        """Merge (k,) raw rewards of the environments ``rows``; return them, in ``out`` if given, as the learner sees them."""
+        if out is None:
+            out = np.empty(rewards.shape, np.float32)
         if self._rewards:
-            moments, returns = self.return_moments, self._returns[rows]
-            _compiled.scale_rewards(
-                moments.mean, moments.variance, moments.count, returns, rewards, dones, self.gamma, REWARD_CLIP, scaled
-            )
-        return scaled
+            compiled, returns = self.return_moments.compiled, self._returns[rows]
+            compiled.scale_rewards(returns, rewards, dones, self.gamma, REWARD_CLIP, out)
+        else:
+            out[:] = rewards
+        return out
 
     def merge(self, processes: Processes) -> None:
         """Merge what each process has seen since the last call, so that all have the same statistics."""
@@ -161,7 +175,5 @@ class Normalizer:
     def load_statistics(self, state: Mapping[str, AnyArray]) -> None:
         """Restore only the statistics, which do not depend on the number of environments."""
         for moments, name in ((self.observation_moments, "observation"), (self.return_moments, "return")):
-            moments.mean = np.array(state[f"{name}_mean"], dtype=np.float64)
-            moments.variance = np.array(state[f"{name}_variance"], dtype=np.float64)
-            moments.count = np.array(state[f"{name}_count"], dtype=np.float64)
+            moments.load(*(state[f"{name}_{part}"] for part in ("mean", "variance", "count")))
         self._note_merged()

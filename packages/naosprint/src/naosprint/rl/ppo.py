@@ -263,24 +263,23 @@ class PPO(Learner):
                 seen = rollout.observations[step, group] if step < n_steps else observations[group]
                 if step:
                     transition = environment.step_wait(group)
-                    raw = environment.observations[group]
-                    normalizer.update_observations(raw)
-                    normalizer.observations(raw, seen)
-                    _require_finite(environment, seen, group)
+                    if not normalizer.observe(environment.observations[group], seen):
+                        _require_finite(environment, seen, group)
                     starts[group] = transition.dones
                     rewards = rollout.rewards[step - 1, group]
-                    rewards[:] = normalizer.rewards(transition.rewards, transition.dones, group)
+                    normalizer.rewards(transition.rewards, transition.dones, group, rewards)
                     # where the episode could go on: r + gamma V(s')
                     follows = ~transition.failed if self.settings.bootstrap_at_end else transition.truncated
-                    if follows.any():
+                    if len(follows) and follows.any():
                         last = normalizer.observations(transition.last_observations[follows])
                         rewards[transition.ended[follows]] += gamma * self._critic(last)[:, 0]
                 if step < n_steps:
                     rollout.episode_starts[step, group] = starts[group]
                     if frozen is not None:
                         rollout.frozen[step, group] = frozen[group]
-                    self._act(seen, scaled_noise[step, group], rollout.actions[step, group], step, group)
-                    environment.step_async(rollout.actions[step, group], group)
+                    actions = rollout.actions[step, group]
+                    self._act(seen, scaled_noise[step, group], actions, step, group)
+                    environment.step_async(actions, group)
         with torch.no_grad():
             # log pi_old(a|s), which needs only the noise: (a - mu) / sigma
             density = -0.5 * noise.square().sum(dim=2) - log_std.sum() - environment.n_actions * _HALF_LOG_TWO_PI

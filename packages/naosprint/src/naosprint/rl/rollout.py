@@ -78,6 +78,8 @@ class TrainingEnvironment:
         self._seed = seed
         self._episode: IntArray = np.zeros(self.n, dtype=np.int64)
         self._rewards: FloatArray = np.zeros(self.n)
+        none = np.zeros(0, np.bool_)
+        self._nothing_ended = (np.zeros(0, np.int64), np.zeros((0, self.n_observations)), none, none)
 
     @classmethod
     def from_spec(
@@ -103,20 +105,22 @@ class TrainingEnvironment:
         """Finish the step that :meth:`step_async` began for these environments."""
         environment = self.environment
         environment.step_wait(rows)
-        self._rewards[rows] += environment.rewards[rows]
+        rewards = environment.rewards[rows].copy()
+        self._rewards[rows] += rewards
         dones = environment.terminated[rows] | environment.truncated[rows]
-        ended = np.flatnonzero(dones)
+        (ended,) = dones.nonzero()
+        if not len(ended):
+            return Transition(rewards, dones, *self._nothing_ended)
         transition = Transition(
-            rewards=environment.rewards[rows].copy(),
+            rewards=rewards,
             dones=dones,
             ended=ended,
             last_observations=environment.observations[rows][ended],
             failed=environment.failed[rows][ended],
             truncated=environment.truncated[rows][ended],
         )
-        if len(ended):
-            self._record(ended + rows.start)
-            self._restart(ended + rows.start)
+        self._record(ended + rows.start)
+        self._restart(ended + rows.start)
         return transition
 
     def _record(self, ended: IntArray) -> None:

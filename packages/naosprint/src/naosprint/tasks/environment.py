@@ -263,9 +263,9 @@ class Environment:
         self.simulator_s += perf_counter() - began
         self.disturbances.apply(rows)
         lost = simulator.lost[rows]
-        gone = np.flatnonzero(lost)
+        (gone,) = lost.nonzero()
         if len(gone):
-            gone += rows.start
+            gone = gone + rows.start
             # the last report of a failing server is not used for learning
             last_observations = self.observer.observations[gone]
             remembered = {name: array[gone] for name, array in task.arrays.items()}
