@@ -1,7 +1,7 @@
 """Adam in C++, with the bits of ``torch.optim.Adam(..., fused=True)`` and ``torch.nn.utils.clip_grad_norm_``.
 
-A minibatch takes four milliseconds, and these functions of PyTorch, called for a dozen small arrays between two of them, a
-quarter of that. ``torch.optim`` also loads PyTorch's compiler: 1.4 s and 70 MB in every process.
+Called for a dozen small arrays between two minibatches, these functions of PyTorch took a tenth of an update.
+``torch.optim`` also loads PyTorch's compiler: 1.4 s and 70 MB in every process.
 """
 
 from __future__ import annotations

@@ -125,7 +125,11 @@ class Normalizer:
         return out
 
     def observe(self, observations: FloatArray, out: Float32Array) -> bool:
-        """Merge (k, width) raw observations, write them to ``out`` as the policy sees them; return if they are finite."""
+        """Merge (k, width) raw observations and write them to ``out`` as the policy sees them.
+
+        Returns:
+            Whether all of them are finite.
+        """
         if self._observations:
             compiled = self.observation_moments.compiled
             compiled.merge(observations)
@@ -136,7 +140,7 @@ class Normalizer:
     def rewards(
         self, rewards: FloatArray, dones: BoolArray, rows: slice = _ALL, out: Float32Array | None = None
     ) -> Float32Array:
-        """Merge (k,) raw rewards of the environments ``rows``; return them, in ``out`` if given, as the learner sees them."""
+        """Merge (k,) raw rewards of the environments ``rows``; return them as the learner sees them."""
         if out is None:
             out = np.empty(rewards.shape, np.float32)
         if self._rewards:
