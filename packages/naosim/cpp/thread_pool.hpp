@@ -81,13 +81,15 @@ class ThreadPool {
     if (asleep) start_.notify_all();
   }
 
-  // Do what is left of a round, and return when all of it is done.
+  // Do what is left of a round, and return when all of it is done. While helpers are at its last jobs, do some of later rounds.
   void finish(Round& round) {
     for (int k = round.next.fetch_add(1); k < round.count; k = round.next.fetch_add(1)) {
       round.job(k);
       ++round.done;
     }
     const auto finished = [&] { return round.done == round.count; };
+    while (!finished() && work()) {
+    }
     const bool seen = spin(finished);
     std::unique_lock<std::mutex> lock(mutex_);
     if (!seen) done_.wait(lock, finished);
