@@ -9,6 +9,7 @@
 #include <cmath>
 #include <optional>
 #include <string>
+#include <thread>
 #include <tuple>
 #include <vector>
 
@@ -85,34 +86,49 @@ class Gradients {
     naosprint::split(network_.mirrors[0], observations.data(), static_cast<std::int64_t>(observations.shape(0)), halves.data());
   }
 
-  std::tuple<double, double, double> actor(const Floats& log_std, std::optional<Floats> log_std_gradient, const Floats& observations,
-                                           const Floats& actions, const Floats& log_probs, const Floats& advantages, const Index& rows, bool normalize,
-                                           float clip_range) {
+  // The gradients of an actor (this) and of a critic, which share nothing: on a thread each if `concurrent`.
+  std::tuple<double, double, double, double> both(Gradients& other, const Floats& log_std, std::optional<Floats> log_std_gradient,
+                                                  const Floats& observations, const Floats& actions, const Floats& log_probs, const Floats& advantages,
+                                                  const Floats& returns, const Index& rows, bool normalize, float clip_range, float coefficient,
+                                                  bool concurrent) {
+    require(this != &other, "critic: another network is needed");
+    const auto [rollout, gradient] = checked(log_std, log_std_gradient, observations, actions, log_probs, advantages, rows, normalize);
+    const Rollout values = other.checked(observations, returns, rows);
+    const Rows chosen{rows.data(), static_cast<int>(rows.size())};
+    nb::gil_scoped_release release;
+    double value_loss = 0.0;
+    const auto learn_values = [&] { value_loss = other.kernel_->critic(other.network_, values, chosen, coefficient, other.workspace_); };
+    std::thread beside;
+    if (concurrent) beside = std::thread(learn_values);
+    const ActorResult result = kernel_->actor(network_, log_std.data(), gradient, rollout, chosen, normalize, clip_range, workspace_);
+    if (concurrent)
+      beside.join();
+    else
+      learn_values();
+    return {result.loss, result.clipped, result.kl, value_loss};
+  }
+
+  const char* kernel_name() const { return kernel_->name; }
+
+ private:
+  std::tuple<Rollout, float*> checked(const Floats& log_std, std::optional<Floats>& log_std_gradient, const Floats& observations, const Floats& actions,
+                                      const Floats& log_probs, const Floats& advantages, const Index& rows, bool normalize) const {
     const std::size_t n = observations.shape(0), outputs = static_cast<std::size_t>(network_.layers.back().outputs);
     check(observations, rows);
     require(actions.size() == n * outputs && log_std.size() == outputs && (!log_std_gradient || log_std_gradient->size() == outputs),
             "actions, log_std: wrong shape");
     require(log_probs.size() == n && advantages.size() == n, "log_probs, advantages: wrong shape");
     require(!normalize || rows.size() >= 2, "rows: at least two are needed to normalize advantages");
-    const Rollout rollout{observations.data(), actions.data(), log_probs.data(), advantages.data(), nullptr};
-    float* gradient = log_std_gradient ? log_std_gradient->data() : nullptr;
-    nb::gil_scoped_release release;
-    const ActorResult result = kernel_->actor(network_, log_std.data(), gradient, rollout, {rows.data(), static_cast<int>(rows.size())}, normalize,
-                                              clip_range, workspace_);
-    return {result.loss, result.clipped, result.kl};
+    return {Rollout{observations.data(), actions.data(), log_probs.data(), advantages.data(), nullptr},
+            log_std_gradient ? log_std_gradient->data() : nullptr};
   }
 
-  double critic(const Floats& observations, const Floats& returns, const Index& rows, float coefficient) {
+  Rollout checked(const Floats& observations, const Floats& returns, const Index& rows) const {
     check(observations, rows);
     require(returns.size() == observations.shape(0) && network_.layers.back().outputs == 1, "returns: wrong shape");
-    const Rollout rollout{observations.data(), nullptr, nullptr, nullptr, returns.data()};
-    nb::gil_scoped_release release;
-    return kernel_->critic(network_, rollout, {rows.data(), static_cast<int>(rows.size())}, coefficient, workspace_);
+    return {observations.data(), nullptr, nullptr, nullptr, returns.data()};
   }
 
-  const char* kernel_name() const { return kernel_->name; }
-
- private:
   void check(const Floats& observations, const Index& rows) const {
     require(observations.ndim() == 2 && static_cast<int>(observations.shape(1)) == network_.layers.front().inputs, "observations: wrong shape");
     require(rows.size() >= 1, "rows: at least one is needed");
@@ -209,9 +225,9 @@ NB_MODULE(_kernel, m) {
       .def(nb::init<std::vector<std::tuple<Floats, Floats, Floats, Floats>>, const Mirrors&, const std::string&>(), nb::arg("layers"),
            nb::arg("mirrors"), nb::arg("kernel"))
       .def("split", &Gradients::split, nb::arg("observations"), nb::arg("halves"))
-      .def("actor", &Gradients::actor, nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"), nb::arg("actions"),
-           nb::arg("log_probs"), nb::arg("advantages"), nb::arg("rows"), nb::arg("normalize"), nb::arg("clip_range"))
-      .def("critic", &Gradients::critic, nb::arg("observations"), nb::arg("returns"), nb::arg("rows"), nb::arg("coefficient"))
+      .def("both", &Gradients::both, nb::arg("critic"), nb::arg("log_std"), nb::arg("log_std_gradient").none(), nb::arg("observations"),
+           nb::arg("actions"), nb::arg("log_probs"), nb::arg("advantages"), nb::arg("returns"), nb::arg("rows"), nb::arg("normalize"),
+           nb::arg("clip_range"), nb::arg("coefficient"), nb::arg("concurrent"))
       .def_prop_ro("kernel", &Gradients::kernel_name);
   m.def("kernels", [] {
     std::vector<std::string> names;

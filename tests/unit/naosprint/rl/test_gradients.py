@@ -67,7 +67,7 @@ def gradients_of(
 ) -> tuple[tuple[float, ...], dict[str, Tensor]]:
     gradients = made(policy)
     samples = gradients.prepare(samples)
-    results = (*gradients.actor(samples, chosen), gradients.critic(samples, chosen))
+    results = gradients.both(samples, chosen)
     return results, {name: p.grad for name, p in policy.named_parameters() if p.grad is not None}
 
 
@@ -94,7 +94,7 @@ def test_kernels_compute_the_gradients_of_double_precision(
     results, found = gradients_of(lambda p: KernelGradients(p, used, None, kernel), new_policy(layers), samples, chosen)
     known, wanted = gradients_of(lambda p: Losses(p, used), new_policy(layers).double(), doubled(samples), chosen)
     assert results == pytest.approx(known, rel=1e-5, abs=1e-6)
-    clipped = known[2]
+    clipped = known[3]
     assert count < 10 or 0.0 < clipped < 1.0, "both cases are tested"
     assert found.keys() == wanted.keys()
     for name, gradient in wanted.items():
@@ -191,9 +191,9 @@ def test_wrong_shapes_are_named() -> None:
     gradients = KernelGradients(policy, settings())
     samples = drawn(policy)
     with pytest.raises(ValueError, match="rows: out of range"):
-        gradients.critic(samples, torch.tensor([0, N]))
+        gradients.both(samples, torch.tensor([0, N]))
     with pytest.raises(ValueError, match="observations: wrong shape"):
-        gradients.critic(
+        gradients.both(
             Samples(samples.observations[:, 1:].contiguous(), *list(vars(samples).values())[1:]), torch.arange(3)
         )
     with pytest.raises(ValueError, match="kernel: not supported"):

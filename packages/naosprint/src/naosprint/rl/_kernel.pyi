@@ -12,21 +12,22 @@ class Gradients:
     @property
     def kernel(self) -> str: ...
     def split(self, observations: Float32Array, halves: Float32Array) -> None: ...
-    def actor(
+    def both(
         self,
+        critic: Gradients,
         log_std: Float32Array,
         log_std_gradient: Float32Array | None,
         observations: Float32Array,
         actions: Float32Array,
         log_probs: Float32Array,
         advantages: Float32Array,
+        returns: Float32Array,
         rows: IntArray,
         normalize: bool,
         clip_range: float,
-    ) -> tuple[float, float, float]: ...
-    def critic(
-        self, observations: Float32Array, returns: Float32Array, rows: IntArray, coefficient: float
-    ) -> float: ...
+        coefficient: float,
+        concurrent: bool,
+    ) -> tuple[float, float, float, float]: ...
 
 def kernels() -> list[str]: ...
 

@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from naosprint.rl import _kernel
 from naosprint.rl.networks import linear_layers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from stable_baselines3.common.policies import ActorCriticPolicy
     from torch import Tensor
 
@@ -61,6 +60,7 @@ class KernelGradients:
         symmetry: mirrors of the networks if their weights are tied.
         kernel: instruction set, ``avx512``, ``avx2`` or ``generic``; by default the fastest supported one.
         seen: number of observations that the actor sees, the first ones; by default all.
+        concurrent: whether actor and critic are computed on a thread each.
     """
 
     def __init__(
@@ -70,10 +70,10 @@ class KernelGradients:
         symmetry: Symmetry | None = None,
         kernel: str = "",
         seen: int | None = None,
+        concurrent: bool = False,
     ) -> None:
-        from naosprint.rl import _kernel
-
         self._settings = settings
+        self._concurrent = concurrent
         self._log_std = policy.log_std
         self._gradients: dict[Tensor, Tensor] = {
             parameter: torch.zeros_like(parameter, requires_grad=False) for parameter in policy.parameters()
@@ -100,10 +100,10 @@ class KernelGradients:
         actor = linear_layers((*policy.mlp_extractor.policy_net, policy.action_net))
         critic = linear_layers((*policy.mlp_extractor.value_net, policy.value_net))
         self._unseen = self._gradients[actor[0].weight][:, seen or actor[0].in_features :]
-        self._actor_gradients = self._of(parameter for layer in actor for parameter in (layer.weight, layer.bias))
-        self._critic_gradients = self._of(parameter for layer in critic for parameter in (layer.weight, layer.bias))
+        written = [parameter for layer in (*actor, *critic) for parameter in (layer.weight, layer.bias)]
         if policy.log_std.requires_grad:
-            self._actor_gradients += self._of([policy.log_std])
+            written.append(policy.log_std)
+        self._written = [(parameter, self._gradients[parameter]) for parameter in written]
         self._actor = network(actor, () if symmetry is None else symmetry.actor)
         self._critic = network(critic, () if symmetry is None else symmetry.critic)
 
@@ -117,45 +117,34 @@ class KernelGradients:
         self._actor.split(observations, self._halves)
         return replace(samples, observations=torch.from_numpy(self._halves))
 
-    def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
-        """Compute the actor's gradient; see :meth:`naosprint.rl.ppo.Losses.actor`."""
+    def both(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float, float]:
+        """Compute the gradients of both networks; see :meth:`naosprint.rl.ppo.Losses.both`."""
         settings, log_std = self._settings, self._log_std
         spread = self._gradients[log_std] if log_std.requires_grad else None
-        loss, clipped, kl = self._actor.actor(
+        policy_loss, clipped, kl, value_loss = self._actor.both(
+            self._critic,
             log_std.detach().numpy(),
             None if spread is None else spread.numpy(),
             samples.observations.numpy(),
             samples.actions.numpy(),
             samples.log_probs.numpy(),
             samples.advantages.numpy(),
+            samples.returns.numpy(),
             chosen.numpy(),
             settings.advantage_normalization == "minibatch",
             settings.clip_range,
+            settings.value_coefficient,
+            self._concurrent,
         )
         self._unseen.zero_()
         if spread is not None:
             spread -= settings.entropy_coefficient
             if self._pairs is not None:
                 spread.copy_(0.5 * (spread + spread[self._pairs]))
-        _hand_over(self._actor_gradients)
-        return loss, float(gaussian_entropy(log_std.detach())), clipped, kl
-
-    def critic(self, samples: Samples, chosen: Tensor) -> float:
-        """Compute the critic's gradient; see :meth:`naosprint.rl.ppo.Losses.critic`."""
-        loss: float = self._critic.critic(
-            samples.observations.numpy(), samples.returns.numpy(), chosen.numpy(), self._settings.value_coefficient
-        )
-        _hand_over(self._critic_gradients)
-        return loss
-
-    def _of(self, parameters: Iterable[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        return [(parameter, self._gradients[parameter]) for parameter in parameters]
-
-
-def _hand_over(gradients: list[tuple[Tensor, Tensor]]) -> None:
-    for parameter, gradient in gradients:
-        # gradient clipping writes in place; the kernel overwrites these arrays next time
-        parameter.grad = gradient
+        for parameter, gradient in self._written:
+            # the kernel overwrites these arrays next time
+            parameter.grad = gradient
+        return policy_loss, value_loss, float(gaussian_entropy(log_std.detach())), clipped, kl
 
 
 def gaussian_entropy(log_std: Tensor) -> Tensor:

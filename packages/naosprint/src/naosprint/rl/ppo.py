@@ -9,7 +9,6 @@ copies to and from NumPy.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -111,8 +110,6 @@ class Rollout:
 class Losses:
     """PPO's losses and their gradients by PyTorch, with which the compiled kernel is compared.
 
-    Actor and critic share nothing and may be computed at the same time.
-
     Args:
         policy: the networks, whose ``grad`` is filled in.
         settings: PPO's settings.
@@ -124,8 +121,18 @@ class Losses:
         self._actor, self._critic = actor_of(policy), critic_of(policy)
 
     def prepare(self, samples: Samples) -> Samples:
-        """Return the samples of a rollout as :meth:`actor` and :meth:`critic` take them."""
+        """Return the samples of a rollout as :meth:`both` takes them."""
         return samples
+
+    def both(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float, float]:
+        """Compute the gradients of both networks for the samples ``chosen``, (k,) indices.
+
+        Returns:
+            Policy loss, value loss, entropy, fraction of clipped samples, and approximate KL divergence from the old
+            policy.
+        """
+        policy_loss, entropy, clipped, kl = self.actor(samples, chosen)
+        return policy_loss, self.critic(samples, chosen), entropy, clipped, kl
 
     def actor(self, samples: Samples, chosen: Tensor) -> tuple[float, float, float, float]:
         """Compute the gradient of policy loss and entropy for the samples ``chosen``, (k,) indices.
@@ -189,7 +196,8 @@ class PPO(Learner):
         if spec.runtime.compiled_update:
             seen = len(environment.environment.observer.names)
             threads = NativeHandle.threads_of(environment.environment.simulator)
-            self._losses = KernelGradients(self.policy, settings, symmetry, seen=seen)
+            concurrent = spec.runtime.learner_threads > 1
+            self._losses = KernelGradients(self.policy, settings, symmetry, seen=seen, concurrent=concurrent)
             self._actor, self._critic = (
                 Forward.of(linear_layers(actor), threads),
                 Forward.of(linear_layers(critic), threads),
@@ -215,10 +223,6 @@ class PPO(Learner):
         self._n_seen = len(environment.environment.observer.names)
         self._average = {name: tensor.clone() for name, tensor in self.policy.state_dict().items()}
         self._averaged = 0
-        self._other_thread: ThreadPoolExecutor | None = None
-        if spec.runtime.learner_threads > 1:
-            count = torch.get_num_threads()
-            self._other_thread = ThreadPoolExecutor(1, "critic", initializer=lambda: torch.set_num_threads(count))
         self._starts: BoolArray = np.ones(environment.n, dtype=np.bool_)
 
     def begin(self) -> None:
@@ -328,13 +332,8 @@ class PPO(Learner):
             for first in range(0, len(samples.returns), batch_size):
                 chosen = order[first : first + batch_size]
                 # actor and critic share nothing but the norm of the gradient
-                critic = self._beside(self._losses.critic, samples, chosen)
-                try:
-                    policy_loss, entropy, clipped, kl = self._losses.actor(samples, chosen)
-                finally:
-                    value_loss = critic()
                 policy_loss, value_loss, entropy, clipped, kl = self._mean_of_processes(
-                    parameters, (policy_loss, value_loss, entropy, clipped, kl)
+                    parameters, self._losses.both(samples, chosen)
                 )
                 kls.append(kl)
                 losses.append((policy_loss, value_loss, entropy, clipped))
@@ -369,12 +368,6 @@ class PPO(Learner):
             "entropy": entropy_mean,
             "learning_rate": rate,
         }
-
-    def _beside(self, work: Callable[..., float], *arguments: Any) -> Callable[[], float]:
-        """Start work on the other thread, if there is one, and return a function that waits for its result."""
-        if self._other_thread is None:
-            return lambda: work(*arguments)
-        return self._other_thread.submit(work, *arguments).result
 
     def _mean_of_processes(self, parameters: Sequence[Tensor], figures: tuple[float, ...]) -> tuple[float, ...]:
         """Average gradients and figures of a minibatch over all processes, each of which had its share of it."""
