@@ -9,6 +9,9 @@ process that started them. Everything else, and each start whose options cannot 
 How a fork becomes a child of the process that asked for it: the template forks twice and the process between ends, so
 the kernel hands the program to the nearest ancestor that adopts orphans, which the asking process is while it waits.
 A worker starts trainings itself, so a worker gets a template of its own, forked before it begins.
+
+Trainings that are still running after a second of processor time are slowed to a fifth of a core: tests of deaths and
+outages watch trainings that would never end, and those computed more than everything else.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -59,6 +63,11 @@ STARTUP = (
     *("OMP_", "GOMP_", "KMP_", "MKL_", "OPENBLAS_", "NPY_", "ATEN_", "TORCH"),
 )
 """Beginnings of the names of variables that an interpreter or a library reads when it is loaded."""
+
+TRAINER = "naosprint_worker.trainer"
+"""Module of the program that trains in a worker's child process."""
+UNSLOWED_S, RUNS_S, RESTS_S = 1.0, 0.005, 0.02
+"""Seconds of processor time after which a training is slowed, and for how long it then runs and rests in turns."""
 
 _SET_DEATH_SIGNAL, _SET_SUBREAPER = 1, 36
 """Operations of prctl(2)."""
@@ -276,6 +285,9 @@ def _become(request: Mapping[str, Any], received: Sequence[int]) -> None:
         setattr(sys, f"__{name}__", new)
     for seeded in ("random", "numpy.random"):
         sys.modules[seeded].seed()
+    if request["module"] == TRAINER:
+        signal.signal(signal.SIGPROF, lambda *_: time.sleep(RESTS_S))
+        signal.setitimer(signal.ITIMER_PROF, UNSLOWED_S, RUNS_S)
 
 
 def _show(argv: Sequence[str], environment: Mapping[str, str]) -> None:

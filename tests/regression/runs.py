@@ -17,8 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-EPISODES, FEW_EPISODES = 100, 10
-TOTAL_STEPS = 100_000
+EPISODES, FEW_EPISODES = 25, 4
+TOTAL_STEPS = 40_000
 TIMING_COLUMNS = ("time_s", "steps_per_s", "collect_s", "simulator_s", "learn_s", "eta_s")
 
 _PINNED = {

@@ -279,7 +279,7 @@ class Service:
         """Send the wake-up message of a job or an evaluation."""
         assert self.notifier.wake_up(work_id, "embedded") is None
 
-    def shorten(self, job_id: str, *, updates: int = 400) -> int:
+    def shorten(self, job_id: str, *, updates: int = 200) -> int:
         """Reduce the steps of an endless job, so that it ends soon; return its new number of steps.
 
         Only the next attempt uses it, so a test can end an attempt without a race against the end of the job.

@@ -59,7 +59,7 @@ class RunBackwards(Task[RunBackwardsSettings]):
         return np.stack([np.sin(phase), np.cos(phase)], axis=1)
 
     def reward_terms(self):
-        """Return displacement backwards up to the target speed, and as much for every step on its feet, in metres."""
+        """Return displacement backwards up to the target speed, and as much for every step on its feet, in meters."""
         most = TARGET_MPS * STEP_S
         return (
             RewardTerm("backward", 1.0, lambda rows: np.clip(self._back[rows], -most, most)),

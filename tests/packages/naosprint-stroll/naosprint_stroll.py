@@ -36,10 +36,10 @@ class StrollSettings(FallSettings, PenaltySettings, DisturbanceSettings):
 
 
 class Stroll(Task[StrollSettings]):
-    """Walk a metre ahead."""
+    """Walk a meter ahead."""
 
     name = "stroll"
-    summary = "Walk a metre ahead."
+    summary = "Walk a meter ahead."
     Parameters = StrollSettings
     metrics = (WAY, FALL_RATE, SPEED)
     ends = (FALL, End("arrived", "Arrival"))

@@ -78,6 +78,12 @@ WORDS = (
 )
 """Regular expressions of words that the project's glossary replaces."""
 
+BRITISH = (
+    r"\b(\w*colours?|(kilo|milli|centi)?metres?|neighbour\w*|behaviours?|licences?|for ever|analysed?|"
+    r"(optim|normal|initial|random|serial|minim|maxim)is(e|ed|er|es))\b"
+)
+"""Spellings that have an American form, which the documents use."""
+
 
 def sources() -> list[Path]:
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "CHANGELOG.md"]
@@ -112,3 +118,9 @@ def test_attributes_are_described_below_them() -> None:
     """Not by comments above, so that there is one dialect, which tools read."""
     comment = re.compile(r"^\s*#: ", re.MULTILINE)
     assert [str(path) for path in sources() if path.suffix == ".py" and comment.search(path.read_text("utf-8"))] == []
+
+
+def test_the_documents_have_american_spelling() -> None:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "mkdocs.yml", *(ROOT / "docs").rglob("*.md")]
+    found = {match[0] for match in re.finditer(BRITISH, joined(pages))}
+    assert not found

@@ -77,7 +77,7 @@ class DisturbanceSettings(TaskSettings):
         ge=0.0,
         le=0.1,
         title="Centre of mass",
-        description="The torso's centre of mass is shifted by up to this distance along each axis, drawn for each "
+        description="The torso's center of mass is shifted by up to this distance along each axis, drawn for each "
         "robot.",
         json_schema_extra={"unit": "m", "needs": Ability.CENTRES},
     )

@@ -203,7 +203,7 @@ class DribbleSettings(BallSettings):
         ge=0.0,
         le=1000.0,
         title="Offset penalty",
-        description="Penalty per step and metre of the ball's distance from the line.",
+        description="Penalty per step and meter of the ball's distance from the line.",
     )
 
     def for_evaluation(self) -> Self:

@@ -170,14 +170,14 @@ class SprintSettings(FallSettings, PenaltySettings, DisturbanceSettings):
         ge=0.0,
         le=10.0,
         title="Drift penalty",
-        description="Penalty per metre of distance from the line straight ahead, as a share of the reward per metre.",
+        description="Penalty per meter of distance from the line straight ahead, as a share of the reward per meter.",
     )
     fall_penalty_m: float = Field(
         default=0.0,
         ge=0.0,
         le=100.0,
         title="Fall penalty",
-        description="Penalty for a fall, as the reward for this many metres forward.",
+        description="Penalty for a fall, as the reward for this many meters forward.",
         json_schema_extra={"unit": "m"},
     )
 

@@ -225,7 +225,7 @@ class VelocitySettings(FallSettings, PenaltySettings, DisturbanceSettings):
         ge=0.0,
         le=1000.0,
         title="Path penalty",
-        description="Penalty per step and metre of distance from the commanded path.",
+        description="Penalty per step and meter of distance from the commanded path.",
     )
     heading_penalty: float = Field(
         default=0.5,

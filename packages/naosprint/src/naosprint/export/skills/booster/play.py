@@ -57,7 +57,7 @@ def main():
     parser.add_argument("--monitor-port", type=int, help="to move the ball away, which a K1 must not touch")
     parser.add_argument("--team", default="naosprint")
     parser.add_argument("--number", type=int, default=2)
-    parser.add_argument("--lane", type=float, default=0.0, help="y of the line to run along, in metres")
+    parser.add_argument("--lane", type=float, default=0.0, help="y of the line to run along, in meters")
     options = parser.parse_args()
     try:
         run(options)
