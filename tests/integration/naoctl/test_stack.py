@@ -210,7 +210,10 @@ def test_a_downloaded_policy_gives_the_same_figures(naoctl: Shell, job: dict[str
     assert manifest["steps"] == 256
     reported = json.loads((fetched["evaluation"] / "evaluation.json").read_text())
     again = subprocess.run(
-        [sys.executable, "-m", "naosprint", "evaluate", str(fetched["checkpoint"]), "--episodes", "6", "--n-envs", "4"],
+        [
+            *(sys.executable, "-m", "naosprint", "evaluate", "--json", str(fetched["checkpoint"])),
+            *("--episodes", "6", "--n-envs", "4"),
+        ],
         check=True,
         capture_output=True,
         text=True,

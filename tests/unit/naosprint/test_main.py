@@ -49,10 +49,15 @@ def test_train_resume_evaluate_report_and_export(tmp_path: Path, capsys: pytest.
     status, steps, path = capsys.readouterr().out.split()
     assert (status, steps) == ("finished", "1024")
 
-    assert main(["evaluate", path, "--episodes", "3", "--output", str(tmp_path / "out")]) == 0
+    assert main(["evaluate", path, "--episodes", "3", "--json", "--output", str(tmp_path / "out")]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert printed["episodes"] == 3
+    assert main(["evaluate", path, "--episodes", "3"]) == 0
+    title, heading, first, *_ = (line.strip() for line in capsys.readouterr().out.splitlines() if line.strip())
+    assert title == "sprint1, nao-0, embedded: 3 episodes"
+    assert heading.split("  ")[0] == "Result" and "95 % interval" in heading
+    assert first.split("  ")[0] == "Top speed", "the task's main result"
 
     arguments = ["report", str(tmp_path / "out"), str(tmp_path / "page"), "--metrics", str(work / "metrics.jsonl")]
     assert main([*arguments, "--no-film", "--title", "Run 1"]) == 0

@@ -164,7 +164,7 @@ class Demo:
                 "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value),
             ]
         self.context.say("Run", f"python -m naosprint evaluate {checkpoint}")
-        again = json.loads(run_naosprint("evaluate", str(checkpoint), *flags))
+        again = json.loads(run_naosprint("evaluate", "--json", str(checkpoint), *flags))
         differing = differences(evaluation["summary"], again)
         if differing:
             raise CliError(

@@ -84,6 +84,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     evaluate.add_argument("checkpoint", help=_CHECKPOINT_HELP)
     evaluate.add_argument("--output", type=Path, help="directory for evaluation.json, trajectories.npz and replay.json")
+    evaluate.add_argument(
+        "--json", action="store_true", help="print everything as JSON, also what the table leaves out"
+    )
     evaluate.add_argument("--threads", type=int, default=2, help="threads of the simulator (default: 2)")
     _add_fields(evaluate, EvaluationSpec.model_fields)
     evaluate.set_defaults(run=_evaluate)
@@ -335,11 +338,13 @@ def _evaluate(options: argparse.Namespace) -> int:
     checkpoint = naopolicies.resolve(options.checkpoint)
     stop = _stop_on_signals()
 
+    from rich.console import Console
     from rich.progress import Progress
 
     from naosprint.analysis.evaluation import evaluate
+    from naosprint.analysis.results import summary_table
 
-    with Progress(transient=True) as progress:
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
         bar = progress.add_task("episodes", total=spec.episodes)
         try:
             evaluation = evaluate(
@@ -356,7 +361,10 @@ def _evaluate(options: argparse.Namespace) -> int:
         evaluation.save(options.output)
     for warning in evaluation.warnings:
         sys.stderr.write(f"warning: {warning}\n")
-    sys.stdout.write(evaluation.to_json())
+    if options.json:
+        sys.stdout.write(evaluation.to_json())
+    else:
+        Console(highlight=False).print(summary_table(evaluation.summary))
     return 0
 
 

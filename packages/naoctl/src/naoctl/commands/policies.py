@@ -105,7 +105,7 @@ def evaluate_policy(
             summary = evaluate(name, episodes=episodes, seed=seed, simulator=simulator)
         else:
             words = ("--episodes", str(episodes), "--seed", str(seed), "--simulator", simulator)
-            summary = json.loads(run_naosprint("evaluate", str(folder), *words))
+            summary = json.loads(run_naosprint("evaluate", "--json", str(folder), *words))
     if as_json:
         context.json(summary)
     else:
@@ -148,7 +148,7 @@ def evaluate(name: str, *, episodes: int, seed: int = 0, simulator: str = "embed
         "--simulator",
         simulator,
     )
-    summary: dict[str, Any] = json.loads(run_naosprint("evaluate", name, *words))
+    summary: dict[str, Any] = json.loads(run_naosprint("evaluate", "--json", name, *words))
     return summary
 
 
