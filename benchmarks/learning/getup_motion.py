@@ -21,6 +21,7 @@ import cmaes
 import numpy as np
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
+from naosim.mujoco.kinds import BoosterEmbeddedParameters
 from naosim.simulator import Starts
 from naospec.json_text import json_text
 from naosprint.tasks.getup import SIDES, STANDING_HEIGHT, STANDING_UP, lying, side_of
@@ -82,7 +83,7 @@ class Search:
     def __init__(self, robot: str, side: str, known: Mapping[str, Motion], seed: int, threads: int) -> None:
         self.robot = robots.get(robot)
         self._rng = np.random.default_rng(seed)
-        self._simulator = MujocoSimulator(self.robot, POPULATION, threads=threads)
+        self._simulator = MujocoSimulator(self.robot, POPULATION, BoosterEmbeddedParameters(), threads=threads)
         self._simulator.load_starts(self._starts(side))
         self._weight = 9.81 * float(sum(self._simulator.world.model.body_mass))
         named = {joint.name for joint in self.robot.joints}
@@ -214,9 +215,10 @@ def main() -> None:
     options = parser.parse_args()
     for side in options.sides:
         print(f"{options.robot}, {side}", flush=True)
-        search = Search(options.robot, side, motions("getup", robots.get(options.robot)), options.seed, options.threads)
+        robot = robots.get(options.robot)
+        search = Search(options.robot, side, motions("getup", robot), options.seed, options.threads)
         motion = search.run(60.0 * options.minutes)
-        found = {name: asdict(each) for name, each in motions("getup", options.robot).items()} | {side: asdict(motion)}
+        found = {name: asdict(each) for name, each in motions("getup", robot).items()} | {side: asdict(motion)}
         file = FOLDER / f"getup-{options.robot}.json"
         file.write_text(json_text(found), encoding="utf-8")
         print(f"wrote {file.name}", flush=True)

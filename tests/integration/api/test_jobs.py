@@ -111,7 +111,7 @@ def test_a_key_makes_one_job(client: httpx.Client) -> None:
         ({"spec": {"robot": "nao-0", "simulator": "moon"}}, "spec.simulator", "choose one of"),
         ({"spec": {"task": {"name": "sprint1", "push_mps": 0.5}}}, "spec.task.push_mps", "use robot k1 or t1"),
         (
-            {"spec": {"robot": "k1", "task": "getup", "algorithm": {"imitation_steps": 9}}},
+            {"spec": {"robot": "k1", "task": "velocity", "algorithm": {"imitation_steps": 9}}},
             "spec.algorithm.imitation_steps",
             "needs demonstrations",
         ),

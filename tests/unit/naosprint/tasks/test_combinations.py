@@ -54,6 +54,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"robot": {"name": "nao-0", "onboard_sensing": True, "ground_velocity": True}},
         "ground_velocity: a robot with onboard_sensing does not perceive it; set one of the two",
     ),
+    "a ball for a robot that does not know its position": (
+        {"robot": {"name": "t1", "onboard_sensing": True}, "task": "kick"},
+        "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out",
+    ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},
         "robot.kp: kp: there is no joint 'waist'; name a group (head, arms, legs), a kind of joint (head_yaw,",
@@ -82,9 +86,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         "or use simulator embedded",
     ),
     "imitation without a motion to imitate": (
-        {"robot": "k1", "task": "getup", "algorithm": {"imitation_steps": 1000}},
-        "algorithm.imitation_steps: 1000 needs demonstrations, which robot k1 with simulator embedded and task getup "
-        "lacks: leave it out, or use robot t1",
+        {"robot": "k1", "task": "velocity", "algorithm": {"imitation_steps": 1000}},
+        "algorithm.imitation_steps: 1000 needs demonstrations, which robot k1 with simulator embedded and task "
+        "velocity lacks: leave it out",
     ),
     "a stage with a robot that cannot do it": (
         {"robot": "t1", "stages": [{"steps": 1, "robot": "nao-1", "task": {"torque_penalty": 0.1}}]},

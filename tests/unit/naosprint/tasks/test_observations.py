@@ -15,6 +15,7 @@ from naosprint.tasks.environment import Environment
 from naosprint.tasks.observations import BLOCKS, ObservationBlock, Observer, blocks
 from naosprint.tasks.robot_defaults import robot_defaults
 from naosprint.tasks.sprint import Sprint1, SprintSettings
+from naosprint.tasks.velocity import Velocity, VelocitySettings
 from naosprint.tasks.world import World
 from numpy.typing import NDArray
 
@@ -352,3 +353,21 @@ def test_policies_of_an_onboard_robot_observe_the_estimate_in_place_of_the_truth
     plain, onboard = robots.get("nao-3"), robots.get("nao-3").with_parameters({"onboard_sensing": True})
     assert {"yaw", "height"} <= set(robot_defaults(plain).observations)
     assert not {"yaw", "height"} & set(robot_defaults(onboard).observations)
+
+
+@pytest.mark.parametrize("name", ["t1", "k1"])
+def test_only_critics_observe_where_an_onboard_booster_is_and_how_fast(name: str) -> None:
+    mujoco = pytest.importorskip("naosim.mujoco.embedded")
+    robot = robots.get(name).with_parameters({"onboard_sensing": True})
+    world = {"height", "velocity_x", "velocity_y", "velocity_z"}
+    names = {}
+    for critic in (False, True):
+        simulator = mujoco.MujocoSimulator(robot, 2)
+        task = VelocitySettings(name="velocity", min_height_m=0.3)
+        environment = Environment(simulator, Velocity, task, critic=critic)
+        names[critic] = set(environment.observer.names), set(environment.observer.critic_names)
+        assert environment.compiled
+        simulator.close()
+    assert not names[True][0] & world
+    assert names[False] == (names[True][0], set())
+    assert world <= names[True][1]

@@ -120,6 +120,13 @@ class BoosterParameters(RobotParameters):
         json_schema_extra={"unit": "rad"},
     )
 
+    onboard_sensing: bool = Field(
+        default=False,
+        title="Onboard sensing",
+        description="Whether policies observe only what a real robot measures: orientation, gyroscope and joints, "
+        "without the torso's position and velocity.",
+    )
+
     def description(self, robot: Robot) -> dict[str, Any]:
         """Return the range of the actions, and the nominal pose with the head's angle."""
         names = (joint.name for joint in robot.joints if joint.actuated)

@@ -148,6 +148,10 @@ class BallTask(Task[Settings], Generic[Settings]):
     def resolve(cls, parameters: Settings, robot: Robot) -> Settings:  # type: ignore[misc] # a task gets its own
         """Return the settings with the robot's own minimum height where none is given."""
         super().resolve(parameters, robot)
+        if getattr(robot.parameters, "onboard_sensing", False):
+            raise ValueError(
+                "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out"
+            )
         require_policy("task.walker", parameters.walker, robot.name, Velocity.name)
         return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
 

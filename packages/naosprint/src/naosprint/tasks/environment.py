@@ -14,7 +14,7 @@ from naosprint import _compiled
 from naosprint.tasks.base import Task, get
 from naosprint.tasks.disturbances import Disturbances, DisturbanceSettings
 from naosprint.tasks.measurements import StoredNumbers
-from naosprint.tasks.observations import Observer
+from naosprint.tasks.observations import ObservationBlock, Observer, blocks
 from naosprint.tasks.world import World
 from naosprint.terms import Number
 from naosprint.terms.compiled import compilable, operation
@@ -85,7 +85,10 @@ class Environment:
             parameters if isinstance(parameters, DisturbanceSettings) else DisturbanceSettings(name=task_class.name)
         )
         self.disturbances = Disturbances(settings, simulator, seed, self.world.streams)
-        privileged = [*self.task.critic_blocks(), *self.disturbances.critic_blocks()] if critic else []
+        privileged: list[ObservationBlock] = []
+        if critic:
+            unseen = blocks(self.world, self.world.defaults.privileged)
+            privileged = [*self.task.critic_blocks(), *self.disturbances.critic_blocks(), *unseen]
         self.observer = Observer(n, self.task.observation_blocks(), parameters.history_steps, privileged)
         require_plain_names("observations", (*self.observer.names, *self.observer.critic_names))
         self._new = {name: array.copy() for name, array in self.task.arrays.items()}
@@ -108,16 +111,16 @@ class Environment:
         own = any(getattr(type(task), name) is not getattr(Task, name) for name in methods)
         native = self.simulator.native
         measurements = [each for each in task.measurements if isinstance(each, StoredNumbers) and each.is_whole]
-        blocks = [(block, block.value) for block in self.observer.blocks if isinstance(block.value, Number)]
+        observed = [(block, block.value) for block in self.observer.blocks if isinstance(block.value, Number)]
         terms = [(term, term.value) for term in self._terms if isinstance(term.value, Number)]
-        whole = (len(measurements), len(blocks), len(terms)) == tuple(
+        whole = (len(measurements), len(observed), len(terms)) == tuple(
             map(len, (task.measurements, self.observer.blocks, self._terms))
         )
-        if own or not whole or native is None or not native.is_usable or any(block.begin for block, _ in blocks):
+        if own or not whole or native is None or not native.is_usable or any(block.begin for block, _ in observed):
             return None
         stores = [store for measurement in measurements for store in measurement.stores]
-        stores += [store for block, _ in blocks for store in block.stores]
-        numbers = [value for _, value in (*blocks, *terms)]
+        stores += [store for block, _ in observed for store in block.stores]
+        numbers = [value for _, value in (*observed, *terms)]
         numbers += [each for store in stores for each in (store.begin, store.update) if each is not None]
         if not all(map(compilable, numbers)):
             return None
@@ -141,7 +144,7 @@ class Environment:
             [operation(None, measurement.stores) for measurement in measurements],
             [
                 (operation(value, block.stores), first, block.rates, block.angular, place)
-                for (block, value), (_, first, place) in zip(blocks, self.observer.places(), strict=True)
+                for (block, value), (_, first, place) in zip(observed, self.observer.places(), strict=True)
             ],
             [(operation(value), term.weight) for term, value in terms],
             [(flag, self.ends[end.name], end.failure) for end, flag in zip(task.ends, task.flags, strict=True)],

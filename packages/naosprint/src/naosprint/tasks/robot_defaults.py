@@ -30,6 +30,8 @@ class RobotDefaults:
     """Torso height below which an episode counts as a fall."""
     erect_height_m: float
     """The same for tasks that require an upright run."""
+    privileged: tuple[str, ...] = ()
+    """Names of the blocks that only critics observe, because the robot does not perceive them."""
     motions: str | None = None
     """Name of its scripted motions in ``naosprint/tasks/motion_data``; None without any."""
 
@@ -39,6 +41,7 @@ _NAO: tuple[str, ...] = (
     *("left_foot_origin", "left_foot_force", "right_foot_origin", "right_foot_force", "foot_counters"),
 )
 _BOOSTER = ("gravity", "gyro", "velocity", "height", "heading", "joint_angles", "joint_speeds", "last_action")
+_BOOSTER_WORLD = ("velocity", "height")  # from the position that only a simulator knows
 _BOOSTER_HEIGHTS_M = {"T1": (0.45, 0.57), "K1": (0.37, 0.47)}
 
 
@@ -55,7 +58,9 @@ def _nao(robot: Robot) -> RobotDefaults:
 def _booster(robot: Robot) -> RobotDefaults:
     """Return what T1 and K1 perceive, and heights and motions of the robot's model."""
     model = robot.data["model"]
-    return RobotDefaults(_BOOSTER, *_BOOSTER_HEIGHTS_M[model], motions=model.lower())
+    hidden = _BOOSTER_WORLD if getattr(robot.parameters, "onboard_sensing", False) else ()
+    perceived = tuple(name for name in _BOOSTER if name not in hidden)
+    return RobotDefaults(perceived, *_BOOSTER_HEIGHTS_M[model], hidden, motions=model.lower())
 
 
 _FAMILIES: Mapping[str, Callable[[Robot], RobotDefaults]] = {"nao": _nao, "booster": _booster}
