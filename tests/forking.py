@@ -36,6 +36,7 @@ from typing import Any
 PRELOADED = (
     "naosprint_worker.trainer",
     "naosprint_worker.evaluator",
+    "naosprint_worker.match",
     "naosprint_worker.worker",
     "naosprint_worker.application",
     "naosprint_api.app",

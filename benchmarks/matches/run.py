@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from naosprint.matches.game import GameSettings, play_game
+from naosprint.matches.game import GameSettings, Moment, play_game
 from naosprint.matches.results import game_results
 from naosprint.matches.teams import find_team
 
@@ -30,10 +30,10 @@ def main() -> int:
         for players in options.players:
             times: list[tuple[float, float]] = []
 
-            def note(share: float, times: list[tuple[float, float]] = times) -> None:
-                times.append((share, time.monotonic()))
+            def note(moment: Moment, times: list[tuple[float, float]] = times) -> None:
+                times.append((moment.share, time.monotonic()))
 
-            log = play_game((team, team), ("a", "b"), 0, GameSettings(players, options.seconds), on_frame=note)
+            log = play_game((team, team), ("a", "b"), 0, GameSettings(players, options.seconds), on_moment=note)
             # the first half, while the ball is in play
             half = [(share, at) for share, at in times if 0.0 < share <= 0.5]
             played = 2 * options.seconds * (half[-1][0] - half[0][0])

@@ -7,8 +7,8 @@ from typing import overload
 from naojobs import leases
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions
-from naojobs.leases import Claim, EvaluationClaim, JobClaim
-from naojobs.models import Evaluation, Job
+from naojobs.leases import Claim, EvaluationClaim, JobClaim, MatchClaim
+from naojobs.models import AnyWork, Evaluation, Job, Match
 
 
 @overload
@@ -31,9 +31,19 @@ def claim_work(
     capabilities: Capabilities | None = None,
     lease_s: float = leases.DEFAULT_LEASE_S,
 ) -> EvaluationClaim | None: ...
+@overload
 def claim_work(
     sessions: Sessions,
-    model: type[Job] | type[Evaluation],
+    model: type[Match],
+    work_id: str,
+    worker: str,
+    *,
+    capabilities: Capabilities | None = None,
+    lease_s: float = leases.DEFAULT_LEASE_S,
+) -> MatchClaim | None: ...
+def claim_work(
+    sessions: Sessions,
+    model: type[AnyWork],
     work_id: str,
     worker: str,
     *,

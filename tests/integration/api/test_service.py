@@ -339,7 +339,7 @@ def test_every_kind_of_thing_has_a_quota_that_names_its_remedy(
         ended = [client.post("/jobs", json={}).json()["id"] for _ in range(3)]
         for identifier in ended:
             client.post(f"/jobs/{identifier}/cancel").raise_for_status()
-        assert refused(client.post("/jobs", json={})).startswith("rich has 4 jobs, open and ended, of 4")
+        assert refused(client.post("/jobs", json={})).startswith("rich has 4 jobs and matches, open and ended, of 4")
         assert "4 jobs" in refused(client.post("/groups", json={"job": {}, "seeds": [1]}))
         assert "4 jobs" in refused(client.post("/studies", json={"search": search, "job": {}}))
         assert client.delete(f"/jobs/{ended[0]}").status_code == 204

@@ -122,7 +122,7 @@ class World:
             "cancel": lambda: requests.request_cancel(self.sessions, Job, self.job_id),
             "pause": lambda: requests.request_pause(self.sessions, self.job_id),
             "resume": lambda: requests.resume(self.sessions, self.job_id),
-            "retry": lambda: requests.retry(self.sessions, self.job_id),
+            "retry": lambda: requests.retry(self.sessions, Job, self.job_id),
             "delete": lambda: requests.delete(self.sessions, self.job_id),
         }
         try:

@@ -198,7 +198,7 @@ def test_the_third_lost_worker_fails_the_job_and_retry_gives_it_three_more(
     assert kept.error is not None
     assert "attempt 3 of 3" in kept.error
     assert kept.finished_at is not None
-    retried = requests.retry(sessions, job.id)
+    retried = requests.retry(sessions, Job, job.id)
     assert (retried.state, retried.failures, retried.attempt, retried.error) == (WorkState.QUEUED, 0, 3, None)
     assert retried.finished_at is None
 
@@ -214,7 +214,7 @@ def test_a_new_checkpoint_gives_a_job_all_its_attempts_again(sessions: Sessions,
         state = outcomes.lose(sessions, claim.lease, "the trainer died")
         assert get(sessions, job.id).failures == failures
     assert state is WorkState.FAILED
-    requests.retry(sessions, job.id)
+    requests.retry(sessions, Job, job.id)
     for step in (10, 20, 30):
         claim = claim_work(sessions, Job, job.id, "w")
         assert claim is not None
@@ -245,7 +245,7 @@ def test_a_service_that_is_away_costs_no_attempt_and_the_job_waits(
     assert claim is not None
     requests.request_cancel(sessions, Job, job.id)
     assert outcomes.postpone(sessions, claim.lease, "no Docker") is WorkState.CANCELLED
-    requests.retry(sessions, job.id)
+    requests.retry(sessions, Job, job.id)
     assert get(sessions, job.id).postponed == 0
 
 
@@ -298,7 +298,7 @@ def test_deleting_a_job_while_its_child_is_claimed_causes_no_deadlock(
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
 
     def retry_and_claim() -> None:
-        requests.retry(sessions, child.id)
+        requests.retry(sessions, Job, child.id)
         claim_work(sessions, Job, child.id, "w")
 
     intruder = Intruder(sessions, retry_and_claim)
@@ -416,8 +416,8 @@ def test_wishes_in_every_state_either_follow_the_table_or_are_refused(
             {"state": state, "owner": "w" if state in LEASED else None, "id": job.id},
         )
     try:
-        if wish == "request_cancel":
-            requests.request_cancel(sessions, Job, job.id)
+        if wish in ("request_cancel", "retry"):
+            getattr(requests, wish)(sessions, Job, job.id)
         else:
             getattr(requests, wish)(sessions, job.id)
     except ConflictError as error:
@@ -655,7 +655,7 @@ def test_a_child_whose_parent_was_deleted_never_starts_from_random_weights(
     requests.request_cancel(sessions, Job, child.id)
     outcomes.transition(sessions, running.lease, WorkState.CANCELLED)
     requests.delete(sessions, parent)
-    requests.retry(sessions, child.id)
+    requests.retry(sessions, Job, child.id)
     assert claim_work(sessions, Job, child.id, "w") is None
     kept = get(sessions, child.id)
     assert kept.state is WorkState.FAILED

@@ -90,7 +90,7 @@ def test_killed_trainer(service: Service, worker: WorkerProcess) -> None:
     assert "signal 9 (SIGKILL)" in (job.error or "")
     assert "attempt 2 of 2" in (job.error or "")
 
-    requests.retry(service.sessions, job_id)
+    requests.retry(service.sessions, Job, job_id)
     service.wake_up(job_id)
     job = service.until_state(job_id, WorkState.SUCCEEDED)
     assert job.attempt == 3

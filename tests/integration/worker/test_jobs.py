@@ -238,7 +238,7 @@ def test_job_without_a_usable_checkpoint_fails_and_keeps_its_metrics(shared: Ser
 
     aside.rename(folder)
     shared.shorten(job_id)
-    requests.retry(shared.sessions, job_id)
+    requests.retry(shared.sessions, Job, job_id)
     shared.wake_up(job_id)
     shared.until_state(job_id, WorkState.SUCCEEDED)
     resumed = [event.data["step"] for event in shared.events(job_id) if event.kind == "resumed"]

@@ -61,6 +61,8 @@ def check_naoctl(words: list[str]) -> None:
         if name == "--url":  # in front of the command
             words.pop(0)
             continue
+        if name not in command.commands and hasattr(command, "default"):
+            words, name = [name, *words], command.default
         assert name in command.commands, f"naoctl has no command {name}"
         command = command.commands[name]
     command.make_context(name, words)

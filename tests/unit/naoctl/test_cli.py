@@ -612,7 +612,7 @@ def test_every_command_has_help_and_json(naoctl: Callable[..., Ran]) -> None:
 
     group = get_command(build_app())
     commands = dict(group.commands)  # type: ignore[attr-defined]
-    for parent in ("token", "policies", "study", "webhook", "mirror"):
+    for parent in ("token", "policies", "study", "match", "team", "webhook", "mirror"):
         commands |= {f"{parent} {name}": sub for name, sub in commands.pop(parent).commands.items()}
     for name, command in commands.items():
         assert command.help, name

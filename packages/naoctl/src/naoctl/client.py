@@ -95,13 +95,20 @@ class Client:
         path: str,
         *,
         json_body: Any = None,
+        archive: bytes | None = None,
         params: Mapping[str, Any] | None = None,
         headers: Mapping[str, str] | None = None,
     ) -> Any:
-        """Send a request and return the decoded JSON of the answer, or None when the answer has no body."""
+        """Send a request and return the decoded JSON of the answer, or None when the answer has no body.
+
+        The body is JSON, a tar archive, or empty.
+        """
         given = {name: value for name, value in (params or {}).items() if value is not None}
+        sent = {**(headers or {}), **({} if archive is None else {"Content-Type": "application/octet-stream"})}
         try:
-            response = self._http.request(method, _own_path(path), json=json_body, params=given, headers=headers)
+            response = self._http.request(
+                method, _own_path(path), json=json_body, content=archive, params=given, headers=sent
+            )
         except httpx.TransportError as error:
             raise unreachable(self.target.url, error) from None
         raise_for_problem(response)

@@ -23,6 +23,7 @@ GROUPS = {
     "Results and policies": (
         *("download", "checkpoints", "eval", "report", "export", "policies", "tensorboard", "mirror"),
     ),
+    "Play": ("match", "team", "league"),
     "Run the service on this machine": ("demo", "up", "down", "doctor"),
     "Use and administer a service": ("login", "logout", "workers", "token", "webhook", "version"),
 }

@@ -11,8 +11,11 @@ from sqlalchemy import ColumnElement, and_, func, select, tuple_
 from sqlalchemy.orm import Session
 
 from naojobs.checkpoints import awaits_policy
-from naojobs.models import Evaluation, Job, Work, Worker
+from naojobs.models import AnyWork, Job, Match, Work, Worker
 from naojobs.states import WorkState
+
+MATCH_TASK, CONFINED_MATCH_TASK, MATCH_VERSION = "match", "confined-match", 1
+"""What workers have among their tasks that play matches, and those of uploaded teams, whose agents must be confined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +57,16 @@ class Capabilities:
             self.tasks.get(work.task) == work.task_version
             and work.robot in self.robots
             and work.simulator in self.simulators
-            and work.algorithm in self.algorithms
+            and work.algorithm in ("", *self.algorithms)
         )
 
-    def condition(self, model: type[Job] | type[Evaluation]) -> ColumnElement[bool]:
+    def condition(self, model: type[AnyWork]) -> ColumnElement[bool]:
         """Return the SQL condition that corresponds to `meets` for rows of `model`."""
         return and_(
             tuple_(model.task, model.task_version).in_(list(self.tasks.items())),
             model.robot.in_(self.robots),
             model.simulator.in_(self.simulators),
-            model.algorithm.in_(self.algorithms),
+            model.algorithm.in_(["", *self.algorithms]),
         )
 
 
@@ -105,6 +108,9 @@ def _reason(work: Work, workers: Sequence[Worker]) -> str | None:
         return "no worker is running"
     if any(_capabilities(worker).meets(work) for worker in workers):
         return None
+    if isinstance(work, Match):
+        confined = ", and uploaded teams Linux 6.7" if work.task == CONFINED_MATCH_TASK else ""
+        return f"no worker can play it: matches need the package rcsssmj and the queue embedded{confined}"
     if not any(work.simulator in worker.simulators for worker in workers):
         return f"no worker has simulator {work.simulator!r}"
     if not any(work.robot in worker.robots for worker in workers):

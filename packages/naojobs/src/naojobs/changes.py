@@ -16,20 +16,22 @@ from sqlalchemy.orm import Session
 
 from naojobs.database import notify
 from naojobs.errors import ConflictError
-from naojobs.models import Evaluation, Event, Job
+from naojobs.models import AnyWork, Evaluation, Event, Job, Match
 from naojobs.states import ENDED, LEASED, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
 
-W = TypeVar("W", Job, Evaluation)
+W = TypeVar("W", Job, Evaluation, Match)
 
 
-def change(work: Job | Evaluation, target: WorkState) -> None:
+def change(work: AnyWork, target: WorkState) -> None:
     """Change the state of a locked row and all columns that depend on it. Raises ConflictError."""
     if not can_become(work.state, target):
         raise ConflictError(f"{work.kind} {work.id} is {work.state} and cannot become {target}")
     work.state = target
     work.updated_at = func.now()
     if target not in LEASED:
+        if isinstance(work, Match):
+            work.live = None
         work.lease_owner = work.lease_generation = None
         work.lease_expires_at = None
         work.stalled_since = None
@@ -42,36 +44,43 @@ def change(work: Job | Evaluation, target: WorkState) -> None:
         work.cancel_requested = False
 
 
-def add_event(
-    session: Session, work: Job | Evaluation, kind: str, message: str, data: Mapping[str, Any] | None = None
-) -> None:
+def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Mapping[str, Any] | None = None) -> None:
     """Add an event to the job's history; the caller holds the lock on the job's row.
 
-    Events of an evaluation are of kind `evaluation` and contain its id and state.
+    Events of an evaluation are of kind `evaluation` and contain its id and state. A match keeps no history beyond its
+    columns.
     """
     if isinstance(work, Evaluation):
         event = Event(
+            job_id=work.job_id,
             kind="evaluation",
             attempt=session.get_one(Job, work.job_id).attempt,
             message=f"evaluation {work.id}: {message}",
             data={**(data or {}), "evaluation_id": work.id, "state": str(work.state)},
         )
-    else:
-        event = Event(kind=kind, attempt=work.attempt, message=message, data=dict(data or {}))
+        session.add(event)
+    elif isinstance(work, Job):
+        event = Event(job_id=work.id, kind=kind, attempt=work.attempt, message=message, data=dict(data or {}))
         work.row_count += 1
-    event.job_id = work.job_id
-    session.add(event)
+        session.add(event)
     notify(session, work.job_id)
     announce(session, work, kind)
 
 
-def announce(session: Session, work: Job | Evaluation, kind: str) -> None:
+def announce(session: Session, work: AnyWork, kind: str) -> None:
     """Write the messages of an event to webhooks, if it is an end or the stall of a job."""
     ended = work.state in ENDED and kind == str(work.state)
-    if not ended and (kind != "stalled" or isinstance(work, Evaluation)):
+    if not ended and (kind != "stalled" or not isinstance(work, Job)):
+        return
+    data: dict[str, Any]
+    if isinstance(work, Match):
+        teams, results = [team["name"] for team in work.spec["teams"]], work.summary or {}
+        data = {"match_id": work.id, "teams": teams, "state": str(work.state), "error": work.error}
+        data |= {name: results.get(name, 0) for name in ("games", "wins", "draws", "losses")}
+        publish(session, work.owner, MessageType.MATCH_ENDED, data)
         return
     job = work if isinstance(work, Job) else session.get_one(Job, work.job_id)
-    data: dict[str, Any] = {"job_id": job.id, "name": job.name, "tags": job.tags, "group_id": job.group_id}
+    data = {"job_id": job.id, "name": job.name, "tags": job.tags, "group_id": job.group_id}
     if isinstance(work, Evaluation):
         message = MessageType.EVALUATION_FINISHED
         results = {item["name"]: item["value"] for item in (work.summary or {}).get("results", ())}

@@ -18,21 +18,26 @@ from sqlalchemy import ColumnElement, ScalarSelect, and_, func, or_, select, upd
 from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
-from naojobs.changes import add_event, announce, change, lock
+from naojobs.changes import W, add_event, announce, change, lock
 from naojobs.checkpoints import CheckpointRef, awaits_policy, newest_checkpoint, trained_checkpoint
 from naojobs.database import Sessions, is_due, notify, one_statement
 from naojobs.errors import LeaseLostError
 from naojobs.models import (
     WORK,
+    AnyWork,
     Checkpoint,
     Evaluation,
     Job,
     LeaseClock,
+    Match,
+    MatchGame,
+    TeamRecord,
     WorkKind,
     generation,
     lease_time,
 )
 from naojobs.states import WorkState
+from naojobs.teams import MatchSpec
 
 DEFAULT_LEASE_S = 30.0
 """Seconds after a heartbeat at which a lease expires."""
@@ -51,7 +56,7 @@ class Lease:
     kind: WorkKind
     id: str
     job_id: str
-    """The job that it belongs to; a job's own id."""
+    """The job that it belongs to; a job's or a match's own id."""
     owner: str
     attempt: int
     generation: str
@@ -88,7 +93,29 @@ class EvaluationClaim:
     time_limit_s: float
 
 
-Claim: TypeAlias = JobClaim | EvaluationClaim
+@dataclass(frozen=True, slots=True)
+class ArtifactRef:
+    """Artifact in the store."""
+
+    key: str
+    manifest: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchClaim:
+    """Lease on a match with what its teams are made of, and what is over."""
+
+    lease: Lease
+    spec: MatchSpec
+    checkpoints: dict[str, CheckpointRef]
+    """The checkpoints of both teams' policies by id."""
+    archives: dict[str, ArtifactRef]
+    """Archives of uploaded teams by the teams' ids."""
+    games: dict[int, ArtifactRef]
+    """Logs of the games that are over."""
+
+
+Claim: TypeAlias = JobClaim | EvaluationClaim | MatchClaim
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +130,7 @@ def claim_next(
     sessions: Sessions,
     worker: str,
     *,
-    models: Iterable[type[Job] | type[Evaluation]] = (Job, Evaluation),
+    models: Iterable[type[AnyWork]] = tuple(WORK.values()),
     capabilities: Capabilities,
     lease_s: float = DEFAULT_LEASE_S,
 ) -> Claim | None:
@@ -114,7 +141,7 @@ def claim_next(
     models = tuple(models)
     while True:
         with sessions.begin() as session:
-            found: list[Job | Evaluation] = []
+            found: list[AnyWork] = []
             for model in models:
                 first = (
                     waiting(model)
@@ -131,7 +158,7 @@ def claim_next(
             return taken
 
 
-def waiting(model: type[Job] | type[Evaluation]) -> Any:
+def waiting(model: type[AnyWork]) -> Any:
     """Return the query of the work of a kind that waits for a worker."""
     postponed = and_(model.postponed > 0, is_due(model.not_before, LONGEST_POSTPONE_S))
     due = or_(model.not_before.is_(None), model.not_before <= func.now(), postponed)
@@ -139,47 +166,62 @@ def waiting(model: type[Job] | type[Evaluation]) -> Any:
     return waiting.where(~awaits_policy()) if model is Job else waiting
 
 
-def take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) -> Claim | None:
+class _RefusedError(Exception):
+    """Work that no worker can begin; the message is the reason."""
+
+
+def take(session: Session, work: AnyWork, worker: str, lease_s: float) -> Claim | None:
     """Lease a locked row to `worker`; the new attempt fences off every earlier worker.
 
-    Work whose specification this version cannot read fails, as does a job that lacks the policy it starts from; then
+    Work fails whose specification this version cannot read, or that lacks a policy or a team that it starts with; then
     None is returned.
     """
+    lease = Lease(
+        work.kind, work.id, work.job_id, worker, work.attempt + 1, session.scalars(select(generation())).one()
+    )
     try:
-        training = isinstance(work, Job)
-        spec = read_stored(TrainingSpec, work.spec) if training else read_stored(EvaluationSpec, work.spec)
-        final = isinstance(work, Job) and work.evaluation
-        evaluation = read_stored(EvaluationSpec, final) if final else None
+        match work:
+            case Job():
+                claim: Claim = _job_claim(session, work, lease)
+            case Evaluation():
+                checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
+                claim = EvaluationClaim(lease, read_stored(EvaluationSpec, work.spec), checkpoint, work.time_limit_s)
+            case Match():
+                claim = _match_claim(session, work, lease)
+    except _RefusedError as error:
+        _refuse(session, work, str(error))
+        return None
     except (ValidationError, plugins.BrokenPluginError) as error:
         words = validation_words(error.errors()) if isinstance(error, ValidationError) else str(error)
-        reason = f"the specification does not fit this version: {words}"
-        _refuse(session, work, reason)
+        _refuse(session, work, f"the specification does not fit this version: {words}")
         return None
-    own = parent = bundled = None
-    if isinstance(work, Job) and (own := newest_checkpoint(session, work.id)) is None and work.needs_policy:
-        bundled = work.parent_policy if work.parent_policy in naopolicies.names() else None
-        parent = _parent_policy(session, work) if bundled is None else None
-        if parent is None and bundled is None:
-            _refuse(session, work, _missing_policy(work))
-            return None
     change(work, WorkState.STARTING)
     work.attempt += 1
     work.lease_owner = worker
-    work.lease_generation = session.scalars(select(generation())).one()
+    work.lease_generation = lease.generation
     work.lease_expires_at = _lease_end(lease_s)
     work.heartbeat_at = func.now()
     work.started_at = func.coalesce(type(work).started_at, func.now())
-    lease = Lease(work.kind, work.id, work.job_id, worker, work.attempt, work.lease_generation)
     if isinstance(work, Evaluation):
         notify(session, work.job_id)  # no event: the job's row is not locked
-        checkpoint = CheckpointRef.of(session.get_one(Checkpoint, work.checkpoint_id))
-        assert isinstance(spec, EvaluationSpec)
-        return EvaluationClaim(lease, spec, checkpoint, work.time_limit_s)
-    add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
-    assert isinstance(spec, TrainingSpec)
+    else:
+        add_event(session, work, "claimed", f"claimed by {worker}", {"worker": worker})
+    return claim
+
+
+def _job_claim(session: Session, job: Job, lease: Lease) -> JobClaim:
+    """Return what a locked job does and starts from. Raises ValidationError, _RefusedError."""
+    spec = read_stored(TrainingSpec, job.spec)
+    evaluation = read_stored(EvaluationSpec, job.evaluation) if job.evaluation else None
+    own, parent, bundled = newest_checkpoint(session, job.id), None, None
+    if own is None and job.needs_policy:
+        bundled = job.parent_policy if job.parent_policy in naopolicies.names() else None
+        parent = _parent_policy(session, job) if bundled is None else None
+        if parent is None and bundled is None:
+            raise _RefusedError(_missing_policy(job))
     return JobClaim(
         lease=lease,
-        name=work.name,
+        name=job.name,
         spec=spec,
         evaluation=evaluation,
         resume_from=CheckpointRef.of(own) if own else None,
@@ -188,11 +230,31 @@ def take(session: Session, work: Job | Evaluation, worker: str, lease_s: float) 
     )
 
 
-def _refuse(session: Session, work: Job | Evaluation, reason: str) -> None:
+def _match_claim(session: Session, match: Match, lease: Lease) -> MatchClaim:
+    """Return what the teams of a locked match are made of. Raises ValidationError, _RefusedError."""
+    spec = MatchSpec.model_validate(match.spec)
+    checkpoints, archives = {}, {}
+    for team in spec.teams:
+        for skill, policy in team.policies.items():
+            if policy in naopolicies.names():
+                continue
+            if (checkpoint := session.get(Checkpoint, policy)) is None:
+                raise _RefusedError(f"team {team.name}: the policy of its skill {skill} was deleted")
+            checkpoints[policy] = CheckpointRef.of(checkpoint)
+        if team.team_id is not None:
+            if (record := session.get(TeamRecord, team.team_id)) is None:
+                raise _RefusedError(f"team {team.name} was deleted")
+            archives[record.id] = ArtifactRef(record.key, record.manifest)
+    over = session.scalars(select(MatchGame).where(MatchGame.match_id == match.id))
+    games = {game.number: ArtifactRef(game.key, game.manifest) for game in over}
+    return MatchClaim(lease, spec, checkpoints, archives, games)
+
+
+def _refuse(session: Session, work: AnyWork, reason: str) -> None:
     """End queued work that no worker can begin."""
     work.error = reason
     change(work, WorkState.FAILED)
-    if isinstance(work, Job):
+    if not isinstance(work, Evaluation):
         add_event(session, work, "failed", reason)
     else:
         notify(session, work.job_id)  # no event: the job's row is not locked
@@ -235,7 +297,7 @@ def heartbeat(sessions: Sessions, lease: Lease, *, lease_s: float = DEFAULT_LEAS
             .returning(model.state, model.cancel_requested),
         ).one_or_none()
     if row is None:
-        raise _lost(lease)
+        raise lost(lease)
     return Requests(row.state, cancel=row.cancel_requested)
 
 
@@ -245,7 +307,7 @@ def read_requests(sessions: Sessions, lease: Lease) -> Requests:
     with one_statement(sessions) as session:
         row = session.execute(select(model.state, model.cancel_requested).where(held_by(lease))).one_or_none()
     if row is None:
-        raise _lost(lease)
+        raise lost(lease)
     return Requests(row.state, cancel=row.cancel_requested)
 
 
@@ -260,30 +322,24 @@ def held_by(lease: Lease) -> ColumnElement[bool]:
     )
 
 
-def _lost(lease: Lease) -> LeaseLostError:
+def lost(lease: Lease) -> LeaseLostError:
+    """Return the error of a write under a lease that is no longer valid."""
     return LeaseLostError(f"{lease.kind} {lease.id} is no longer leased to {lease.owner} (attempt {lease.attempt})")
 
 
-def hold(session: Session, lease: Lease) -> Job | Evaluation:
+def hold(session: Session, lease: Lease) -> AnyWork:
     """Lock leased work for the rest of the transaction. Raises LeaseLostError."""
     work = lock(session, cast("type[Job]", WORK[lease.kind]), lease.id, held_by(lease))
     if work is None:
-        raise _lost(lease)
+        raise lost(lease)
     return work
 
 
-def hold_job(session: Session, lease: Lease) -> Job:
-    """Lock a leased job for the rest of the transaction. Raises LeaseLostError."""
-    job = hold(session, lease)
-    assert isinstance(job, Job), f"{lease} is not a lease on a job"
-    return job
-
-
-def hold_evaluation(session: Session, lease: Lease) -> Evaluation:
-    """Lock a leased evaluation for the rest of the transaction. Raises LeaseLostError."""
-    evaluation = hold(session, lease)
-    assert isinstance(evaluation, Evaluation), f"{lease} is not a lease on an evaluation"
-    return evaluation
+def hold_as(session: Session, lease: Lease, model: type[W]) -> W:
+    """Lock leased work of one kind for the rest of the transaction. Raises LeaseLostError."""
+    work = hold(session, lease)
+    assert isinstance(work, model), f"{lease} is not a lease on a {model.kind}"
+    return work
 
 
 def _lease_end(lease_s: float) -> ScalarSelect[datetime]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 from sqlalchemy import (
     BigInteger,
@@ -66,6 +66,8 @@ class WorkKind(StrEnum):
     """A training with the evaluation at its end."""
     EVALUATION = "evaluation"
     """An evaluation that a user requested."""
+    MATCH = "match"
+    """A match of two teams."""
 
 
 def _work_checks(states: Iterable[WorkState]) -> tuple[CheckConstraint, ...]:
@@ -89,13 +91,13 @@ def _lease_index(table: str) -> Index:
 
 
 class Work:
-    """Columns that jobs and evaluations share: what they need of a worker, their state and their lease."""
+    """Columns that all work shares: what it needs of a worker, its state and its lease."""
 
     kind: ClassVar[WorkKind]
 
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     spec: Mapped[dict[str, Any]]
-    """A `naospec.TrainingSpec` or a `naospec.EvaluationSpec`."""
+    """A `naospec.TrainingSpec`, a `naospec.EvaluationSpec` or a `naojobs.teams.MatchSpec`."""
     priority: Mapped[int] = mapped_column(Integer, server_default=text("5"))
     """0 to 9; work with a higher priority is claimed first."""
     task: Mapped[str] = mapped_column(String(100))
@@ -105,6 +107,7 @@ class Work:
     simulator: Mapped[str] = mapped_column(String(100))
     """Also the name of the broker's queue for its wake-up message."""
     algorithm: Mapped[str] = mapped_column(String(100))
+    """Empty for a match, which learns nothing."""
     state: Mapped[WorkState] = mapped_column(
         Enum(WorkState, native_enum=False, length=20, values_callable=lambda members: [str(m) for m in members])
     )
@@ -301,6 +304,74 @@ class Evaluation(Work, Base):
     )
 
 
+class Match(Work, Base):
+    """Match of two teams: a number of games on the league's server."""
+
+    __tablename__ = "matches"
+    kind = WorkKind.MATCH
+
+    owner: Mapped[str] = mapped_column(String(200))
+    idempotency_key: Mapped[str | None] = mapped_column(String(200))
+    idempotency_digest: Mapped[str | None] = mapped_column(String(64))
+    summary: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    """Results of the games so far, as `naosprint.matches.results.match_results` returns them."""
+    live: Mapped[dict[str, Any] | None] = mapped_column(JSONB(none_as_null=True))
+    """A moment of a running game, of about a second ago."""
+    size: Mapped[int] = mapped_column(BigInteger, server_default=text("0"))
+    """Bytes of the logs of its games."""
+
+    __table_args__ = (
+        *_work_checks(EVALUATION_STATES),
+        UniqueConstraint("owner", "idempotency_key"),
+        Index("ix_matches_owner_id", "owner", text("id DESC")),
+        _waiting_index("matches"),
+        _lease_index("matches"),
+    )
+
+    @property
+    def job_id(self) -> str:
+        """Id under which its files are and followers find it: its own."""
+        return self.id
+
+
+class MatchGame(Base):
+    """Game of a match that is over."""
+
+    __tablename__ = "games"
+
+    match_id: Mapped[str] = mapped_column(ForeignKey("matches.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    """Number from 1."""
+    goals: Mapped[list[int]] = mapped_column(ARRAY(Integer))
+    """Goals of both teams."""
+    lost: Mapped[list[dict[str, Any]]] = mapped_column(JSONB)
+    """Players that crashed, hung or never came, with the reasons."""
+    key: Mapped[str]
+    """Location of its log in the store: `key/name`."""
+    manifest: Mapped[dict[str, Any]]
+    """A `naojobs.store.StoreManifest`."""
+    finished_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+
+class TeamRecord(Base):
+    """Team that a user has uploaded: a folder with the command that starts an agent."""
+
+    __tablename__ = "teams"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    owner: Mapped[str] = mapped_column(String(200))
+    name: Mapped[str] = mapped_column(String(60))
+    key: Mapped[str]
+    """Location of its archive in the store: `key/name`."""
+    manifest: Mapped[dict[str, Any]]
+    """A `naojobs.store.StoreManifest`."""
+    size: Mapped[int] = mapped_column(BigInteger)
+    """Bytes of its archive."""
+    created_at: Mapped[datetime] = mapped_column(server_default=func.now())
+
+    __table_args__ = (UniqueConstraint("owner", "name"),)
+
+
 class StudyState(StrEnum):
     """State of a study."""
 
@@ -490,7 +561,9 @@ class PolicyAlias(Base):
     )
 
 
-WORK: dict[WorkKind, type[Job] | type[Evaluation]] = {WorkKind.JOB: Job, WorkKind.EVALUATION: Evaluation}
+AnyWork: TypeAlias = Job | Evaluation | Match
+"""Row of work of any kind."""
+WORK: dict[WorkKind, type[AnyWork]] = {model.kind: model for model in (Job, Evaluation, Match)}
 """Models by kind."""
 
 

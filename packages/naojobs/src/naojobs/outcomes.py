@@ -16,8 +16,8 @@ from sqlalchemy.orm import Session
 from naojobs.changes import add_event, change, lock
 from naojobs.checkpoints import newest_checkpoint
 from naojobs.database import Sessions, one_statement
-from naojobs.leases import DEFAULT_LEASE_S, LONGEST_POSTPONE_S, Lease, hold, hold_job, read_lease_clock
-from naojobs.models import WORK, Evaluation, Event, Job, MetricsRecord, WorkKind, generation, lease_time
+from naojobs.leases import DEFAULT_LEASE_S, LONGEST_POSTPONE_S, Lease, hold, hold_as, read_lease_clock
+from naojobs.models import WORK, AnyWork, Evaluation, Event, Job, Match, MetricsRecord, WorkKind, generation, lease_time
 from naojobs.states import LEASED, WorkState
 
 POSTPONE_S = 5.0
@@ -90,11 +90,15 @@ def succeed(sessions: Sessions, lease: Lease) -> str | None:
     return missing
 
 
-def _missing(session: Session, work: Job | Evaluation) -> str | None:
+def _missing(session: Session, work: AnyWork) -> str | None:
     """Return in words what locked work lacks to have succeeded; none if nothing."""
     if isinstance(work, Evaluation):
         complete = work.summary is not None and work.key is not None and work.manifest is not None
         return None if complete else "its result is not stored"
+    if isinstance(work, Match):
+        played = (work.summary or {}).get("games", 0)
+        decided = (work.summary or {}).get("decided", False)
+        return None if played == work.spec["games"] or decided else f"{played} of {work.spec['games']} games are stored"
     if work.progress_step < work.total_steps:
         return f"it stands at step {work.progress_step:,} of {work.total_steps:,}"
     last = newest_checkpoint(session, work.id)
@@ -110,7 +114,7 @@ def _missing(session: Session, work: Job | Evaluation) -> str | None:
 
 def _settle(
     session: Session,
-    work: Job | Evaluation,
+    work: AnyWork,
     target: WorkState,
     *,
     message: str = "",
@@ -150,7 +154,7 @@ def begin(sessions: Sessions, lease: Lease, *, step: int, resumed_from: str | No
     (`naojobs.records.write`). Raises LeaseLostError.
     """
     with sessions.begin() as session:
-        job = hold_job(session, lease)
+        job = hold_as(session, lease, Job)
         resumed = resumed_from is not None or step > 0
         if session.scalar(_begun(job, step, resumed_from)) is not None:
             return  # a commit that seemed to fail did not
@@ -191,7 +195,7 @@ def postpone(sessions: Sessions, lease: Lease, reason: str) -> WorkState:
         return _lose(session, hold(session, lease), reason, counts=False)
 
 
-def _lose(session: Session, work: Job | Evaluation, reason: str, *, counts: bool = True) -> WorkState:
+def _lose(session: Session, work: AnyWork, reason: str, *, counts: bool = True) -> WorkState:
     work.failures += counts
     error = reason
     delay_s = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import timedelta
 from enum import Enum
@@ -12,8 +12,19 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from naojobs.errors import QuotaError
-from naojobs.models import Checkpoint, Evaluation, Job, PolicyRecord, PolicyVersion, Study, Token, Webhook
-from naojobs.states import OPEN
+from naojobs.models import (
+    Checkpoint,
+    Evaluation,
+    Job,
+    Match,
+    PolicyRecord,
+    PolicyVersion,
+    Study,
+    TeamRecord,
+    Token,
+    Webhook,
+)
+from naojobs.states import OPEN, WorkState
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +42,13 @@ def _sum(column: Any) -> Any:
 
 def _sizes(owner: str) -> tuple[Any, ...]:
     tables = (Checkpoint, Evaluation)
+    of_jobs = (select(_sum(table.size)).join(Job, Job.id == table.job_id).where(Job.owner == owner) for table in tables)
+    return (*of_jobs, *(select(_sum(table.size)).where(table.owner == owner) for table in (Match, TeamRecord)))
+
+
+def _numbers(owner: str, states: Iterable[WorkState]) -> tuple[Any, ...]:
     return tuple(
-        select(_sum(table.size)).join(Job, Job.id == table.job_id).where(Job.owner == owner) for table in tables
+        select(func.count(table.id)).where(table.owner == owner, table.state.in_(states)) for table in (Job, Match)
     )
 
 
@@ -46,14 +62,14 @@ class Quota(Enum):
     """Quota of an owner."""
 
     OPEN_JOBS = _Kind(
-        "open jobs",
+        "open jobs and matches",
         "wait until some finish, or cancel some",
-        lambda owner: (select(func.count(Job.id)).where(Job.owner == owner, Job.state.in_(OPEN)),),
+        lambda owner: _numbers(owner, OPEN),
     )
     JOBS = _Kind(
-        "jobs, open and ended",
+        "jobs and matches, open and ended",
         "delete ended ones",
-        lambda owner: (select(func.count(Job.id)).where(Job.owner == owner),),
+        lambda owner: _numbers(owner, WorkState),
     )
     EVALUATIONS = _Kind(
         "evaluations",
@@ -94,7 +110,7 @@ class Quota(Enum):
     VERSIONS = _Kind(
         "versions of policies", "delete some", lambda owner: (_versions(func.count(PolicyVersion.number), owner),)
     )
-    BYTES = _Kind("bytes in the store", "delete jobs", _sizes)
+    BYTES = _Kind("bytes in the store", "delete jobs, matches or teams", _sizes)
     ROWS = _Kind(
         "rows in the database", "delete jobs", lambda owner: (select(_sum(Job.row_count)).where(Job.owner == owner),)
     )

@@ -24,7 +24,7 @@ from naojobs.capabilities import Requirements
 from naojobs.changes import add_event
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
-from naojobs.leases import Lease, hold_evaluation, hold_job
+from naojobs.leases import Lease, hold_as
 from naojobs.models import METRICS_SEQ, Checkpoint, Evaluation, Job, Log, MetricsRecord
 from naojobs.states import WorkState
 
@@ -119,7 +119,7 @@ def write(sessions: Sessions, lease: Lease, batch: Batch) -> dict[int, str]:
     Raises LeaseLostError.
     """
     with sessions.begin() as session:
-        job = hold_job(session, lease)
+        job = hold_as(session, lease, Job)
         if batch.metrics:
             _write_metrics(session, job, batch.metrics)
         repeated, job.last_batch = job.last_batch == batch.id, batch.id
@@ -197,7 +197,7 @@ def record_result(
 ) -> None:
     """Write the result of a leased evaluation; it counts once the state is succeeded. Raises LeaseLostError."""
     with sessions.begin() as session:
-        evaluation = hold_evaluation(session, lease)
+        evaluation = hold_as(session, lease, Evaluation)
         evaluation.summary = dict(summary)
         evaluation.key = key
         evaluation.manifest = dict(manifest)
@@ -221,7 +221,7 @@ def record_evaluation(
     The same `evaluation_id` is written once. Raises LeaseLostError.
     """
     with sessions.begin() as session:
-        job = hold_job(session, lease)
+        job = hold_as(session, lease, Job)
         identifier = evaluation_id or new_id("eval")
         if session.get(Evaluation, identifier) is not None:
             return identifier

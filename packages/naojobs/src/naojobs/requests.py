@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
@@ -11,9 +12,11 @@ from sqlalchemy.orm import Session
 from naojobs.changes import W, add_event, change, lock
 from naojobs.database import Sessions, notify
 from naojobs.errors import ConflictError, NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Job, PolicyRecord, PolicyVersion
+from naojobs.models import AnyWork, Checkpoint, Job, Match, PolicyRecord, PolicyVersion
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, LEASED, OPEN, WorkState
+
+R = TypeVar("R", Job, Match)
 
 
 @contextmanager
@@ -38,7 +41,7 @@ def request_cancel(sessions: Sessions, model: type[W], work_id: str) -> W:
     return work
 
 
-def _cancel(session: Session, work: Job | Evaluation, why: str = "") -> bool:
+def _cancel(session: Session, work: AnyWork, why: str = "") -> bool:
     """Cancel locked work or ask its worker to stop; return whether that is new. Raises ConflictError."""
     reason = f": {why}" if why else ""
     if work.state is WorkState.CANCELLED or (work.cancel_requested and work.state in LEASED):
@@ -113,22 +116,38 @@ def resume(sessions: Sessions, job_id: str, *, limits: Limits = NO_LIMITS) -> Jo
     return job
 
 
-def retry(sessions: Sessions, job_id: str, *, limits: Limits = NO_LIMITS) -> Job:
-    """Queue a failed or cancelled job again, with all its attempts; it resumes from its last checkpoint.
+def retry(sessions: Sessions, model: type[R], work_id: str, *, limits: Limits = NO_LIMITS) -> R:
+    """Queue a failed or cancelled job or match again, with all its attempts.
 
-    Raises NotFoundError, ConflictError if the job has not failed and is not cancelled, and QuotaError if its owner has
-    as many open jobs as `limits` allow.
+    A job resumes from its last checkpoint; of a match only the games are played that are not over.
+
+    Raises NotFoundError, ConflictError if it has not failed and is not cancelled, and QuotaError if its owner has as
+    many open jobs as `limits` allow.
     """
-    with _locked(sessions, Job, job_id) as (session, job):
-        if job.state not in (WorkState.FAILED, WorkState.CANCELLED):
-            hint = "use resume" if job.state is WorkState.PAUSED else "submit a new job to train again"
-            raise ConflictError(f"job {job_id} is {job.state}; only a failed or cancelled job can be retried; {hint}")
-        require_room(session, job.owner, limits, Quota.OPEN_JOBS)
-        change(job, WorkState.QUEUED)
-        job.failures = job.postponed = 0
-        job.error = job.pruned = None
-        add_event(session, job, "queued", "retried by a user")
-    return job
+    with _locked(sessions, model, work_id) as (session, work):
+        if work.state not in (WorkState.FAILED, WorkState.CANCELLED):
+            what = f"only a failed or cancelled {work.kind} can be retried"
+            hint = "use resume" if work.state is WorkState.PAUSED else f"submit a new {work.kind} instead"
+            raise ConflictError(f"{work.kind} {work_id} is {work.state}; {what}; {hint}")
+        require_room(session, work.owner, limits, Quota.OPEN_JOBS)
+        change(work, WorkState.QUEUED)
+        work.failures = work.postponed = 0
+        work.error = None
+        if isinstance(work, Job):
+            work.pruned = None
+        add_event(session, work, "queued", "retried by a user")
+    return work
+
+
+def delete_match(sessions: Sessions, match_id: str) -> None:
+    """Delete a match that has ended; the caller deletes its logs afterwards. Raises NotFoundError, ConflictError."""
+    with sessions.begin() as session:
+        match = lock(session, Match, match_id)
+        if match is None:
+            raise NotFoundError(f"no match {match_id}")
+        if match.state not in ENDED:
+            raise ConflictError(f"match {match_id} is {match.state}; cancel it first")
+        session.delete(match)
 
 
 def delete(sessions: Sessions, job_id: str) -> None:

@@ -13,8 +13,8 @@ from sqlalchemy.orm import Session
 
 from naojobs import backups
 from naojobs.database import Sessions
-from naojobs.leases import Lease, hold_job
-from naojobs.models import Checkpoint, Evaluation, Job, MetricsRecord, PolicyVersion
+from naojobs.leases import Lease, hold_as
+from naojobs.models import Checkpoint, Evaluation, Job, Match, MatchGame, MetricsRecord, PolicyVersion, TeamRecord
 from naojobs.states import LEASED
 from naojobs.store import ARTIFACTS, PROBES, ArtifactStore, MissingArtifactError, artifact_of
 
@@ -46,7 +46,7 @@ def prune_checkpoints(sessions: Sessions, lease: Lease, wanted: Retention) -> li
     """
     with sessions.begin() as session:
         # Every transaction that refers to a checkpoint locks its job's row first, so none can do so meanwhile.
-        job = hold_job(session, lease)
+        job = hold_as(session, lease, Job)
         rows = session.execute(
             select(Checkpoint.id, Checkpoint.step, Checkpoint.key)
             .where(Checkpoint.job_id == job.id)
@@ -98,7 +98,7 @@ def delete_files(sessions: Sessions, store: ArtifactStore, prefix: str) -> int:
 def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEFAULT_AGE_S) -> list[str]:
     """Return the prefixes of files that no row refers to and that have not changed for `age_s`, sorted.
 
-    Files of leased jobs are left out regardless of their age, since a clock may be wrong.
+    Files of leased jobs and matches are left out regardless of their age, since a clock may be wrong.
     Raises StoreError.
     """
     changed: dict[str, datetime] = {}
@@ -108,10 +108,12 @@ def find_orphans(sessions: Sessions, store: ArtifactStore, *, age_s: float = DEF
     before = datetime.now(UTC) - timedelta(seconds=age_s)
     old = [prefix for prefix, at in changed.items() if at < before]
     with sessions.begin() as session:
-        known = {*session.scalars(select(Checkpoint.key)), *session.scalars(select(Evaluation.key))}
+        tables = (Checkpoint, Evaluation, MatchGame, TeamRecord)
+        known = {key for table in tables for key in session.scalars(select(table.key))}
         busy = {
-            *session.scalars(select(Job.id).where(Job.state.in_(LEASED))),
-            *session.scalars(select(Evaluation.job_id).where(Evaluation.state.in_(LEASED))),
+            found
+            for column, state in ((Job.id, Job.state), (Evaluation.job_id, Evaluation.state), (Match.id, Match.state))
+            for found in session.scalars(select(column).where(state.in_(LEASED)))
         }
     return sorted(prefix for prefix in old if prefix not in known and prefix.split("/")[1] not in busy)
 

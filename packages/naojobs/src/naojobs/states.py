@@ -1,4 +1,4 @@
-"""States of work (trainings and evaluations) and the one table of allowed transitions."""
+"""States of work (trainings, evaluations and matches) and the one table of allowed transitions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from enum import StrEnum
 
 
 class WorkState(StrEnum):
-    """State of a job or of an evaluation; an evaluation cannot be paused and never is `evaluating`."""
+    """State of work; only a job can be paused, and `evaluating`."""
 
     QUEUED = "queued"
     """Waiting for a worker."""
     STARTING = "starting"
     """Claimed by a worker, which fetches artifacts and starts the child process."""
     RUNNING = "running"
-    """The child process trains, or runs the episodes of an evaluation."""
+    """The child process trains, or runs the episodes of an evaluation or the games of a match."""
     PAUSING = "pausing"
     """A pause was requested; the worker is asked to write a checkpoint and stop."""
     PAUSED = "paused"
@@ -52,7 +52,7 @@ ENDED: frozenset[WorkState] = frozenset({_S.SUCCEEDED, _S.FAILED, _S.CANCELLED})
 OPEN: frozenset[WorkState] = frozenset(WorkState) - ENDED
 """States that count against an owner's quota."""
 EVALUATION_STATES: frozenset[WorkState] = frozenset(WorkState) - {_S.PAUSING, _S.PAUSED, _S.EVALUATING}
-"""States that an evaluation can have."""
+"""States that an evaluation or a match can have."""
 
 
 def can_become(source: WorkState, target: WorkState) -> bool:

@@ -122,6 +122,16 @@ def evaluation_key(job_id: str, evaluation_id: str, attempt: int, nonce: str = "
     return check_key("-".join(filter(None, (f"{ARTIFACTS}/{job_id}/evaluations/{evaluation_id}", str(attempt), nonce))))
 
 
+def game_key(match_id: str, number: int, attempt: int, nonce: str) -> str:
+    """Return the key of the log of a game."""
+    return check_key(f"{ARTIFACTS}/{match_id}/games/{number:04d}-{attempt}-{nonce}")
+
+
+def team_key(team_id: str) -> str:
+    """Return the key of an uploaded team."""
+    return check_key(f"{ARTIFACTS}/{team_id}/teams/{new_nonce()}")
+
+
 def artifact_of(key: str) -> str:
     """Return the prefix of the artifact that a file belongs to: jobs/ID/checkpoints/NAME, or the like."""
     return "/".join(key.split("/")[:4])

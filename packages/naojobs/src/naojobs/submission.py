@@ -28,11 +28,11 @@ from naojobs.database import Sessions, notify, storable
 from naojobs.errors import ConflictError, InvalidError, NotFoundError
 from naojobs.ids import new_id
 from naojobs.lineage import trained_by
-from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, PolicyRecord, Study
+from naojobs.models import DEFAULT_TIME_LIMIT_S, Checkpoint, Evaluation, Job, Match, PolicyRecord, Study
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import ENDED, OPEN, WorkState
 
-J = TypeVar("J", Job, Study)
+J = TypeVar("J", Job, Study, Match)
 
 INVISIBLE = frozenset({"Cc", "Cf", "Zl", "Zp"})
 """Categories of characters that no name has: controls, formats, separators of lines and paragraphs."""

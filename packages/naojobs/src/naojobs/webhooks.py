@@ -53,6 +53,8 @@ class MessageType(StrEnum):
     """A running job has made no step for a while."""
     EVALUATION_FINISHED = "evaluation.finished"
     """An evaluation has succeeded, failed or been cancelled."""
+    MATCH_ENDED = "match.ended"
+    """A match has succeeded, failed or been cancelled."""
     STUDY_FINISHED = "study.finished"
     """A study has finished, failed or been cancelled."""
 

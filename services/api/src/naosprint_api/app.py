@@ -12,6 +12,7 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
+from naojobs.teams import MAX_TEAM_BYTES
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp, Scope
 
@@ -19,7 +20,19 @@ from naosprint_api import __version__, problems
 from naosprint_api.dependencies import CountedRoute, admit, service_of, storable_body
 from naosprint_api.middleware import BodyLimit, Envelope
 from naosprint_api.problems import Problem
-from naosprint_api.routes import artifacts, catalog, jobs, policies, sharing, streams, studies, system, tokens, webhooks
+from naosprint_api.routes import (
+    artifacts,
+    catalog,
+    jobs,
+    matches,
+    policies,
+    sharing,
+    streams,
+    studies,
+    system,
+    tokens,
+    webhooks,
+)
 from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 
@@ -74,6 +87,7 @@ def create_app(service: Service) -> FastAPI:
         jobs.router,
         studies.router,
         artifacts.router,
+        matches.router,
         policies.router,
         tokens.router,
         sharing.router,
@@ -140,4 +154,6 @@ def create_asgi(settings: ApiSettings) -> tuple[ASGIApp, Service]:
     service = Service.build(settings)
     app = create_app(service)
     compressed = GZipMiddleware(app, minimum_size=1000, compresslevel=1, exclude_content_types=_NOT_COMPRESSED)
-    return Envelope(BodyLimit(compressed, settings.api_max_body_bytes), service.telemetry), service
+    return Envelope(
+        BodyLimit(compressed, settings.api_max_body_bytes, {"/teams/": MAX_TEAM_BYTES}), service.telemetry
+    ), service

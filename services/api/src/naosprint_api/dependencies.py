@@ -33,6 +33,8 @@ MAX_VALUES, MAX_DEPTH = 100_000, 64
 """Most values and deepest nesting of a JSON body."""
 DRAIN_S = 1.0
 """Seconds in which the body of a refused request is read and discarded."""
+ARCHIVE = "application/octet-stream"
+"""Type of the content of an uploaded folder."""
 BODY_METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 """Methods of requests that may have a body."""
 
@@ -56,7 +58,9 @@ async def storable_body(request: Request) -> None:
     Raises ProblemError for a number beyond 64 bits, one that is not finite, text with half of a surrogate pair, and
     for a body of more than :data:`MAX_VALUES` values or deeper than :data:`MAX_DEPTH`.
     """
-    if request.method not in BODY_METHODS or not await request.body():
+    if request.method not in BODY_METHODS or request.headers.get("content-type") == ARCHIVE:
+        return  # an archive is read where it is checked who sends it
+    if not await request.body():
         return
     try:
         body = await request.json()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import time
+from collections.abc import Mapping
 
 from naojobs.ids import new_id
 from starlette.datastructures import Headers, MutableHeaders
@@ -102,6 +103,9 @@ def route_of(scope: Scope) -> str:
     return "/ui" if scope["path"].startswith("/ui/") else "(unknown)"
 
 
+_NONE_LARGER: Mapping[str, int] = {}
+
+
 class BodyLimit:
     """Middleware that refuses a request body that is too large, announced or not, without storing it.
 
@@ -109,9 +113,11 @@ class BodyLimit:
     sent everything. For a larger one the connection is closed after the answer.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, max_bytes: int, larger: Mapping[str, int] = _NONE_LARGER) -> None:
         self._app = app
         self._max_bytes = max_bytes
+        self._larger = larger
+        """Limits of paths that begin in some way."""
         self._patience_bytes = 16 * max_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -119,12 +125,13 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        most = next((most for start, most in self._larger.items() if scope["path"].startswith(start)), self._max_bytes)
         announced = Headers(scope=scope).get("content-length", "0")
-        if not announced.isdecimal() or int(announced) > self._max_bytes:
+        if not announced.isdecimal() or int(announced) > most:
             received = 0
             if announced.isdecimal() and int(announced) <= self._patience_bytes:
                 received = await self._drain(receive, received)
-            error = self._error(received)
+            error = self._error(received, most)
             await problem_response(413, error.detail, error.errors, error.headers)(scope, receive, send)
             return
         received = 0
@@ -134,10 +141,10 @@ class BodyLimit:
             message = await receive()
             if message["type"] == "http.request":
                 received += len(message.get("body", b""))
-                if received > self._max_bytes:
+                if received > most:
                     if message.get("more_body", False):
                         received = await self._drain(receive, received)
-                    raise self._error(received)
+                    raise self._error(received, most)
             return message
 
         await self._app(scope, counted, send)
@@ -151,8 +158,8 @@ class BodyLimit:
                 return received
         return 0
 
-    def _error(self, received: int) -> ProblemError:
-        detail = f"the body is larger than {self._max_bytes} bytes; send less"
-        _log.warning("refused a body: more than %d bytes", self._max_bytes)
+    def _error(self, received: int, most: int) -> ProblemError:
+        detail = f"the body is larger than {most} bytes; send less"
+        _log.warning("refused a body: more than %d bytes", most)
         headers = {} if received else {"Connection": "close"}
         return ProblemError(413, detail, [FieldError(field="body", message=detail)], headers)

@@ -10,7 +10,19 @@ from datetime import datetime, timedelta
 from naojobs.capabilities import waiting_reasons
 from naojobs.database import Sessions
 from naojobs.errors import NotFoundError
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, MetricsRecord, PolicyRecord, Study, Worker
+from naojobs.models import (
+    Checkpoint,
+    Evaluation,
+    Event,
+    Job,
+    Log,
+    Match,
+    MatchGame,
+    MetricsRecord,
+    PolicyRecord,
+    Study,
+    Worker,
+)
 from naojobs.states import WorkState
 from naojobs.tokens import Principal
 from sqlalchemy import ColumnElement, Select, false, func, select, true, tuple_
@@ -158,6 +170,35 @@ def visible_study(sessions: Sessions, principal: Principal, study_id: str) -> St
     if study is None or not _may_see(principal, study.owner, "", study_id):
         raise NotFoundError(f"no study {study_id} that this token may see")
     return study
+
+
+def visible_match(sessions: Sessions, principal: Principal, match_id: str) -> Match:
+    """Return a match that `principal` may see. Raises NotFoundError, also for matches of others."""
+    with sessions.begin() as session:
+        match = session.get(Match, match_id)
+    if match is None or not _may_see(principal, match.owner, "", match_id):
+        raise NotFoundError(f"no match {match_id} that this token may see")
+    return match
+
+
+def game(sessions: Sessions, match_id: str, number: int) -> MatchGame:
+    """Return a game that is over. Raises NotFoundError."""
+    with sessions.begin() as session:
+        found = session.get(MatchGame, (match_id, number))
+    if found is None:
+        raise NotFoundError(f"game {number} of match {match_id} is not over")
+    return found
+
+
+def list_matches(sessions: Sessions, *, owner: str | None, limit: int, before: str | None) -> list[Match]:
+    """Return up to `limit` matches older than the match `before`, newest first."""
+    statement = select(Match).order_by(Match.id.desc()).limit(limit)
+    if owner is not None:
+        statement = statement.where(Match.owner == owner)
+    if before is not None:
+        statement = statement.where(Match.id < before)
+    with sessions.begin() as session:
+        return list(session.scalars(statement))
 
 
 def owned_policies(principal: Principal, owner: str | None) -> ColumnElement[bool]:

@@ -12,7 +12,7 @@ from anyio import CapacityLimiter, to_thread
 from naojobs.capabilities import live_workers, waiting_reasons
 from naojobs.database import REVISION, Sessions, make_engine, make_sessions
 from naojobs.errors import JobError
-from naojobs.models import Evaluation, Job, Worker
+from naojobs.models import AnyWork, Evaluation, Job, Match, Worker
 from naojobs.notifications import Notifier, make_celery
 from naojobs.outcomes import record_notification_failure
 from naojobs.retention import delete_files
@@ -28,10 +28,10 @@ from naosprint_api.limits import RateLimiter
 from naosprint_api.probes import Probe, Probes
 from naosprint_api.recent import Recent
 from naosprint_api.results import results_of
-from naosprint_api.schemas import EvaluationPublic, JobPublic
+from naosprint_api.schemas import EvaluationPublic, JobPublic, MatchPublic
 from naosprint_api.settings import ApiSettings
 from naosprint_api.telemetry import Telemetry
-from naosprint_api.views import evaluation_view, job_view
+from naosprint_api.views import evaluation_view, job_view, match_view
 
 STORE_DEADLINE_S = 5.0
 """Seconds for which the store may be silent."""
@@ -117,11 +117,11 @@ class Service:
             self.notifier.close()
             self.engine.dispose()
 
-    async def wake_up(self, *work: Job | Evaluation) -> None:
+    async def wake_up(self, *work: AnyWork) -> None:
         """Send wake-up messages for queued work; a broker that is down is recorded with the first job, not raised."""
         await to_thread.run_sync(partial(self._wake_up, *work), limiter=self.broker_threads)
 
-    def _wake_up(self, *work: Job | Evaluation) -> None:
+    def _wake_up(self, *work: AnyWork) -> None:
         for item in work:
             error = self.notifier.wake_up(item.id, item.simulator)
             if error is None:
@@ -156,17 +156,24 @@ class Service:
         """Return an evaluation with the reason why no worker can take it."""
         return self.show_evaluations([evaluation])[0]
 
+    def show_matches(self, matches: Sequence[Match]) -> list[MatchPublic]:
+        """Return matches with the reasons why no worker can take them."""
+        workers = self.workers()
+        with self.reads.begin() as session:
+            reasons = waiting_reasons(session, matches, workers)
+        return [match_view(match, reasons.get(match.id)) for match in matches]
+
     async def discard_artifacts(self, job_id: str) -> None:
-        """Delete the files of a deleted job; if the store fails, a worker's sweep deletes them later."""
+        """Delete the files of a deleted job, match or team; if the store fails, a worker's sweep deletes them later."""
         await to_thread.run_sync(partial(self._discard_artifacts, job_id), limiter=self.store_threads)
 
     def _discard_artifacts(self, job_id: str) -> None:
         try:
             count = delete_files(self.sessions, self.store, job_prefix(job_id))
         except StoreError as error:
-            _log.error("the files of the deleted job %s are still in the store: %s", job_id, error)
+            _log.error("the files of the deleted %s are still in the store: %s", job_id, error)
         else:
-            _log.info("deleted job %s with %d files", job_id, count)
+            _log.info("deleted %s with %d files", job_id, count)
 
 
 def _live_workers(sessions: Sessions, stale_s: float) -> Sequence[Worker]:

@@ -8,7 +8,7 @@ from datetime import timedelta
 from typing import cast
 
 from naojobs.database import Sessions
-from naojobs.models import Backup, Delivery, Evaluation, Job, Worker
+from naojobs.models import WORK, AnyWork, Backup, Delivery, Job, Match, Worker
 from naojobs.states import WorkState
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
@@ -21,11 +21,12 @@ from sqlalchemy.orm import Session
 
 _ROWS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("naosprint_jobs", "Jobs by state.", ("state",)),
+    ("naosprint_matches", "Matches by state.", ("state",)),
     ("naosprint_workers_alive", "Workers with a heartbeat in the last 30 s.", ()),
     ("naosprint_queue_oldest_seconds", "Waiting time of the oldest queued job.", ()),
     ("naosprint_jobs_failed_recently", "Jobs that have failed in the last 15 minutes.", ()),
     ("naosprint_jobs_postponed", "Queued jobs whose last attempt ended because a service was unavailable.", ()),
-    ("naosprint_stalled", "Trainings and evaluations that are running without making steps.", ()),
+    ("naosprint_stalled", "Trainings, evaluations and matches that are running without making steps.", ()),
     ("naosprint_worker_disk_free_bytes", "Free space on the disk of a worker that is alive.", ("worker",)),
     ("naosprint_webhook_messages_waiting", "Messages to webhooks that are not delivered yet.", ()),
     ("naosprint_backup_age_seconds", "Time since the last backup; missing if there has been none.", ()),
@@ -58,10 +59,12 @@ class _Rows(Collector):
         with suppress(SQLAlchemyError), self._sessions.begin() as session:
             for name, value in _counts(session):
                 families[name].add_metric([], value)
-            by_state = session.execute(select(Job.state, func.count()).group_by(Job.state))
-            states = {state: count for state, count in by_state}  # mypy does not accept dict() of rows
-            for state in WorkState:
-                families["naosprint_jobs"].add_metric([state], states.get(state, 0))
+            models: tuple[tuple[str, type[AnyWork]], ...] = (("naosprint_jobs", Job), ("naosprint_matches", Match))
+            for name, model in models:
+                by_state = session.execute(select(model.state, func.count()).group_by(model.state))
+                states = {state: count for state, count in by_state}  # mypy does not accept dict() of rows
+                for state in WorkState:
+                    families[name].add_metric([state], states.get(state, 0))
             for worker, free in session.execute(select(Worker.id, Worker.disk_free_bytes).where(_ALIVE)):
                 if free is not None:
                     families["naosprint_worker_disk_free_bytes"].add_metric([worker], free)
@@ -80,14 +83,13 @@ def _counts(session: Session) -> Iterator[tuple[str, float]]:
             func.coalesce(func.extract("epoch", func.now() - func.min(Job.queued_at).filter(queued)), 0),
             func.count().filter(Job.state == WorkState.FAILED, Job.finished_at > recently),
             func.count().filter(queued, Job.postponed > 0),
-            func.count().filter(Job.stalled_since.is_not(None)),
         )
     ).one()
-    evaluations = select(func.count()).select_from(Evaluation).where(Evaluation.stalled_since.is_not(None))
+    stalled = (select(func.count(model.id)).where(model.stalled_since.is_not(None)) for model in WORK.values())
     yield "naosprint_queue_oldest_seconds", float(jobs[0])
     yield "naosprint_jobs_failed_recently", jobs[1]
     yield "naosprint_jobs_postponed", jobs[2]
-    yield "naosprint_stalled", jobs[3] + (session.scalar(evaluations) or 0)
+    yield "naosprint_stalled", sum(session.scalar(query) or 0 for query in stalled)
     yield "naosprint_workers_alive", session.scalar(select(func.count()).select_from(Worker).where(_ALIVE)) or 0
     waiting = select(func.count()).select_from(Delivery).where(Delivery.next_at.is_not(None))
     yield "naosprint_webhook_messages_waiting", session.scalar(waiting) or 0

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from urllib.parse import quote
 
-from naojobs.models import Checkpoint, Evaluation, Event, Job, Log
+from naojobs.models import Checkpoint, Evaluation, Event, Job, Log, Match, MatchGame
 from naojobs.registry import WorkerStatus
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
+from naospec.match_results import rows, sums
 
 from naosprint_api.schemas import (
     CheckpointPublic,
     EvaluationPublic,
     EventPublic,
     FilePublic,
+    GamePublic,
     JobPublic,
     JobResult,
     LogPublic,
+    MatchDetails,
+    MatchPublic,
     WorkerPublic,
 )
 
@@ -83,6 +87,39 @@ def evaluation_view(evaluation: Evaluation, waiting_reason: str | None = None) -
             "started_at": evaluation.started_at,
             "finished_at": evaluation.finished_at,
         },
+    )
+
+
+def match_view(match: Match, waiting_reason: str | None = None) -> MatchPublic:
+    """Return a match, with the reason why no worker can take it."""
+    spec, summary = match.spec, match.summary or {}
+    given = {
+        "teams": [team["name"] for team in spec["teams"]],
+        **{name: spec[name] for name in ("games", "players", "half_s", "gate")},
+        "played": summary.get("games", 0),
+        **{name: summary.get(name, 0) for name in ("wins", "draws", "losses")},
+        "waiting_reason": waiting_reason,
+        "worker": match.lease_owner,
+    }
+    others = {name: getattr(match, name) for name in MatchPublic.model_fields if name not in given}
+    return MatchPublic.model_validate({**given, **others})
+
+
+def match_details(match: Match, shown: MatchPublic, games: Iterable[MatchGame]) -> MatchDetails:
+    """Return a match with its results and the games that are over."""
+    finished = []
+    for game in games:
+        (file,) = files_view(StoreManifest.model_validate(game.manifest), "")
+        log = file.model_copy(update={"url": f"/matches/{match.id}/games/{game.number}/log"})
+        seen = {name: getattr(game, name) for name in GamePublic.model_fields if name != "log"}
+        finished.append(GamePublic.model_validate({**seen, "log": log}))
+    return MatchDetails(
+        **shown.model_dump(),
+        summary=match.summary,
+        table=rows(match.summary) if match.summary else [],
+        sums=sums(match.summary) if match.summary else [],
+        live=match.live,
+        finished=finished,
     )
 
 

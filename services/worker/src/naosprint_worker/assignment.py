@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 from naojobs.checkpoints import CheckpointRef
-from naojobs.leases import EvaluationClaim, JobClaim, Lease
+from naojobs.leases import EvaluationClaim, JobClaim, Lease, MatchClaim
 from naospec import EvaluationSpec, TrainingSpec
 from pydantic import BaseModel, ConfigDict
 
@@ -53,3 +53,10 @@ class EvaluationAssignment(_Assignment):
 
     kind: Literal["evaluation"] = "evaluation"
     claim: EvaluationClaim
+
+
+class MatchAssignment(_Assignment):
+    """Attempt at a match."""
+
+    kind: Literal["match"] = "match"
+    claim: MatchClaim

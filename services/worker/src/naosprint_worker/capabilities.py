@@ -6,8 +6,10 @@ import logging
 import os
 from collections.abc import Iterator
 
-from naojobs.capabilities import Capabilities
+from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, MATCH_VERSION, Capabilities
+from naosim.mujoco.program import PROGRAM_VARIABLE, missing_server
 from naospec import plugins
+from naosprint.matches.confine import NETWORK_VERSION, landlock_version
 
 from naosprint_worker.settings import WorkerSettings
 
@@ -17,11 +19,26 @@ logger = logging.getLogger(__name__)
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return installed tasks and algorithms, simulators that the settings allow, and robots that one of them runs."""
     return Capabilities(
-        tasks={name: task.version for name, task in plugins.usable(plugins.TASKS)},
+        tasks={name: task.version for name, task in plugins.usable(plugins.TASKS)} | _matches(settings),
         robots=list(_robots(settings)),
         simulators=list(settings.worker_queues),
         algorithms=[name for name, _ in plugins.usable(plugins.LEARNERS)],
     )
+
+
+def _matches(settings: WorkerSettings) -> dict[str, int]:
+    """Return the kinds of matches that this machine can play, as tasks with their versions; log why not all."""
+    environment = {**os.environ, **settings.server_environment}
+    reason = missing_server(environment)
+    if environment.get(PROGRAM_VARIABLE, "").startswith("docker:"):
+        reason = f"the server has to be a process of this machine; unset {PROGRAM_VARIABLE}"
+    if reason:
+        logger.warning("this worker plays no matches: %s", reason)
+        return {}
+    if landlock_version() < NETWORK_VERSION:
+        logger.warning("this worker plays no matches of uploaded teams: the kernel has no Landlock with rules for TCP")
+        return {MATCH_TASK: MATCH_VERSION}
+    return {MATCH_TASK: MATCH_VERSION, CONFINED_MATCH_TASK: MATCH_VERSION}
 
 
 def _robots(settings: WorkerSettings) -> Iterator[str]:

@@ -14,13 +14,13 @@ from typing import TypeVar
 
 from naojobs import leases, outcomes, records
 from naojobs.errors import ConflictError, LeaseLostError
-from naojobs.leases import Claim, JobClaim
+from naojobs.leases import Claim, EvaluationClaim, JobClaim
 from naojobs.models import WorkKind
 from naojobs.records import LogLine
 from naojobs.states import WorkState
 from naosim.launchers import LABELS_VARIABLE
 
-from naosprint_worker.assignment import EvaluationAssignment, TrainingAssignment
+from naosprint_worker.assignment import EvaluationAssignment, MatchAssignment, TrainingAssignment
 from naosprint_worker.child import TrainingProcess
 from naosprint_worker.context import WorkerContext
 from naosprint_worker.database import DATABASE_ERRORS
@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 EVALUATOR_GRACE_S = 5.0
-"""Seconds that an evaluator has to stop: it has nothing to save."""
+"""Seconds that evaluations and matches have to stop: they have nothing to save."""
 
 _LAST_PATIENCE_S = 10.0
 """Seconds for which a worker that shuts down waits for the database."""
@@ -44,7 +44,7 @@ _LAST_PATIENCE_S = 10.0
 _BROKER_VARIABLE, _NO_BROKER = "NAOSPRINT_BROKER_URL", "redis://none:none@none.invalid"
 """Children send no messages and receive none; the settings need an address."""
 
-_PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator"}
+_PROGRAMS = {WorkKind.JOB: "trainer", WorkKind.EVALUATION: "evaluator", WorkKind.MATCH: "match"}
 """Module of the child process by kind of work."""
 
 
@@ -68,7 +68,7 @@ class Run:
         self._claim = claim
         self._lease = claim.lease
         self._program = _PROGRAMS[claim.lease.kind]
-        limit_s = context.settings.worker_time_limit_s if isinstance(claim, JobClaim) else claim.time_limit_s
+        limit_s = claim.time_limit_s if isinstance(claim, EvaluationClaim) else context.settings.worker_time_limit_s
         self._time_limit_s = math.inf if limit_s is None else limit_s
         self._workdir = context.folder / f"{claim.lease.id}-{claim.lease.attempt}"
         sessions, lease_s = context.sessions, context.settings.lease_s
@@ -121,10 +121,12 @@ class Run:
         finally:
             shutil.rmtree(self._workdir, ignore_errors=True)
 
-    def _assignment(self) -> TrainingAssignment | EvaluationAssignment:
+    def _assignment(self) -> TrainingAssignment | EvaluationAssignment | MatchAssignment:
         if isinstance(self._claim, JobClaim):
             return TrainingAssignment.from_claim(self._claim)
-        return EvaluationAssignment(claim=self._claim)
+        if isinstance(self._claim, EvaluationClaim):
+            return EvaluationAssignment(claim=self._claim)
+        return MatchAssignment(claim=self._claim)
 
     def _start(self, on_exit: Callable[[], None]) -> TrainingProcess:
         settings = self._context.settings

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from naojobs import leases, registry, retention
 from naojobs.database import make_sessions
-from naojobs.models import Evaluation, Job, WorkKind
+from naojobs.models import AnyWork, Evaluation, Job, Match, WorkKind
 from naojobs.notifications import Notifier, make_celery
 from naojobs.store import ArtifactStore, StoreError
 from naospec.files import private_folder
@@ -154,7 +154,7 @@ class WorkLoop:
             self._stopping.set()
             os.kill(os.getpid(), signal.SIGTERM)
 
-    def _claimable(self) -> tuple[type[Job] | type[Evaluation], ...]:
+    def _claimable(self) -> tuple[type[AnyWork], ...]:
         """Return what this worker can take now: beside its slots, one evaluation may run.
 
         A user who evaluates the newest checkpoint of a running job wants the result now, not when the training has
@@ -164,9 +164,9 @@ class WorkLoop:
         if self._stopping.is_set() or len(runs) > slots or not self._has_space():
             return ()
         if len(runs) < slots:
-            return (Job, Evaluation)
+            return (Job, Match, Evaluation)
         if any(run.kind is WorkKind.EVALUATION for run in runs):
-            return (Job,)
+            return (Job, Match)
         return (Evaluation,) if self._context.memory.has_room() else ()
 
     def _run(self, run: Run) -> None:

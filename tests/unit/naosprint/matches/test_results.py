@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from naospec.match_results import table
 from naosprint.matches.log import GameLog
-from naosprint.matches.results import game_results, match_results, table
+from naosprint.matches.results import game_results, match_results
 from naosprint.matches.stream import PLAY_MODES
 
 PLAY_ON, THROW_IN = PLAY_MODES.index("PlayOn"), PLAY_MODES.index("KickIn_Left")

@@ -10,8 +10,9 @@ from pathlib import Path
 import naopolicies
 import pytest
 from naosim.launchers import Address
+from naospec.teams import skills_of
 from naosprint.matches.agents import AgentProcess, Limits
-from naosprint.matches.teams import find_team, read_team, skills_of, write_example
+from naosprint.matches.teams import find_team, read_team, write_example
 
 
 @pytest.mark.parametrize(

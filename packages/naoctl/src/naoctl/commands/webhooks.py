@@ -49,7 +49,7 @@ def create_webhook(
             "--event",
             "-e",
             metavar="TYPE",
-            help="job.ended, job.stalled, evaluation.finished or study.finished; may be repeated.",
+            help="job.ended, job.stalled, evaluation.finished, match.ended or study.finished; may be repeated.",
             show_default="all",
         ),
     ] = None,

@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import naopolicies
+from naospec.match_results import table
+from naospec.teams import skills_of
 
 from naosprint.matches.agents import Limits
 from naosprint.matches.game import GameSettings
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import MatchStoppedError, find_teams, log_name, play_match
-from naosprint.matches.results import match_results, table
+from naosprint.matches.results import match_results
 from naosprint.matches.sequential import Gate, Verdict
-from naosprint.matches.teams import skills_of, write_example
+from naosprint.matches.teams import write_example
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,7 +25,8 @@ _EXECUTE, _READ_FILE, _READ_FOLDER = 1, 4, 8
 _FILES_BY_VERSION = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
 """Number of access rights of files, by the version of Landlock; later versions have no more."""
 _BIND_TCP, _CONNECT_TCP = 1, 2
-_NETWORK_VERSION = 4
+NETWORK_VERSION = 4
+"""First version of Landlock with rules for TCP."""
 _FILE_BYTES, _OPEN_FILES = 256 << 20, 256
 
 
@@ -45,14 +46,19 @@ def limit_resources(cpu_s: int, memory_mb: int) -> list[str]:
     return list(limits)
 
 
+def landlock_version() -> int:
+    """Return the version of the kernel's Landlock, less than 1 without one."""
+    return int(ctypes.CDLL(None, use_errno=True).syscall(_CREATE_RULESET, None, 0, 1))
+
+
 def limit_access(reads: list[str], writes: list[str], port: int) -> list[str]:
     """Restrict files and network of this process and all that it starts; return what the kernel enforces."""
     libc = ctypes.CDLL(None, use_errno=True)
-    version = libc.syscall(_CREATE_RULESET, None, 0, 1)
+    version = landlock_version()
     if version < 1:
         return []
     every = (1 << _FILES_BY_VERSION[min(version, 5)]) - 1
-    network = (_BIND_TCP | _CONNECT_TCP) if version >= _NETWORK_VERSION else 0
+    network = (_BIND_TCP | _CONNECT_TCP) if version >= NETWORK_VERSION else 0
     attributes = struct.pack("QQ", every, network)[: 16 if network else 8]
     rules = libc.syscall(_CREATE_RULESET, attributes, len(attributes), 0)
     if rules < 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import socket
 import threading
 import time
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from naosim.launchers import ProcessLauncher
 from naosim.mujoco.program import server_launcher
 from naosim.mujoco.world import RCSSSMJ_VERSION
+from naospec.teams import MAX_HALF_S, MAX_PLAYERS
 
 from naosprint.matches.agents import AgentProcess, Limits
 from naosprint.matches.log import GameLog, HalfRecorder, joined
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-RULE_HALF_S = 300
-"""Seconds of a half in the league's rule book."""
 _GAME_OVER = PLAY_MODES.index("GameOver")
 _BEFORE = PLAY_MODES.index("BeforeKickOff")
 _SETTLE_S = 3.0
@@ -74,10 +74,33 @@ class GameSettings:
         Raises:
             ValueError: naming the setting.
         """
-        if not 1 <= self.players <= 7:
-            raise ValueError(f"players: must be 1 to 7, not {self.players}")
-        if not 1.0 <= self.half_s <= RULE_HALF_S:
-            raise ValueError(f"seconds: a half has 1 to {RULE_HALF_S} seconds, not {self.half_s:g}")
+        if not 1 <= self.players <= MAX_PLAYERS:
+            raise ValueError(f"players: must be 1 to {MAX_PLAYERS}, not {self.players}")
+        if not 1.0 <= self.half_s <= MAX_HALF_S:
+            raise ValueError(f"seconds: a half has 1 to {MAX_HALF_S} seconds, not {self.half_s:g}")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A running game at one moment.
+
+    Attributes:
+        share: share of the game that is over.
+        half: number of the half, from 0.
+        clock_s: play time in the half.
+        mode: name of the play mode.
+        goals: goals of both teams so far.
+        ball: position of the ball on the field, m.
+        players: team, uniform number, position, m, and direction, rad, of each robot on the field.
+    """
+
+    share: float
+    half: int
+    clock_s: float
+    mode: str
+    goals: tuple[int, int]
+    ball: tuple[float, float]
+    players: list[tuple[int, int, float, float, float]]
 
 
 def play_game(
@@ -86,7 +109,7 @@ def play_game(
     first_left: int,
     settings: GameSettings,
     *,
-    on_frame: Callable[[float], None] = lambda _done: None,
+    on_moment: Callable[[Moment], None] = lambda _moment: None,
 ) -> GameLog:
     """Play a game and return its log.
 
@@ -95,24 +118,26 @@ def play_game(
         names: their names for people.
         first_left: team that plays on the left, and kicks off, in the first half; the other does in the second.
         settings: players, time, limits.
-        on_frame: called with the share of the game that is over; what it raises ends the game.
+        on_moment: called about once a second; what it raises ends the game.
 
     Raises:
         ServerFailedError: a server did not start or ended.
         TeamFailedError: a team did not enter the field.
     """
-    halves, notes = [], []
+    halves: list[HalfRecorder] = []
+    notes = []
     for number in range(2):
-
-        def report(done: float, number: int = number) -> None:
-            on_frame((number + done) / 2)
-
         left = first_left if number == 0 else 1 - first_left
-        with _Half(teams, left, number, settings) as half:
-            halves.append(half.play(report))
+        with _Half(teams, left, number, settings, halves[0].score if halves else (0, 0)) as half:
+            halves.append(half.play(on_moment))
             notes.append(half.notes())
     summary = {"server": f"rcsssmj {RCSSSMJ_VERSION}", "half_s": settings.half_s, "halves": notes}
     return joined(halves, names, summary)
+
+
+def _first_second(number: int, half_s: float) -> float:
+    """Return what the server's clock shows when a half begins."""
+    return MAX_HALF_S * (number + 1) - half_s
 
 
 def _launcher(number: int, half_s: float) -> Launcher:
@@ -120,16 +145,19 @@ def _launcher(number: int, half_s: float) -> Launcher:
     launcher = server_launcher()
     if not isinstance(launcher, ProcessLauncher):
         raise MatchError("matches need a server that is a process of this machine; unset NAOSPRINT_RCSSSERVERMJ")
-    play_time = RULE_HALF_S * (number + 1) - half_s
-    more = ("--rules", "ssim", "--phase", str(number), "--time", f"{play_time:g}")
+    more = ("--rules", "ssim", "--phase", str(number), "--time", f"{_first_second(number, half_s):g}")
     return ProcessLauncher(replace(launcher.program, arguments=(*launcher.program.arguments, *more)), launcher.command)
 
 
 class _Half:
     """One half: a server, its monitor and the agents."""
 
-    def __init__(self, teams: tuple[Team, Team], left: int, number: int, settings: GameSettings) -> None:
-        self._teams, self._left, self._settings = teams, left, settings
+    def __init__(
+        self, teams: tuple[Team, Team], left: int, number: int, settings: GameSettings, goals: tuple[int, int]
+    ) -> None:
+        self._teams, self._left, self._number, self._settings = teams, left, number, settings
+        self._goals = goals
+        """Goals of both teams in the half before."""
         self._order = (left, 1 - left)
         """Teams in the order in which they enter: the first plays on the left."""
         self._names = tuple("left" if team == left else "right" for team in range(2))
@@ -151,7 +179,7 @@ class _Half:
         for agent in self._agents.values():
             agent.stop()
 
-    def play(self, on_frame: Callable[[float], None]) -> HalfRecorder:
+    def play(self, on_moment: Callable[[Moment], None]) -> HalfRecorder:
         """Start everything, play until the referee ends the half, and return its frames."""
         settings = self._settings
         self._server = self._launcher.start()
@@ -172,7 +200,7 @@ class _Half:
             if now - looked_at > _LOOK_S:
                 looked_at = now
                 self._look(frame)
-                on_frame(min(1.0, len(recorder) * 0.04 / settings.half_s))
+                on_moment(self._moment(frame, len(recorder)))
             if now > deadline:
                 raise MatchError(f"the half took more than {settings.wall_s:g} s of wall-clock time")
         self._look(frame)
@@ -219,6 +247,27 @@ class _Half:
                 if alive:
                     agent.stop()
         self._cpu_cycles = round(frame.time_s / 0.02)
+
+    def _moment(self, frame: Frame, frames: int) -> Moment:
+        """Return what people see of the half after a number of frames."""
+        share = min(1.0, frames * 0.04 / self._settings.half_s)
+        players = []
+        for (side, number), bodies in frame.bodies.items():
+            if len(bodies):
+                (forward_x, forward_y, _), (x, y, _) = bodies[0, 0].tolist(), bodies[0, 3].tolist()
+                heading = round(math.atan2(forward_y, forward_x), 2)
+                players.append((self._names.index(side), number, round(x, 2), round(y, 2), heading))
+        x, y, _ = frame.ball_m.tolist()
+        goals = frame.score if self._left == 0 else frame.score[::-1]
+        return Moment(
+            share=(self._number + share) / 2,
+            half=self._number,
+            clock_s=max(0.0, frame.clock_s - _first_second(self._number, self._settings.half_s)),
+            mode=PLAY_MODES[frame.mode],
+            goals=(self._goals[0] + goals[0], self._goals[1] + goals[1]),
+            ball=(round(x, 2), round(y, 2)),
+            players=players,
+        )
 
     def notes(self) -> dict[str, Any]:
         """Return what happened besides the frames."""

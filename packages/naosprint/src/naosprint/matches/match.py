@@ -15,7 +15,7 @@ from naosprint.matches.teams import find_team
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from naosprint.matches.game import GameSettings
+    from naosprint.matches.game import GameSettings, Moment
     from naosprint.matches.teams import Team
 
 
@@ -42,7 +42,7 @@ def play_match(
     *,
     parallel: int = 1,
     stop: Callable[[], bool] = lambda: False,
-    progress: Callable[[float], None] = lambda _games: None,
+    watch: Callable[[int, Moment], None] = lambda _game, _moment: None,
     played: Callable[[int, GameLog], None] = lambda _game, _log: None,
     enough: Callable[[list[GameLog]], bool] = lambda _logs: False,
 ) -> list[GameLog]:
@@ -58,7 +58,7 @@ def play_match(
         folder: for the logs; created if need be.
         parallel: games at a time.
         stop: whether to end; asked about once a second.
-        progress: called with the number of games played, as a fraction.
+        watch: called with the number of a running game and what it looks like, about once a second.
         played: called with number and log of each game that is over.
         enough: called with the logs of the first games, without a gap, whenever there is one more; if it returns true,
             they are all that is returned, and no other game is played to its end.
@@ -69,7 +69,6 @@ def play_match(
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown = names if names[0] != names[1] else (f"{names[0]} 1", f"{names[1]} 2")
-    done = dict.fromkeys(range(1, games + 1), 0.0)
     ended, lock = threading.Event(), threading.Lock()
     logs: dict[int, GameLog] = {}
     first: list[GameLog] = []
@@ -77,12 +76,13 @@ def play_match(
     def play(game: int) -> GameLog:
         path = folder / log_name(game)
         if not path.exists():
-            log = play_game(teams, shown, (game - 1) % 2, settings, on_frame=lambda share: note(game, share))
+            if stop():
+                raise MatchStoppedError
+            log = play_game(teams, shown, (game - 1) % 2, settings, on_moment=lambda moment: look(game, moment))
             with tempfile.TemporaryDirectory(dir=folder) as partial:
                 log.save(Path(partial) / path.name)
                 (Path(partial) / path.name).replace(path)
         log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
-        note(game, 1.0)
         with lock:
             if ended.is_set():
                 raise MatchStoppedError
@@ -95,15 +95,13 @@ def play_match(
                     break
         return log
 
-    def note(game: int, share: float) -> None:
+    def look(game: int, moment: Moment) -> None:
         if ended.is_set() or stop():
             raise MatchStoppedError
-        with lock:
-            done[game] = share
-            progress(sum(done.values()))
+        watch(game, moment)
 
     with ThreadPoolExecutor(parallel, thread_name_prefix="game") as pool:
-        futures = [pool.submit(play, game) for game in done]
+        futures = [pool.submit(play, game) for game in range(1, games + 1)]
         finished, _ = wait(futures, return_when=FIRST_EXCEPTION)
         decided = ended.is_set()
         ended.set()

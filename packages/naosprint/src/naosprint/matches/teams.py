@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import naopolicies
 from naospec.files import read_json
+from naospec.teams import EXAMPLE, ROBOT, SKILLS, TEAM_FILE, no_team_file, skills_of, team_command
 
 from naosprint.export.skill import write_skill
 from naosprint.rl.policy import NetworkPolicy, load_policy
@@ -20,14 +20,8 @@ from naosprint.rl.policy import NetworkPolicy, load_policy
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-TEAM_FILE = "team.json"
-EXAMPLE = "example"
-"""Name of the team of the example player with bundled skills."""
-SKILLS = {"walk": ("velocity", "t1-run"), "kick": ("kick", "t1-kick"), "getup": ("getup", "t1-getup-robust")}
-"""Skills of the example player: the task of its policy and the bundled policy that it is by default."""
-PLACEHOLDERS = ("python", "host", "port", "team", "number", "players")
 _PLAYER = Path(__file__).with_name("team")
-_MAX_FILE_BYTES, _MAX_WORDS = 100_000, 100
+_MAX_FILE_BYTES = 100_000
 
 
 @dataclass(frozen=True)
@@ -61,41 +55,12 @@ def read_team(folder: Path) -> Team:
         ValueError: if ``team.json`` is missing or malformed; the message names the folder and what to write.
     """
     file = folder / TEAM_FILE
-    example = '{"command": ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]}'
     try:
         found = read_json(file, _MAX_FILE_BYTES)
     except FileNotFoundError:
-        raise ValueError(f"{folder}: no {TEAM_FILE}; write one such as {example}") from None
-    command = found.get("command") if isinstance(found, dict) else None
-    reads = found.get("reads", []) if isinstance(found, dict) else []
-    if not _are_words(command) or not command:
-        raise ValueError(f"{file}: command: expected a list of texts, such as {example}")
-    if not _are_words(reads):
-        raise ValueError(f"{file}: reads: expected a list of folders")
-    unknown = {name for word in command for name in re.findall(r"{(\w+)}", word)} - set(PLACEHOLDERS)
-    if unknown:
-        raise ValueError(f"{file}: command: no placeholder {', '.join(sorted(unknown))}; use {', '.join(PLACEHOLDERS)}")
-    return Team(folder.resolve(), tuple(command), tuple(reads))
-
-
-def _are_words(found: Any) -> bool:
-    return isinstance(found, list) and len(found) <= _MAX_WORDS and all(isinstance(word, str) for word in found)
-
-
-def skills_of(text: str) -> dict[str, str]:
-    """Return the policies by skill of ``example`` or ``example:walk=REFERENCE,kick=REFERENCE``.
-
-    Raises:
-        ValueError: for another skill or text.
-    """
-    name, _, rest = text.partition(":")
-    skills = {skill: bundled for skill, (_, bundled) in SKILLS.items()}
-    for part in filter(None, rest.split(",")):
-        skill, equals, reference = part.partition("=")
-        if name != EXAMPLE or skill not in SKILLS or not equals or not reference:
-            raise ValueError(f"team {text!r}: {part!r}: expected one of {', '.join(SKILLS)}, '=' and a policy")
-        skills[skill] = reference
-    return skills
+        raise ValueError(no_team_file(folder)) from None
+    command, reads = team_command(found, str(file))
+    return Team(folder.resolve(), command, reads)
 
 
 def find_team(text: str, scratch: Path) -> Team:
@@ -131,7 +96,7 @@ def write_example(folder: Path, checkpoints: Mapping[str, Path]) -> Team:
     for skill, (task, _) in SKILLS.items():
         policy, manifest = load_policy(checkpoints[skill])
         spec = manifest.stage_spec
-        if spec.task.name != task or spec.robot.name != "t1" or not isinstance(policy, NetworkPolicy):
+        if spec.task.name != task or spec.robot.name != ROBOT or not isinstance(policy, NetworkPolicy):
             raise ValueError(
                 f"skill {skill}: expected a T1's policy of task {task}, got one of task {spec.task.name} "
                 f"for robot {spec.robot.name}"

@@ -35,7 +35,7 @@ router = APIRouter(tags=["artifacts"], route_class=CountedRoute)
 
 _READ = responses(401, 403, 404, 422, 429, 503)
 _BYTES: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
-_FILE: dict[int | str, dict[str, Any]] = {
+FILE: dict[int | str, dict[str, Any]] = {
     **_READ,
     **responses(416),
     200: {"description": "All of the file", "content": {"application/octet-stream": _BYTES}},
@@ -79,7 +79,7 @@ def get_checkpoint(checkpoint_id: CheckpointId, principal: Reader, service: Serv
     return checkpoint_view(queries.visible_checkpoint(service.reads, principal, checkpoint_id))
 
 
-@router.get("/checkpoints/{checkpoint_id}/files/{name:path}", response_class=Response, responses=_FILE)
+@router.get("/checkpoints/{checkpoint_id}/files/{name:path}", response_class=Response, responses=FILE)
 def get_checkpoint_file(
     request: Request,
     checkpoint_id: CheckpointId,
@@ -157,7 +157,7 @@ def finished(row: Evaluation) -> tuple[str, StoreManifest]:
     return row.key, StoreManifest.model_validate(row.manifest)
 
 
-@router.get("/evaluations/{evaluation_id}/files/{name:path}", response_class=Response, responses=_FILE)
+@router.get("/evaluations/{evaluation_id}/files/{name:path}", response_class=Response, responses=FILE)
 def get_evaluation_file(
     request: Request,
     evaluation_id: EvaluationId,

@@ -221,7 +221,7 @@ def resume_job(job_id: JobId, principal: Submitter, service: ServiceDep, backgro
 def retry_job(job_id: JobId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> JobPublic:
     """Queue a failed or cancelled job again; it resumes from its last checkpoint."""
     require_space(service, controllable(service, principal, job_id).owner)
-    job = requests.retry(service.sessions, job_id, limits=service.settings.limits)
+    job = requests.retry(service.sessions, Job, job_id, limits=service.settings.limits)
     background.add_task(service.wake_up, job)
     return service.show_job(job)
 

@@ -49,6 +49,21 @@ export const PAGES = [
     docs: "how-to/sweeps.html",
   },
   {
+    name: "league",
+    path: "/league",
+    pattern: /^\/league$/,
+    load: () => import("./views/league.js"),
+    nav: "League",
+    keys: ["g", "l"],
+    docs: "how-to/match.html",
+  },
+  {
+    name: "league",
+    pattern: /^\/matches\/(?<id>[^/]+)(?:\/(?<sub>[0-9]+))?$/,
+    load: () => import("./views/match.js"),
+    docs: "how-to/match.html",
+  },
+  {
     name: "workers",
     path: "/workers",
     pattern: /^\/workers$/,

@@ -1,0 +1,191 @@
+"""Matches: their submission, what workers record of them, and the league."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from naospec.teams import ROBOT
+from sqlalchemy import func, select, update
+
+from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, MATCH_VERSION, Requirements
+from naojobs.changes import add_event
+from naojobs.database import Sessions, notify
+from naojobs.ids import new_id
+from naojobs.leases import Lease, held_by, hold_as, lost
+from naojobs.models import Match, MatchGame
+from naojobs.notifications import DEFAULT_QUEUE
+from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
+from naojobs.states import WorkState
+from naojobs.store import StoreManifest
+from naojobs.submission import same_request
+from naojobs.teams import MatchSpec, find_team
+
+MAX_GAMES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class MatchRequest:
+    """Match to play."""
+
+    teams: tuple[str, str]
+    games: int
+    players: int
+    half_s: float
+    gate: bool = False
+    priority: int = 5
+    max_attempts: int = 3
+
+    def digest(self) -> str:
+        """Return the SHA-256 that equal requests share."""
+        return hashlib.sha256(json.dumps(asdict(self)).encode()).hexdigest()
+
+
+def submit_match(
+    sessions: Sessions,
+    request: MatchRequest,
+    *,
+    owner: str,
+    idempotency_key: str | None = None,
+    limits: Limits = NO_LIMITS,
+) -> tuple[Match, bool]:
+    """Queue a match; return it and whether it is new: the same key with the same request returns the existing one.
+
+    Raises:
+        ConflictError: the key was used for another request.
+        InvalidError: there is no such team or policy.
+        QuotaError: ``owner`` has as many open jobs and matches, or jobs and matches, as ``limits`` allow.
+    """
+    digest = request.digest() if idempotency_key is not None else None
+    with sessions.begin() as session:
+        # Two requests with the same key must not both find that it is new.
+        session.execute(select(func.pg_advisory_xact_lock(func.hashtextextended(f"matches:{owner}", 0))))
+        if idempotency_key is not None:
+            known = select(Match).where(Match.owner == owner, Match.idempotency_key == idempotency_key)
+            if (earlier := session.scalar(known)) is not None:
+                return same_request(earlier, digest), False
+        require_room(session, owner, limits, Quota.OPEN_JOBS, Quota.JOBS)
+        first, second = (find_team(session, owner, text, f"teams.{i}") for i, text in enumerate(request.teams))
+        spec = MatchSpec(
+            teams=(first, second),
+            games=request.games,
+            players=request.players,
+            half_s=request.half_s,
+            gate=request.gate,
+        )
+        uploaded = any(team.team_id is not None for team in spec.teams)
+        task = CONFINED_MATCH_TASK if uploaded else MATCH_TASK
+        match = Match(
+            id=new_id("match"),
+            owner=owner,
+            spec=spec.model_dump(mode="json"),
+            **asdict(Requirements(task, MATCH_VERSION, ROBOT, DEFAULT_QUEUE, "")),
+            priority=request.priority,
+            max_attempts=request.max_attempts,
+            state=WorkState.QUEUED,
+            queued_at=func.now(),
+            idempotency_key=idempotency_key,
+            idempotency_digest=digest,
+        )
+        session.add(match)
+        session.flush()
+        add_event(session, match, "queued", "submitted")
+        session.refresh(match)
+    return match, True
+
+
+@dataclass(frozen=True, slots=True)
+class StoredGame:
+    """Game that is over, with its log in the store."""
+
+    number: int
+    goals: tuple[int, int]
+    lost: Sequence[Mapping[str, Any]]
+    key: str
+    manifest: StoreManifest
+
+
+def record_game(sessions: Sessions, lease: Lease, game: StoredGame, summary: Mapping[str, Any]) -> None:
+    """Write a game of a leased match, and the results of all games so far; once. Raises LeaseLostError."""
+    with sessions.begin() as session:
+        match = hold_as(session, lease, Match)
+        match.summary, match.live = dict(summary), None
+        match.failures = match.postponed = 0  # the attempts so far have made progress
+        match.updated_at = func.now()
+        if session.get(MatchGame, (match.id, game.number)) is None:
+            row = {"goals": list(game.goals), "lost": [dict(each) for each in game.lost]}
+            manifest = game.manifest.model_dump(mode="json")
+            session.add(MatchGame(match_id=match.id, number=game.number, key=game.key, manifest=manifest, **row))
+            match.size += game.manifest.size
+        notify(session, match.id)
+
+
+def record_moment(sessions: Sessions, lease: Lease, moment: Mapping[str, Any]) -> None:
+    """Write where robots and ball of a running game are. Raises LeaseLostError."""
+    with sessions.begin() as session:
+        seen = update(Match).where(held_by(lease)).values(live=dict(moment)).returning(Match.id)
+        if session.scalar(seen) is None:
+            raise lost(lease)
+
+
+def games_of(sessions: Sessions, match_id: str) -> list[MatchGame]:
+    """Return the games of a match that are over, by number."""
+    with sessions() as session:
+        return list(session.scalars(select(MatchGame).where(MatchGame.match_id == match_id).order_by(MatchGame.number)))
+
+
+# --- league -----------------------------------------------------------------------------------------------------------
+
+_START, _SCALE, _STEP = 1500.0, 400.0, 24.0
+
+
+@dataclass(slots=True)
+class Standing:
+    """Place of a team in the league."""
+
+    name: str
+    identity: str
+    rating: float = _START
+    wins: int = 0
+    draws: int = 0
+    losses: int = 0
+    goals: list[int] = field(default_factory=lambda: [0, 0])
+    """Its own goals and those against it."""
+
+
+def standings(games: Iterable[tuple[MatchSpec, Sequence[int]]]) -> list[Standing]:
+    """Return the teams of some games, the highest rating first. Elo (1978).
+
+    Each game, in their order, moves both ratings by what it differs from what they predict::
+
+        expected = 1 / (1 + 10 ** ((other - own) / 400))
+        own += 24 * (score - expected)      score: 1 for a win, 0.5 for a draw, 0 for a loss
+    """
+    table: dict[str, Standing] = {}
+    for spec, (goals, against) in games:
+        first, second = spec.teams
+        if first.identity == second.identity:
+            continue  # a team against itself says nothing
+        home, away = (table.setdefault(team.identity, Standing(team.name, team.identity)) for team in spec.teams)
+        score = 0.5 if goals == against else float(goals > against)
+        change = _STEP * (score - 1.0 / (1.0 + 10.0 ** ((away.rating - home.rating) / _SCALE)))
+        for team, sign, own, other in ((home, 1, goals, against), (away, -1, against, goals)):
+            team.rating += sign * change
+            team.wins += own > other
+            team.draws += own == other
+            team.losses += own < other
+            team.goals = [team.goals[0] + own, team.goals[1] + other]
+    return sorted(table.values(), key=lambda team: -team.rating)
+
+
+def league(sessions: Sessions, owner: str | None) -> list[Standing]:
+    """Return the standings over all games of an owner's matches; none for those of all owners."""
+    rows = select(Match.spec, MatchGame.goals).join(MatchGame, MatchGame.match_id == Match.id)
+    if owner is not None:
+        rows = rows.where(Match.owner == owner)
+    with sessions() as session:
+        found = session.execute(rows.order_by(MatchGame.finished_at, MatchGame.match_id, MatchGame.number)).all()
+    return standings((MatchSpec.model_validate(spec), goals) for spec, goals in found)

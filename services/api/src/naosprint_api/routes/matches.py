@@ -1,0 +1,205 @@
+"""Matches of teams, the league, and uploaded teams."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, BackgroundTasks, Depends, Path, Query, Request, Response
+from naojobs import matches, requests, teams
+from naojobs.errors import NotFoundError
+from naojobs.ids import PATTERN
+from naojobs.models import Match
+from naojobs.store import StoreManifest
+from naojobs.tokens import Principal, Scope
+
+from naosprint_api import queries
+from naosprint_api.dependencies import (
+    CountedRoute,
+    Cursor,
+    IdempotencyKey,
+    PageLimit,
+    Reader,
+    ServiceDep,
+    Submitter,
+    needs,
+)
+from naosprint_api.downloads import send_file
+from naosprint_api.patterns import PLAIN, POLICY
+from naosprint_api.problems import responses
+from naosprint_api.routes.artifacts import FILE, Presigned
+from naosprint_api.routes.jobs import require_space
+from naosprint_api.schemas import (
+    MatchCreate,
+    MatchDetails,
+    MatchPage,
+    MatchPublic,
+    StandingPublic,
+    TeamPage,
+    TeamPublic,
+)
+from naosprint_api.views import match_details
+
+router = APIRouter(tags=["matches"], route_class=CountedRoute)
+
+_LIST = responses(401, 403, 404, 422, 429, 503)
+_CONTROL: dict[int | str, dict[str, Any]] = {**_LIST, **responses(409)}
+_ARCHIVE = {"schema": {"type": "string", "format": "binary"}}
+
+MatchId = Annotated[str, Path(pattern=PATTERN, description="Id of the match.")]
+Owner = Annotated[str | None, Query(max_length=200, pattern=PLAIN, description="Owner; others need scope admin.")]
+TeamName = Annotated[str, Path(pattern=POLICY, description="Name of the team.")]
+Administrator = Annotated[Principal, Depends(needs(Scope.ADMIN))]
+
+
+def _owner(principal: Principal, owner: str | None) -> str | None:
+    """Return whose matches and teams are shown; none for all. Raises NotFoundError."""
+    if principal.job_id is not None:
+        return ""  # a link to a job shows no match
+    if principal.is_admin:
+        return owner
+    if owner not in (None, principal.owner):
+        raise NotFoundError(f"nothing of {owner} that this token may see; leave `owner` out")
+    return principal.owner
+
+
+async def _archive(request: Request) -> bytes:
+    return await request.body()
+
+
+@router.post(
+    "/matches",
+    status_code=201,
+    responses={**_CONTROL, **responses(413), 200: {"model": MatchPublic, "description": "Exists already"}},
+)
+def submit_match(
+    body: MatchCreate,
+    principal: Submitter,
+    service: ServiceDep,
+    background: BackgroundTasks,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> MatchPublic:
+    """Queue a match. 201 for a new one; 200 if the idempotency key was used before with the same body."""
+    require_space(service, principal.owner)
+    match, created = matches.submit_match(
+        service.sessions,
+        body.request(),
+        owner=principal.owner,
+        idempotency_key=idempotency_key,
+        limits=service.settings.limits,
+    )
+    if created:
+        background.add_task(service.wake_up, match)
+    else:
+        response.status_code = 200
+    response.headers["Location"] = f"/matches/{match.id}"
+    return service.show_matches([match])[0]
+
+
+@router.get("/matches", responses=_LIST)
+def list_matches(
+    principal: Reader, service: ServiceDep, owner: Owner = None, limit: PageLimit = 50, cursor: Cursor = None
+) -> MatchPage:
+    """List matches, newest first."""
+    wanted = _owner(principal, owner)
+    rows = queries.list_matches(service.reads, owner=wanted, limit=limit + 1, before=cursor)
+    return MatchPage.of(service.show_matches(rows), limit)
+
+
+@router.get("/matches/{match_id}", responses=_LIST)
+def get_match(match_id: MatchId, principal: Reader, service: ServiceDep) -> MatchDetails:
+    """Look up one match with its results and the games that are over."""
+    match = queries.visible_match(service.reads, principal, match_id)
+    (shown,) = service.show_matches([match])
+    return match_details(match, shown, matches.games_of(service.reads, match_id))
+
+
+@router.get("/matches/{match_id}/games/{number}/log", response_class=Response, responses=FILE)
+def get_game_log(
+    request: Request,
+    match_id: MatchId,
+    number: Annotated[int, Path(ge=1, le=matches.MAX_GAMES, description="Number of the game.")],
+    principal: Reader,
+    service: ServiceDep,
+    presigned: Presigned = False,
+) -> Response:
+    """Download the log of a game; `naoctl match report` computes its results again."""
+    queries.visible_match(service.reads, principal, match_id)
+    game = queries.game(service.reads, match_id, number)
+    manifest = StoreManifest.model_validate(game.manifest)
+    name = manifest.files[0].name
+    return send_file(request, service.store, service.store_threads, game.key, manifest, name, presigned=presigned)
+
+
+@router.post("/matches/{match_id}/cancel", responses=_CONTROL)
+def cancel_match(match_id: MatchId, principal: Submitter, service: ServiceDep) -> MatchPublic:
+    """Cancel a match. A running one stops soon; the games that are over stay."""
+    queries.visible_match(service.reads, principal, match_id)
+    return service.show_matches([requests.request_cancel(service.sessions, Match, match_id)])[0]
+
+
+@router.post("/matches/{match_id}/retry", responses=_CONTROL)
+def retry_match(
+    match_id: MatchId, principal: Submitter, service: ServiceDep, background: BackgroundTasks
+) -> MatchPublic:
+    """Queue a failed or cancelled match again; games that are over are not played again."""
+    require_space(service, queries.visible_match(service.reads, principal, match_id).owner)
+    match = requests.retry(service.sessions, Match, match_id, limits=service.settings.limits)
+    background.add_task(service.wake_up, match)
+    return service.show_matches([match])[0]
+
+
+@router.delete("/matches/{match_id}", status_code=204, responses=_CONTROL)
+def delete_match(match_id: MatchId, principal: Submitter, service: ServiceDep, background: BackgroundTasks) -> None:
+    """Delete a match that has ended, with its games and their logs."""
+    queries.visible_match(service.reads, principal, match_id)
+    requests.delete_match(service.sessions, match_id)
+    background.add_task(service.discard_artifacts, match_id)
+
+
+@router.get("/league", responses=_LIST)
+def get_league(principal: Reader, service: ServiceDep, owner: Owner = None) -> list[StandingPublic]:
+    """Rank the teams by Elo over all games of one's own matches, or of all with scope admin."""
+    return [StandingPublic.model_validate(team) for team in matches.league(service.reads, _owner(principal, owner))]
+
+
+@router.get("/teams", responses=_LIST)
+def list_teams(
+    principal: Reader, service: ServiceDep, owner: Owner = None, limit: PageLimit = 50, cursor: Cursor = None
+) -> TeamPage:
+    """List uploaded teams, oldest first."""
+    rows = teams.list_teams(service.reads, _owner(principal, owner), limit=limit + 1, after=cursor)
+    return TeamPage.of([TeamPublic.model_validate(row) for row in rows], limit)
+
+
+@router.put(
+    "/teams/{name}",
+    status_code=201,
+    responses={**_CONTROL, **responses(413)},
+    openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": _ARCHIVE}}},
+)
+def upload_team(
+    name: TeamName,
+    principal: Administrator,
+    service: ServiceDep,
+    data: Annotated[bytes, Depends(_archive)],
+    owner: Owner = None,
+) -> TeamPublic:
+    """Upload a team, which `owner` may then let play: a tar archive of a folder with team.json.
+
+    Its command runs on workers, so this needs scope admin.
+    """
+    owner = owner or principal.owner
+    team = teams.upload_team(
+        service.sessions, service.store, owner=owner, name=name, data=data, limits=service.settings.limits
+    )
+    return TeamPublic.model_validate(team)
+
+
+@router.delete("/teams/{name}", status_code=204, responses=_CONTROL)
+def delete_team(
+    name: TeamName, principal: Submitter, service: ServiceDep, background: BackgroundTasks, owner: Owner = None
+) -> None:
+    """Delete an uploaded team that no open match needs; its matches stay."""
+    whose = _owner(principal, owner) or principal.owner
+    background.add_task(service.discard_artifacts, teams.delete_team(service.sessions, whose, name))

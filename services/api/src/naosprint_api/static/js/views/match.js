@@ -1,0 +1,175 @@
+/** One match: its results, its games, the one that runs, and replays. */
+
+import { call, download, may } from "../api.js";
+import { descriptions } from "../descriptions.js";
+import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
+import { bytes, stamp } from "../format.js";
+import { isEnded, stateBadge, stateNote } from "../states.js";
+import { GameReplay, LiveGame } from "./game.js";
+import { loading, notice, problem } from "./messages.js";
+
+const REFRESH_MS = 1000;
+const ROBOT = "t1";
+
+const card = (title, ...kids) =>
+  h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", null, title)), ...kids);
+
+function results(match) {
+  if (!match.table.length) return null;
+  const headings = ["", ...match.teams].map((title, i) => heading(title, i > 0));
+  const rows = match.table.map(([what, ...values]) =>
+    h(
+      "tr",
+      null,
+      h("th", { scope: "row" }, what),
+      values.map((value) => h("td", { class: "num" }, value)),
+    ),
+  );
+  return card(
+    "Results, means of a game",
+    scroller("Results", table(headings, rows)),
+    match.sums.map((text) => h("p", { class: "pad soft" }, text)),
+  );
+}
+
+function games(match, shown) {
+  if (!match.finished.length) return null;
+  const row = (game) =>
+    h(
+      "tr",
+      { "aria-current": game.number === shown ? "true" : null },
+      h("td", null, h("a", { href: `#/matches/${match.id}/${game.number}` }, `Watch game ${game.number}`)),
+      h("td", { class: "num" }, game.goals.join(" : ")),
+      h(
+        "td",
+        null,
+        game.lost.map((each) => h("div", null, `${match.teams[each.team]} ${each.number}: ${each.reason}`)),
+      ),
+      h("td", { class: "num", title: stamp(game.finished_at) }, stamp(game.finished_at)),
+      h(
+        "td",
+        { class: "num" },
+        h(
+          "button",
+          {
+            class: "small",
+            "aria-label": `Download the log of game ${game.number}`,
+            onclick: () => download(game.log.url, game.log.name).catch((error) => toast(error.message, "error")),
+          },
+          icon("download"),
+          bytes(game.log.size),
+        ),
+      ),
+    );
+  const headings = ["Game", "Goals", "Lost players", "Ended", "Log"];
+  return card(
+    "Games",
+    scroller(
+      "Games",
+      table(
+        headings.map((title, i) => heading(title, i !== 0 && i !== 2)),
+        match.finished.map(row),
+      ),
+    ),
+  );
+}
+
+/** Show the page in `root`. */
+export async function mount(root, { id, sub, signal }) {
+  document.title = "Match · naosprint";
+  const head = h("div", { class: "page-head" }, loading("Loading the match"));
+  const running = h("section", { class: "card", hidden: true });
+  const replay = h("section", { class: "card", hidden: true });
+  const details = h("div", { class: "stack" });
+  fill(root, head, h("div", { class: "stack" }, running, replay, details));
+  const known = await descriptions();
+  let live = null;
+  let recording = null;
+  let watched = Number(sub) || null;
+  let shown = "";
+
+  function act(name, label, glyph) {
+    const button = h("button", null, icon(glyph), label);
+    button.addEventListener("click", async () => {
+      button.disabled = true;
+      try {
+        await call(`matches/${id}/${name}`, { method: "POST" });
+        await draw();
+      } catch (error) {
+        toast(error.message, "error");
+        button.disabled = false;
+      }
+    });
+    return button;
+  }
+
+  function paint(match) {
+    document.title = `${match.teams.join(" – ")} · naosprint`;
+    const about = `${match.played} of ${match.games} games, ${match.players} players, 2 × ${match.half_s} s`;
+    fill(
+      head,
+      h("div", { class: "grow" }, h("h1", null, match.teams.join(" – ")), h("p", { class: "soft" }, about)),
+      stateBadge(match.state, stateNote(match)),
+      may("submit") && !isEnded(match.state) && !match.cancel_requested ? act("cancel", "Cancel", "close") : null,
+      may("submit") && ["failed", "cancelled"].includes(match.state) ? act("retry", "Retry", "retry") : null,
+    );
+    fill(
+      details,
+      match.waiting_reason ? notice("info", "The match waits.", match.waiting_reason) : null,
+      match.error
+        ? notice("error", match.state === "failed" ? "The match failed." : "The last attempt was lost.", match.error)
+        : null,
+      results(match),
+      games(match, watched),
+    );
+  }
+
+  function watch(match) {
+    const game = match.finished.find((each) => each.number === watched);
+    if (game && !recording) recording = new GameReplay(replay, game.log.url, known.field(ROBOT), signal);
+    replay.hidden = !game;
+    running.hidden = !match.live || Boolean(game);
+    if (running.hidden) return;
+    live ??= new LiveGame(running, match.teams, known.field(ROBOT));
+    live.show(match.live);
+  }
+
+  async function draw() {
+    try {
+      const match = await call(`matches/${id}`, { signal });
+      watch(match);
+      const text = JSON.stringify({ ...match, live: null, watched });
+      if (text !== shown) paint(match);
+      shown = text;
+      return match;
+    } catch (error) {
+      if (error.name !== "AbortError")
+        fill(
+          root,
+          problem(error, () => location.reload()),
+        );
+      return null;
+    }
+  }
+
+  await draw();
+  const timer = setInterval(async () => {
+    if (document.hidden) return;
+    const match = await draw();
+    if (!match || isEnded(match.state)) clearInterval(timer);
+  }, REFRESH_MS);
+  return {
+    update(where) {
+      if (where.id !== id) return false;
+      recording?.destroy();
+      recording = null;
+      watched = Number(where.sub) || null;
+      draw();
+      return true;
+    },
+    destroy() {
+      clearInterval(timer);
+      recording?.destroy();
+    },
+  };
+}

@@ -1,0 +1,150 @@
+"""Child process of one attempt at a match.
+
+Run as ``python -m naosprint_worker.match --workdir FOLDER`` by a worker, with the assignment in that folder. Every game
+that is over is stored at once, and is not played again by a later attempt.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import tarfile
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import naopolicies
+from naojobs import matches, outcomes
+from naojobs.leases import MatchClaim
+from naojobs.matches import StoredGame
+from naojobs.states import WorkState
+from naojobs.store import StoreError, StoreManifest, game_key, new_nonce
+from naojobs.teams import ARCHIVE, MatchTeam
+from naosprint.matches.game import GameSettings, Moment, ServerFailedError, TeamFailedError
+from naosprint.matches.log import GameLog
+from naosprint.matches.match import MatchStoppedError, log_name, play_match
+from naosprint.matches.results import match_results
+from naosprint.matches.sequential import Gate, Verdict
+from naosprint.matches.teams import Team, read_team, write_example
+from naosprint.threads import quiet_openmp
+
+from naosprint_worker.assignment import MatchAssignment
+from naosprint_worker.child_process import EVALUATOR_OOM_SCORE, Services, StopRequestedError, run_child
+from naosprint_worker.database import DATABASE_ERRORS
+from naosprint_worker.outcome import Outcome, TrainerExitCode
+from naosprint_worker.retry import retry
+
+
+def work(services: Services) -> Outcome:
+    """Run the assignment in the working folder."""
+    claim = MatchAssignment.read(services.workdir).claim
+    try:
+        _Match(services, claim).play()
+    except (StopRequestedError, MatchStoppedError):
+        services.requeue_if_orphaned(claim.lease)
+        return Outcome(TrainerExitCode.STOPPED, "stopped", "stopped on request")
+    except ServerFailedError as error:
+        return Outcome(TrainerExitCode.TRANSIENT, "system", str(error))
+    except TeamFailedError as error:
+        return Outcome(TrainerExitCode.PERMANENT, "team", str(error))
+    return Outcome(TrainerExitCode.FINISHED, "finished", "the match finished")
+
+
+class _Match:
+    """The games of a match, and what is recorded of them."""
+
+    def __init__(self, services: Services, claim: MatchClaim) -> None:
+        self._services, self._claim = services, claim
+        self._logs: dict[int, GameLog] = {}
+        self._folder = services.workdir / "logs"
+        self._gate = Gate()
+
+    def play(self) -> None:
+        """Play what is not over yet and record every game."""
+        services, claim, spec = self._services, self._claim, self._claim.spec
+        with services.stop.interruptible():
+            for number, log in claim.games.items():
+                folder = services.workdir / "game"
+                services.fetch(log.key, folder, StoreManifest.model_validate(log.manifest))
+                self._folder.mkdir(exist_ok=True)
+                (folder / log_name(number)).replace(self._folder / log_name(number))
+            first, second = (self._team(team, f"team-{'ab'[side]}") for side, team in enumerate(spec.teams))
+        self._database(
+            lambda: outcomes.transition(services.sessions, claim.lease, WorkState.RUNNING, message="running")
+        )
+        play_match(
+            (first, second),
+            (spec.teams[0].name, spec.teams[1].name),
+            spec.games,
+            GameSettings(players=spec.players, half_s=spec.half_s),
+            self._folder,
+            stop=services.step,
+            watch=self._watch,
+            played=self._record,
+            enough=lambda logs: spec.gate and self._verdict(logs) is not Verdict.OPEN,
+        )
+
+    def _team(self, team: MatchTeam, name: str) -> Team:
+        """Return a team after fetching its policies, or its archive."""
+        services, claim = self._services, self._claim
+        folder = services.workdir / name
+        if team.team_id is not None:
+            archive = claim.archives[team.team_id]
+            services.fetch(archive.key, services.workdir / f"{name}.d", StoreManifest.model_validate(archive.manifest))
+            with tarfile.open(services.workdir / f"{name}.d" / ARCHIVE) as file:
+                file.extractall(folder, filter="data")
+            return read_team(folder)
+        checkpoints: dict[str, Path] = {}
+        for skill, policy in team.policies.items():
+            if (stored := claim.checkpoints.get(policy)) is None:
+                checkpoints[skill] = naopolicies.folder(policy)
+                continue
+            checkpoints[skill] = services.workdir / policy
+            services.fetch(stored.key, checkpoints[skill], StoreManifest.model_validate(stored.manifest))
+        return write_example(folder, checkpoints)
+
+    def _watch(self, game: int, moment: Moment) -> None:
+        """Show where robots and ball are; a moment that cannot be written is left out."""
+        with contextlib.suppress(*DATABASE_ERRORS):
+            matches.record_moment(self._services.sessions, self._claim.lease, {"game": game, **asdict(moment)})
+
+    def _record(self, number: int, log: GameLog) -> None:
+        """Store a game that is over with the results so far."""
+        self._logs[number] = log
+        if number in self._claim.games:
+            return
+        services, lease = self._services, self._claim.lease
+        folder = services.workdir / f"game-{number}"
+        folder.mkdir()
+        (folder / log_name(number)).hardlink_to(self._folder / log_name(number))
+        key = game_key(lease.id, number, lease.attempt, new_nonce())
+        manifest = retry(
+            lambda: services.store.put_directory(key, folder),
+            what="storing a game",
+            transient=(StoreError,),
+            patience_s=services.settings.worker_patience_s,
+        )
+        lost = [{"half": half, **each} for half, notes in enumerate(log.notes["halves"]) for each in notes["lost"]]
+        game = StoredGame(number, log.goals, lost, key, manifest)
+        self._database(lambda: matches.record_game(services.sessions, lease, game, self._summary()))
+
+    def _summary(self) -> dict[str, Any]:
+        logs = [log for _, log in sorted(self._logs.items())]
+        results = match_results(logs)
+        if self._claim.spec.gate:
+            verdict = self._verdict(logs)
+            results |= {"verdict": str(verdict), "decided": verdict is not Verdict.OPEN}
+        return results
+
+    def _verdict(self, logs: list[GameLog]) -> Verdict:
+        return self._gate.verdict(log.goals[0] - log.goals[1] for log in logs)
+
+    def _database(self, call: Callable[[], object]) -> None:
+        patience_s = self._services.settings.worker_patience_s
+        retry(call, what="recording the match", transient=DATABASE_ERRORS, patience_s=patience_s)
+
+
+if __name__ == "__main__":
+    quiet_openmp()
+    sys.exit(run_child(work, oom_score=EVALUATOR_OOM_SCORE))

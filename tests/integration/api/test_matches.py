@@ -1,0 +1,315 @@
+"""Matches over HTTP, played by a real worker on real rcssservermj processes; teams, the league, and who may do what."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import os
+import tarfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+from naojobs import matches
+from naojobs.capabilities import CONFINED_MATCH_TASK, Capabilities, waiting_reasons
+from naojobs.errors import LeaseLostError
+from naojobs.leases import MatchClaim
+from naojobs.matches import MatchRequest, StoredGame, standings
+from naojobs.models import Match, Worker
+from naojobs.outcomes import lose, succeed, transition
+from naojobs.roles import Role
+from naojobs.states import WorkState
+from naojobs.store import ArtifactStore, game_key
+from naojobs.teams import MatchSpec, MatchTeam
+from naosprint.matches.log import GameLog
+from naosprint.matches.results import match_results
+from sqlalchemy.orm import Session, sessionmaker
+
+from tests.integration.attempts import claim_work
+from tests.integration.conftest import as_role
+from tests.integration.worker.conftest import FAST, WorkerProcess
+
+Sessions = sessionmaker[Session]
+
+STANDING = """
+import socket, sys
+host, port, team, number = sys.argv[1:5]
+server = socket.create_connection((host, int(port)))
+def send(text):
+    server.sendall(len(text).to_bytes(4, "big") + text.encode())
+send(f"(init T1 {team} {number})")
+while True:
+    server.recv(int.from_bytes(server.recv(4, socket.MSG_WAITALL), "big"), socket.MSG_WAITALL)
+    send("(he1 0 0 20 1 0)")
+"""
+COMMAND = {"command": ["{python}", "player.py", "{host}", "{port}", "{team}", "{number}"]}
+
+
+def packed(files: dict[str, str], *others: tarfile.TarInfo) -> bytes:
+    """Return a tar archive of files and of other members."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for name, text in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(text.encode())
+            archive.addfile(info, io.BytesIO(text.encode()))
+        for info in others:
+            archive.addfile(info)
+    return buffer.getvalue()
+
+
+def upload(client: httpx.Client, name: str, data: bytes, **params: str) -> httpx.Response:
+    return client.put(
+        f"/teams/{name}", content=data, params=params, headers={"Content-Type": "application/octet-stream"}
+    )
+
+
+def until(client: httpx.Client, match_id: str, condition: Callable[[Any], object], timeout_s: float = 400) -> Any:
+    """Return a match as soon as a condition holds; fail if it ends before."""
+    deadline, pause = time.monotonic() + timeout_s, threading.Event()
+    while True:
+        match = client.get(f"/matches/{match_id}").raise_for_status().json()
+        if condition(match):
+            return match
+        assert match["state"] not in ("failed", "cancelled", "succeeded"), match
+        assert time.monotonic() < deadline, match
+        pause.wait(0.3)
+
+
+@pytest.fixture
+def start_worker(
+    service_environment: dict[str, str], database_url: str, tmp_path: Path
+) -> Iterator[Callable[[], WorkerProcess]]:
+    """Start workers of the module's service; they are killed after the test."""
+    workers: list[WorkerProcess] = []
+    environment = {
+        **os.environ,
+        **FAST,
+        **service_environment,
+        "NAOSPRINT_DATABASE_URL": as_role(database_url, Role.WORKER),
+        "NAOSPRINT_WORKER_DIR": str(tmp_path / "work"),
+    }
+
+    def start() -> WorkerProcess:
+        workers.append(WorkerProcess(environment, tmp_path / f"worker-{len(workers)}.log"))
+        return workers[-1]
+
+    yield start
+    for worker in workers:
+        children = psutil.Process(worker.pid).children(recursive=True) if worker.process.poll() is None else []
+        worker.process.kill()
+        worker.process.wait()
+        for child in children:
+            child.kill()
+
+
+@pytest.mark.timeout(900)  # two games of a few seconds, on servers that share a busy machine
+def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
+    client: httpx.Client, admin: httpx.Client, start_worker: Callable[[], WorkerProcess], tmp_path: Path
+) -> None:
+    files = {"team.json": json.dumps(COMMAND), "player.py": STANDING}
+    assert upload(admin, "standing", packed(files), owner="alice").status_code == 201
+    body = {"teams": ["example:walk=t1-run-robust", "standing"], "games": 2, "players": 1, "half_s": 2.0}
+    made = client.post("/matches", json=body).raise_for_status().json()
+    worker = start_worker()
+    first = until(client, made["id"], lambda match: match["finished"])
+    (game,) = first["finished"]
+    until(client, made["id"], lambda match: match["live"] and match["live"]["game"] == 2)
+    worker.process.kill()
+    worker.process.wait()
+    start_worker()
+    ended = until(client, made["id"], lambda match: match["state"] == "succeeded")
+    assert ended["attempt"] >= 2
+    assert ended["finished"][0] == game
+    assert ended["live"] is None
+    assert [each["number"] for each in ended["finished"]] == [1, 2]
+    logs = []
+    for each in ended["finished"]:
+        answer = client.get(each["log"]["url"]).raise_for_status()
+        assert hashlib.sha256(answer.content).hexdigest() == each["log"]["sha256"]
+        (tmp_path / each["log"]["name"]).write_bytes(answer.content)
+        logs.append(GameLog.load(tmp_path / each["log"]["name"]))
+        assert logs[-1].goals == tuple(each["goals"])
+    # both agents were confined, and the same numbers come from the logs again
+    assert {"files", "TCP"} <= set(logs[0].notes["halves"][0]["enforced"])
+    assert json.loads(json.dumps(match_results(logs))) == ended["summary"]
+    assert ended["table"][0][0] == "goals"
+    table = client.get("/league").raise_for_status().json()
+    assert {team["name"] for team in table} == {"example:walk=t1-run-robust", "standing"}
+    assert sum(team["wins"] + team["draws"] + team["losses"] for team in table) == 4
+
+    again = client.post("/matches", json={**body, "games": 3}).raise_for_status().json()
+    running = until(client, again["id"], lambda match: match["live"])
+    assert {(team, number) for team, number, *_ in running["live"]["players"]} == {(0, 1), (1, 1)}
+    client.post(f"/matches/{again['id']}/cancel").raise_for_status()
+    assert until(client, again["id"], lambda match: match["state"] == "cancelled")["live"] is None
+    assert client.delete(f"/matches/{again['id']}").status_code == 204
+    assert client.get(f"/matches/{again['id']}").status_code == 404
+
+
+CAPABLE = Capabilities({"match": 1, CONFINED_MATCH_TASK: 1}, ["t1"], ["embedded"], [])
+
+
+def play(sessions: Sessions, store: ArtifactStore, match_id: str, *goals: tuple[int, int]) -> MatchClaim:
+    """Claim a match and record games with these goals."""
+    claim = claim_work(sessions, Match, match_id, "worker")
+    assert claim is not None
+    transition(sessions, claim.lease, WorkState.RUNNING)
+    for number, score in enumerate(goals, start=1):
+        key = game_key(match_id, number, claim.lease.attempt, "0")
+        folder = Path(str(store.local_root)) / "incoming"
+        folder.mkdir(exist_ok=True)
+        (folder / "game.npz").write_bytes(b"log")
+        manifest = store.put_directory(key, folder)
+        summary = {"games": number, "wins": 0, "draws": 0, "losses": 0}
+        matches.record_game(sessions, claim.lease, StoredGame(number, score, [], key, manifest), summary)
+    return claim
+
+
+def submit(client: httpx.Client, *teams: str, **settings: Any) -> str:
+    body = {"teams": list(teams), "games": 2, "players": 1, "half_s": 1.0, **settings}
+    made: str = client.post("/matches", json=body).raise_for_status().json()["id"]
+    return made
+
+
+def test_a_claim_is_fenced_and_complete(client: httpx.Client, sessions: Sessions, store: ArtifactStore) -> None:
+    match_id = submit(client, "example", "example:walk=t1-run-robust")
+    no_matches = Capabilities({"velocity": 1}, ["t1"], ["embedded"], ["ppo"])
+    assert claim_work(sessions, Match, match_id, "worker", capabilities=no_matches) is None
+    with sessions() as session:
+        reasons = waiting_reasons(session, [session.get_one(Match, match_id)], [Worker(**asdict(no_matches))])
+    assert "no worker can play it: matches need the package rcsssmj" in reasons[match_id]
+    claim = play(sessions, store, match_id, (1, 0))
+    assert succeed(sessions, claim.lease) == "1 of 2 games are stored"
+    assert lose(sessions, claim.lease, "lost") is WorkState.QUEUED
+    with pytest.raises(LeaseLostError):
+        matches.record_moment(sessions, claim.lease, {})
+    second = claim_work(sessions, Match, match_id, "worker", capabilities=CAPABLE)
+    assert second is not None
+    assert list(second.games) == [1]
+    assert second.lease.attempt == 2
+
+
+def test_a_repeated_request_makes_one_match(client: httpx.Client) -> None:
+    headers = {"Idempotency-Key": "one-match"}
+    body = {"teams": ["example", "example"]}
+    made = client.post("/matches", json=body, headers=headers)
+    assert made.status_code == 201
+    again = client.post("/matches", json=body, headers=headers)
+    assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
+    other = client.post("/matches", json={**body, "games": 3}, headers=headers)
+    assert other.status_code == 409
+
+
+@pytest.mark.parametrize(
+    ("body", "field", "words"),
+    [
+        ({"teams": ["example", "nobody"]}, "teams.1", "no team 'nobody'; use one of example"),
+        ({"teams": ["example:fly=t1-run", "example"]}, "teams.0", "expected one of walk, kick, getup"),
+        ({"teams": ["example:walk=t1-kick", "example"]}, "teams.0", "use one for task velocity and robot t1"),
+        ({"teams": ["example:walk=gone@3", "example"]}, "teams.0", "there is no policy 'gone'"),
+        ({"teams": ["example"]}, "teams", ""),
+        ({"teams": ["example", "example"], "players": 8}, "players", "less than or equal to 7"),
+        ({"teams": ["example", "example"], "half_s": 301}, "half_s", "less than or equal to 300"),
+    ],
+)
+def test_a_wrong_match_is_refused_with_field_and_fix(
+    client: httpx.Client, body: dict[str, Any], field: str, words: str
+) -> None:
+    answer = client.post("/matches", json=body)
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert error["field"].startswith(field)
+    assert words in error["message"]
+
+
+def link(name: str) -> tarfile.TarInfo:
+    info = tarfile.TarInfo(name)
+    info.type, info.linkname = tarfile.SYMTYPE, "/etc/passwd"
+    return info
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"no archive", "expected a tar archive"),
+        (gzip.compress(b"no archive"), "expected a tar archive"),
+        (packed({"player.py": ""}), "no team.json; write one such as"),
+        (packed({"team.json": "{"}), "team.json"),
+        (packed({"team.json": '{"command": "x"}'}), "command: expected a list of texts"),
+        (packed({"team.json": json.dumps({**COMMAND, "reads": ["/"]})}), "put what agents need into the folder"),
+        (packed({"team.json": json.dumps(COMMAND)}, link("a")), "pack only files and folders"),
+        (packed({"team.json": json.dumps(COMMAND), "../x": ""}), "pack only files and folders"),
+        (gzip.compress(bytes(65 << 20)), "at most 64 MiB"),
+    ],
+)
+def test_a_wrong_archive_is_refused(admin: httpx.Client, data: bytes, words: str) -> None:
+    answer = upload(admin, "wrong", data)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
+    assert all(team["name"] != "wrong" for team in admin.get("/teams").json()["items"])
+
+
+def test_teams_and_matches_are_their_owners(
+    client: httpx.Client, admin: httpx.Client, make_client: Callable[..., httpx.Client]
+) -> None:
+    team = packed({"team.json": json.dumps(COMMAND)})
+    assert upload(client, "mine", team).status_code == 403
+    assert upload(admin, "mine", team, owner="alice").status_code == 201
+    assert upload(admin, "mine", team, owner="alice").status_code == 409
+    match_id = submit(client, "mine", "example")
+    stranger = make_client("bob", "submit")
+    assert stranger.get(f"/matches/{match_id}").status_code == 404
+    assert stranger.post(f"/matches/{match_id}/cancel").status_code == 404
+    assert stranger.get(f"/matches/{match_id}/games/1/log").status_code == 404
+    assert stranger.get("/matches").json()["items"] == []
+    assert stranger.get("/teams", params={"owner": "alice"}).status_code == 404
+    assert stranger.post("/matches", json={"teams": ["mine", "example"]}).status_code == 422
+    assert stranger.delete("/teams/mine").status_code == 404
+    assert client.delete("/teams/mine").status_code == 409
+    assert client.post(f"/matches/{match_id}/cancel").json()["state"] == "cancelled"
+    assert client.delete("/teams/mine").status_code == 204
+    assert client.post(f"/matches/{match_id}/retry").json()["state"] == "queued"
+
+
+def test_a_match_whose_team_was_deleted_fails_with_the_reason(
+    client: httpx.Client, admin: httpx.Client, sessions: Sessions
+) -> None:
+    assert upload(admin, "short", packed({"team.json": json.dumps(COMMAND)}), owner="alice").status_code == 201
+    match_id = submit(client, "short", "example")
+    client.post(f"/matches/{match_id}/cancel").raise_for_status()
+    client.delete("/teams/short").raise_for_status()
+    client.post(f"/matches/{match_id}/retry").raise_for_status()
+    assert claim_work(sessions, Match, match_id, "worker") is None
+    match = client.get(f"/matches/{match_id}").json()
+    assert (match["state"], match["error"]) == ("failed", "team short was deleted")
+
+
+def test_ratings_follow_results() -> None:
+    def spec(first: str, second: str) -> MatchSpec:
+        teams = (MatchTeam(name=first, identity=first), MatchTeam(name=second, identity=second))
+        return MatchSpec(teams=teams, games=1, players=1, half_s=1.0)
+
+    games = [(spec("a", "b"), (2, 0)), (spec("b", "a"), (1, 1)), (spec("a", "a"), (5, 0)), (spec("c", "a"), (0, 3))]
+    table = standings(games)
+    assert [team.name for team in table] == ["a", "b", "c"]
+    assert sum(team.rating for team in table) == pytest.approx(3 * 1500.0)
+    best = table[0]
+    assert (best.wins, best.draws, best.losses, best.goals) == (2, 1, 0, [6, 1])
+    # a win against an equal team moves by half of the step
+    (winner, loser) = standings(games[:1])
+    assert (winner.rating, loser.rating) == (1512.0, 1488.0)
+
+
+def test_requests_are_equal_only_if_everything_is() -> None:
+    request = MatchRequest(("a", "b"), 1, 1, 1.0)
+    assert request.digest() == MatchRequest(("a", "b"), 1, 1, 1.0).digest()
+    assert request.digest() != MatchRequest(("b", "a"), 1, 1, 1.0).digest()
