@@ -26,7 +26,7 @@ import naopolicies
 import numpy as np
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.world import SUBSTEPS, MujocoWorld, library, world_of
 from naosim.robots import Robot
 from naosim.robots.booster import K1, T1

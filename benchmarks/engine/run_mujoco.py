@@ -23,7 +23,7 @@ import numpy as np
 from against_mujoco import POLICIES, driven
 from naosim.mujoco.batch import MujocoBatch
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
+from naosim.mujoco.settings import BoosterEmbeddedParameters, Engine
 from naosim.mujoco.world import MUJOCO_VERSION, world_of
 from naosim.robots.booster import ROBOTS, T1
 from naosim.robots.description import Robot

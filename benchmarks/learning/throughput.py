@@ -36,7 +36,7 @@ quiet_openmp()
 import naopolicies  # noqa: E402
 import numpy as np  # noqa: E402
 from naosim.mujoco.embedded import MujocoSimulator  # noqa: E402
-from naosim.mujoco.kinds import BoosterEmbeddedParameters  # noqa: E402
+from naosim.mujoco.settings import BoosterEmbeddedParameters  # noqa: E402
 from naospec import TrainingSpec  # noqa: E402
 from naospec.flat import nest  # noqa: E402
 from naospec.json_text import json_text  # noqa: E402

@@ -146,3 +146,31 @@ def test_no_module_imports_a_module_that_imports_it(package: str) -> None:
 
     for module in graph:
         visit(module, ())
+
+
+def test_no_module_imports_another_in_a_circle() -> None:
+    """Also not inside functions; what only type checkers import does not count."""
+    edges: dict[str, set[str]] = {}
+    for package in SOURCES:
+        trees = dict(modules(package))
+        for name, tree in trees.items():
+            checked = {id(each) for node in ast.walk(tree) if _is_for_types(node) for each in ast.walk(node)}
+            found = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and id(node) not in checked)
+            targets = {
+                target
+                for node in found
+                for alias in node.names
+                for target in (f"{node.module}.{alias.name}", node.module)
+                if target in trees and not alias.name.startswith("_")
+            }
+            edges[name] = {target for target in targets if not any(more.startswith(f"{target}.") for more in targets)}
+            edges[name].discard(name)
+    while leaves := {name for name, targets in edges.items() if not targets & edges.keys()}:
+        edges = {name: targets for name, targets in edges.items() if name not in leaves}
+    while roots := edges.keys() - set().union(*edges.values()):
+        edges = {name: targets for name, targets in edges.items() if name not in roots}
+    assert not edges
+
+
+def _is_for_types(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)

@@ -18,7 +18,7 @@ AT_HOME = (
 """Folders that may name them."""
 
 DEFAULT_TASK = {
-    "packages/naospec/src/naospec/written.py": 1,
+    "packages/naospec/src/naospec/fields.py": 1,
     "packages/naoctl/src/naoctl/demo.py": 2,
 }
 """Files that name the default task, and on how many lines."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.world import library
 from naosim.robots import Robot
 from naosim.simulator import Starts

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from naospec import formats, plugins, presets, recipes
+from naospec.fields import Stage
 from naospec.sections import Section
 from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings, TaskSettings
 from naospec.specification import EvaluationSpec, TrainingSpec, read_stored, stored, validation_words
-from naospec.written import Stage, WrittenSpec
+from naospec.written import WrittenSpec
 
 __all__ = [
     "EvaluationSpec",

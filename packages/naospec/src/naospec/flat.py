@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from naospec import plugins
-from naospec.sections import variants
+from naospec.fields import TrainingFields
+from naospec.sections import as_mapping, variants
+from naospec.settings import RuntimeSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -47,9 +49,6 @@ def settings() -> dict[str, Setting]:
     A setting's short name is its field's; where two sections have a field of the same name, the later one is prefixed
     with its section.
     """
-    from naospec.settings import RuntimeSettings
-    from naospec.specification import TrainingSpec
-
     found: dict[str, Setting] = {}
     for section, group in GROUPS.items():
         names = plugins.names(group)
@@ -60,7 +59,7 @@ def settings() -> dict[str, Setting]:
                 if name not in owners.setdefault(field, []):
                     owners[field].append(name)
                 infos.setdefault(field, info)
-        found[section] = Setting(section, (section, "name"), TrainingSpec.model_fields[section], choices=names)
+        found[section] = Setting(section, (section, "name"), TrainingFields.model_fields[section], choices=names)
         for field, info in infos.items():
             if field in ("name", "version"):
                 continue
@@ -68,7 +67,7 @@ def settings() -> dict[str, Setting]:
             everyone = len(owners[field]) == len(names)
             found[short] = Setting(short, (section, field), info, () if everyone else tuple(owners[field]))
     for field in ("total_steps", "seed"):
-        found[field] = Setting(field, (field,), TrainingSpec.model_fields[field])
+        found[field] = Setting(field, (field,), TrainingFields.model_fields[field])
     for field, info in RuntimeSettings.model_fields.items():
         found[field] = Setting(field, ("runtime", field), info)
     return found
@@ -84,8 +83,6 @@ def nest(values: Mapping[str, Any], base: Mapping[str, Any] | None = None) -> di
     Raises:
         KeyError: if a name is not a setting.
     """
-    from naospec.sections import as_mapping
-
     known = settings()
     result: dict[str, Any] = {key: as_mapping(value) for key, value in (base or {}).items()}
     for name, value in values.items():

@@ -13,10 +13,11 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from naospec import formats, plugins, presets
 from naospec.abilities import lacking
+from naospec.fields import DEFAULTS, TrainingFields
 from naospec.flat import settings
-from naospec.sections import PluginSection, Section
-from naospec.settings import LearnerSettings, RuntimeSettings, SimulatorSettings, TaskSettings
-from naospec.written import DEFAULTS, Stage, WrittenSpec
+from naospec.sections import PluginSection
+from naospec.settings import TaskSettings
+from naospec.written import WrittenSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,7 +41,7 @@ class _Specification(BaseModel):
         return hashlib.sha256(self.canonical_json().encode()).hexdigest()
 
 
-class TrainingSpec(_Specification):
+class TrainingSpec(_Specification, TrainingFields):
     """Specification of a training: what to learn, with which robot, where, and how.
 
     Sections and settings that are left out take the values of the preset, so
@@ -52,62 +53,6 @@ class TrainingSpec(_Specification):
 
         def __init__(self, **settings: object) -> None:
             """Accept sections as names, mappings or settings; validation decides."""
-
-    task: Annotated[TaskSettings, PluginSection(plugins.TASKS, TaskSettings)] = Field(
-        default=None,
-        validate_default=True,
-        title="Task",
-        description="What to learn.",
-        json_schema_extra={"default": {"name": DEFAULTS["task"]}},
-    )
-    robot: Annotated[Section, PluginSection(plugins.ROBOTS, Section)] = Field(
-        default=None,
-        validate_default=True,
-        title="Robot",
-        description="The robot.",
-        json_schema_extra={"default": {"name": DEFAULTS["robot"]}},
-    )
-    simulator: Annotated[SimulatorSettings, PluginSection(plugins.SIMULATORS, SimulatorSettings)] = Field(
-        default=None,
-        validate_default=True,
-        title="Simulator",
-        description="Where the robot runs.",
-        json_schema_extra={"default": {"name": DEFAULTS["simulator"]}},
-    )
-    algorithm: Annotated[LearnerSettings, PluginSection(plugins.LEARNERS, LearnerSettings)] = Field(
-        default=None,
-        validate_default=True,
-        title="Algorithm",
-        description="How the robot learns.",
-        json_schema_extra={"default": {"name": DEFAULTS["algorithm"]}},
-    )
-    total_steps: int = Field(
-        default=10_000_000,
-        ge=1,
-        le=10_000_000_000,
-        title="Total steps",
-        description="Environment steps to train for; rounded up to whole rollouts. With stages: their sum, all "
-        "candidates included.",
-        json_schema_extra={"unit": "steps"},
-    )
-    seed: int = Field(
-        default=0,
-        ge=0,
-        le=2**31 - 1,
-        title="Seed",
-        description="Seed of initial weights, exploration, minibatches and starts.",
-    )
-    stages: tuple[Stage, ...] = Field(
-        default=(),
-        max_length=32,
-        title="Stages",
-        description="Successive parts of the training with settings of their own.",
-    )
-    runtime: RuntimeSettings = Field(
-        default_factory=RuntimeSettings,
-        title="Runtime",
-        description="Settings that change how fast the training runs, but not what it learns.",
-    )
 
     @model_validator(mode="before")
     @classmethod

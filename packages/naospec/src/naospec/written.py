@@ -6,58 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from naospec import plugins, presets
+from naospec.fields import DEFAULTS, Stage
 from naospec.flat import GROUPS, nest
 from naospec.sections import as_mapping, section_models
 from naospec.settings import DEFAULT_PRESET
-
-DEFAULTS = {"task": "sprint1", "robot": "nao-0", "simulator": "embedded", "algorithm": "ppo"}
-"""Names of the sections that a specification omits."""
-
-
-class Stage(BaseModel):
-    """One of several successive parts of a training, with settings of its own.
-
-    A stage starts from the policy that the stage before it ended with, as a training that is started from a checkpoint
-    does: weights and observation statistics are kept, everything else is new.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    steps: int = Field(
-        ge=1,
-        le=10_000_000_000,
-        title="Steps",
-        description="Environment steps of the stage, for each candidate; rounded up to whole rollouts.",
-        json_schema_extra={"unit": "steps"},
-    )
-    seed: int | None = Field(
-        default=None, ge=0, le=2**31 - 1, title="Seed", description="Seed of the stage; left out: the training's."
-    )
-    candidates: int = Field(
-        default=1,
-        ge=1,
-        le=16,
-        title="Candidates",
-        description="Policies that the stage trains one after the other, each with a seed of its own. The one with the "
-        "highest mean reward per step, over its latest 100 episodes, continues.",
-    )
-    robot: str | None = Field(
-        default=None,
-        title="Robot",
-        description="Robot of the stage, with its default settings; left out: the training's.",
-    )
-    algorithm: dict[str, Any] = Field(
-        default_factory=dict, title="Algorithm", description="Algorithm settings that differ in this stage."
-    )
-    task: dict[str, Any] = Field(
-        default_factory=dict,
-        title="Task",
-        description="Task settings that differ in this stage; with a name of its own, another task with its default "
-        "settings.",
-    )
 
 
 @dataclass(frozen=True)

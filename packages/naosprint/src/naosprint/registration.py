@@ -29,7 +29,7 @@ def register_envs() -> None:
     complete then; call this function again after importing it.
     """
     from gymnasium.envs.registration import register, registry
-    from naospec.written import DEFAULTS
+    from naospec.fields import DEFAULTS
 
     wanted = {DEFAULT_ID: DEFAULTS["task"]}
     for name in plugins.names(plugins.TASKS):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from naosim import kinds, robots
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
+from naosim.mujoco.settings import BoosterEmbeddedParameters, Engine
 from naosim.simulator import PLAIN, Floats, Scene, Starts
 
 BALL = Scene(ball=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import sole_heights
 from naosim.mujoco.traces import load
 from naosim.mujoco.world import MujocoUnavailableError, library, metadata

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.robots import configured
 from naosprint.__main__ import main
 from naosprint.analysis.transitions import LYING, Cell, Skill, matrix, skills, table

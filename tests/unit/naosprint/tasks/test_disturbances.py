@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from naosim import robots
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters, Engine
+from naosim.mujoco.settings import BoosterEmbeddedParameters, Engine
 from naosim.robots.booster import T1
 from naosim.simspark.embedded import EmbeddedSimulator
 from naosim.simulator import Variation

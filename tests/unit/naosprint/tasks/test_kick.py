@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.robots.booster import T1
 from naosim.simulator import BALL, STEP_S, Scene, Starts
 from naospec import TrainingSpec

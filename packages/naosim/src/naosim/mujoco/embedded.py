@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from naosim.mujoco.batch import MujocoBatch
-from naosim.mujoco.kinds import BoosterEmbeddedParameters
+from naosim.mujoco.settings import BoosterEmbeddedParameters
 from naosim.mujoco.shapes import body_poses
 from naosim.mujoco.world import BALL_JOINT, MujocoWorld, library, world_of
 from naosim.simulator import PLAIN, STEP_S, NativeHandle, Simulator, Truth, finite, halves

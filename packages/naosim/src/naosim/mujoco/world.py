@@ -23,7 +23,7 @@ from naosim.fields import RCSSSERVERMJ
 from naosim.simulator import BALL, PLAIN, TOUCHING, Scene, Variation
 
 if TYPE_CHECKING:
-    from naosim.mujoco.kinds import Engine
+    from naosim.mujoco.settings import Engine
     from naosim.robots import Robot
     from naosim.robots.booster import BoosterParameters
 
