@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-WIDTH = 800
+WIDTH = 1200
 """Longest object that stays on one line, characters."""
 
 
