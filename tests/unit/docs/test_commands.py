@@ -198,7 +198,7 @@ def test_source_files_that_documents_name_exist() -> None:
     named = re.compile(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|yaml|cpp|hpp|js|sh))`")
     sources = [
         str(path.relative_to(ROOT))
-        for part in ("packages", "services", "docs", "benchmarks", "deploy", "tests")
+        for part in ("packages", "services", "docs", "benchmarks", "deploy", "tools", "tests")
         for path in (ROOT / part).rglob("*.*")
     ]
     missing = [

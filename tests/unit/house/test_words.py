@@ -87,7 +87,7 @@ BRITISH = (
 
 def sources() -> list[Path]:
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "CHANGELOG.md"]
-    for folder in ("packages", "services", "docs", "deploy", "benchmarks", "tests"):
+    for folder in ("packages", "services", "docs", "deploy", "benchmarks", "tools", "tests"):
         for suffix in ("py", "cpp", "hpp", "js", "html", "md", "yml"):
             found += (ROOT / folder).rglob(f"*.{suffix}")
     return [

@@ -1,7 +1,7 @@
 """Check policies of task ``kick``, point by point; exit with 0 only if every point is met.
 
-    python benchmarks/learning/gate_kick.py t1-kick                      # checkpoints or bundled policies, one a seed
-    python benchmarks/learning/gate_kick.py t1-kick --episodes 50 --json gate.json
+    python tools/gate_kick.py t1-kick                      # checkpoints or bundled policies, one a seed
+    python tools/gate_kick.py t1-kick --episodes 50 --json gate.json
 
 200 deterministic episodes of each class of starts, from states of the walker that no training has seen, in all
 directions of the field; the ball is rolled to its stop. A kick through a corridor stays within 0.5 m of its line.

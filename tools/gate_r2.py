@@ -1,8 +1,8 @@
 """Check policies of task ``velocity`` against gate R2, point by point; exit with 0 only if every point is met.
 
-    python benchmarks/learning/gate_r2.py POLICY [POLICY ...]           # checkpoints or bundled policies, one a seed
-    python benchmarks/learning/gate_r2.py t1-run --simulator server     # on the real rcssservermj
-    python benchmarks/learning/gate_r2.py t1-run --gate-only --json gate.json
+    python tools/gate_r2.py POLICY [POLICY ...]           # checkpoints or bundled policies, one a seed
+    python tools/gate_r2.py t1-run --simulator server     # on the real rcssservermj
+    python tools/gate_r2.py t1-run --gate-only --json gate.json
 
 Gate R2 is written down in the public repository My3DProject, docs/run-policy-training.md: 200 held-out deterministic
 episodes of a policy at a command of 1.5 m/s for 10 s. To release, policies of three seeds pass. It names further

@@ -1,11 +1,11 @@
 """Bundle the policy of a finished training: weights, card, replay, and its page in the docs.
 
     naoctl submit --recipe sprint                            # train it, hours of a core
-    python benchmarks/learning/bundle.py sprint --job JOB # evaluate it, and bundle it
-    python benchmarks/learning/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`, or of a chain
-    python benchmarks/learning/bundle.py sprint-blind --training FOLDER --after sprint
-    python benchmarks/learning/bundle.py --refresh sprint    # evaluate a bundled policy again
-    python benchmarks/learning/bundle.py --examine sprint    # only what its card says of motion and robustness
+    python tools/bundle.py sprint --job JOB # evaluate it, and bundle it
+    python tools/bundle.py t1-sprint --training FOLDER  # the latest of `naosprint train`, or of a chain
+    python tools/bundle.py sprint-blind --training FOLDER --after sprint
+    python tools/bundle.py --refresh sprint    # evaluate a bundled policy again
+    python tools/bundle.py --examine sprint    # only what its card says of motion and robustness
 
 The service is the one that naoctl talks to. A job's policy is one of its latest checkpoints: of those whose first
 headline result is within SLACK of the best, the one with the lowest first rate of the headline, such as that of falls.
@@ -42,7 +42,7 @@ from naosprint.rl.checkpoint import ENVIRONMENT, LEARNER, MANIFEST, POLICY, read
 from naosprint.rl.columns import columns
 from naosprint.rl.plan import plan
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 BUNDLED = ROOT / "packages" / "naopolicies" / "src" / "naopolicies" / "bundled"
 PAGES = ROOT / "docs" / "policies"
 

@@ -1,6 +1,6 @@
 """Search scripted motions of getting up from front, back and right; write them where the task ``getup`` finds them.
 
-    python benchmarks/learning/getup_motion.py [--robot t1] [--sides front back right] [--minutes 10] [--seed 0]
+    python tools/getup_motion.py [--robot t1] [--sides front back right] [--minutes 10] [--seed 0]
 
 A motion is six keyframes and the nominal pose at the end. From front and back all are equal on both sides; from the
 right side the first three move left and right apart. CMA-ES (Hansen and Ostermeier, 2001) draws 48 at a time and runs
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-FOLDER = Path(__file__).parents[2] / "packages/naosprint/src/naosprint/tasks/motion_data"
+FOLDER = Path(__file__).parents[1] / "packages/naosprint/src/naosprint/tasks/motion_data"
 JOINTS = ("shoulder_pitch", "shoulder_roll", "elbow_pitch", "elbow_yaw", "hip_pitch", "hip_roll", "hip_yaw")
 JOINTS += ("knee_pitch", "ankle_pitch")
 ALL = (*(f"{side}_{name}" for side in ("left", "right") for name in JOINTS), "waist")
