@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from naosprint.terms.expressions import Number, cos, product, sin, sqrt, square, stack, total
+from naosprint.terms.expressions import Number, cos, sin, sqrt, square, stack, total
 
 
 def along(heading: Number, moved: Number) -> Number:
@@ -17,11 +17,6 @@ def cross(a: Number, b: Number) -> Number:
     """Return the cross product of two vectors."""
     ahead, behind = [1, 2, 0], [2, 0, 1]
     return a[ahead] * b[behind] - a[behind] * b[ahead]
-
-
-def transposed(matrix: Number) -> Number:
-    """Return the transpose of a matrix, the inverse of a rotation."""
-    return matrix[[0, 3, 6, 1, 4, 7, 2, 5, 8]]
 
 
 def turned(quaternion: Number, vector: Number) -> Number:
@@ -64,15 +59,6 @@ def hinge(axis: Sequence[float], angle: Number) -> Number:
     twice = [sum(across[3 * i + k] * across[3 * k + j] for k in range(3)) for i in range(3) for j in range(3)]
     identity = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     return sin(angle) * across + (1.0 - cos(angle)) * twice + identity
-
-
-def placed(position: Number, rotation: Number, point: Number | Sequence[float]) -> Number:
-    """Return a point of a body's frame in the frame that the body's position and rotation are in."""
-    return position + product(rotation, point if isinstance(point, Number) else _vector(point))
-
-
-def _vector(values: Sequence[float]) -> Number:
-    return stack(*values)
 
 
 def _four(quaternion: Number) -> tuple[Number, Number, Number, Number]:
