@@ -541,6 +541,29 @@ def test_the_list_is_live_and_filters(browser: Browser, token: str, client: http
     browser.shows("No jobs yet")
 
 
+def test_any_setting_is_a_column_and_sorts(browser: Browser, token: str, client: httpx.Client) -> None:
+    for seed in (31, 7):
+        spec = {"task": "sprint2", "total_steps": 64, "seed": seed, "robot": "t1"}
+        body = {"name": f"column {seed}", "spec": spec, "not_before": "2099-01-01T00:00:00Z"}
+        client.post("/jobs", json=body).raise_for_status()
+    browser.sign_in(token)
+    browser.open("/?q=t1")
+    browser.until(lambda: len(browser.all("tr[data-job]")) == 2, message="only those of the robot")
+    browser.js("document.querySelector('details.menu').open = true")
+    for name, problem in (("no such setting", True), ("seed", False)):
+        browser.find("#column-name").clear()
+        browser.find("#column-name").send_keys(name)
+        browser.find(".menu-list button[type=submit]").click()
+        assert browser.js("return Boolean(document.querySelector('#column-name:user-invalid'))") == problem
+    browser.js("document.querySelector('details.menu').open = false")
+    browser.find("button[data-sort='own:seed']").click()
+    browser.until(lambda: [cell.text for cell in browser.all("td[data-own=seed]")] == ["7", "31"])
+    browser.js("location.reload()")
+    browser.until(lambda: [cell.text for cell in browser.all("td[data-own=seed]")] == ["7", "31"])
+    for job in client.get("/jobs", params={"q": "column"}).json()["items"]:
+        client.post(f"/jobs/{job['id']}/cancel").raise_for_status()
+
+
 def test_everything_works_with_the_keyboard_alone(browser: Browser, token: str, client: httpx.Client) -> None:
     ids = [park(client, f"job-{i}") for i in range(3)]
     browser.sign_in(token)

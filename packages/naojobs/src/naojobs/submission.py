@@ -276,7 +276,7 @@ def edit(
                 raise ConflictError(f"job {job_id} waits no longer: it is {job.state}", "priority")
             require_room(session, job.owner, limits, Quota.ROWS)
             job.priority = priority
-            add_event(session, job, "priority", f"changed to {priority}", {"priority": priority})
+            add_event(session, job, "priority", f"priority changed to {priority}", {"priority": priority})
         job.updated_at = func.now()
         session.flush()
         session.refresh(job)

@@ -15,7 +15,7 @@ from naoctl.client import ApiError, Client
 from naoctl.config import Config, Target, normal_url, resolve_target
 from naoctl.context import JsonFlag, context_of, stdin_is_terminal
 from naoctl.errors import CliError, ExitCode, InvalidInput, plain
-from naoctl.render import ago, cell, has_passed, listing
+from naoctl.render import MISSING, ago, cell, has_passed, listing, size
 
 PACKAGES = ("naospec", "naojobs", "naosprint", "naosim", "naosprint-api", "naosprint-worker")
 token_app = typer.Typer(no_args_is_help=True, help="Create, list and revoke tokens; needs a token with scope admin.")
@@ -81,15 +81,15 @@ def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
     if as_json:
         context.json(found)
         return
-    table = listing("ID", "Host", "Process", "Queues", "Jobs", "Last seen", "Version")
+    table = listing("ID", "Simulators", "Robots", "Jobs", "Free disk", "Last seen", "Version")
     for worker in found:
         seen = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
         table.add_row(
             cell(worker["id"]),
-            cell(worker["host"]),
-            str(worker["pid"]),
-            ", ".join(worker["simulators"]),
-            ", ".join(worker["jobs"]) or "-",
+            cell(", ".join(worker["simulators"])),
+            cell(", ".join(worker["robots"])),
+            ", ".join(worker["jobs"]) or MISSING,
+            MISSING if worker["disk_free_bytes"] is None else size(worker["disk_free_bytes"]),
             seen,
             cell(worker["version"]),
             style=None if worker["alive"] else "red",

@@ -19,6 +19,30 @@ export function shownMetric(job, metric) {
     : { value: latest(job)[metric.name], interval: null, training: true };
 }
 
+/** What a job has under a name: a setting such as "algorithm.gamma", else a result, a metric or a field; or null. */
+export function valueIn(job, name) {
+  const setting = name.split(".").reduce((value, part) => value?.[part], job.spec);
+  if (setting !== undefined && setting !== null) return setting.name ?? setting;
+  const result = evaluated(job)?.results.find((r) => r.name === name);
+  return result?.value ?? latest(job)[name] ?? job[name] ?? null;
+}
+
+/** Names of all settings, results and metrics of these jobs, for `valueIn`. */
+export function namesOf(jobs) {
+  const names = new Set();
+  const add = (value, path) => {
+    if (value !== null && typeof value === "object" && !Array.isArray(value))
+      for (const [key, inner] of Object.entries(value)) add(inner, [...path, key]);
+    else if (path.at(-1) !== "version") names.add(path.at(-1) === "name" ? path[0] : path.join("."));
+  };
+  for (const job of jobs) {
+    add(job.spec, []);
+    for (const { name } of job.result?.results ?? []) names.add(name);
+    for (const name of Object.keys(latest(job))) names.add(name);
+  }
+  return [...names].sort();
+}
+
 /** Share of the steps that are done, 0 to 1. */
 export const progress = (job) => (job.total_steps > 0 ? Math.min(1, job.progress_step / job.total_steps) : 0);
 

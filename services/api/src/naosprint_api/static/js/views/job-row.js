@@ -1,8 +1,8 @@
 /** One row of the list of jobs. */
 
 import { fill, h, icon, setText } from "../dom.js";
-import { ago, compact, duration, integer, metricText, percent, shownUnit, stamp } from "../format.js";
-import { latest, progress, remaining, shownMetric, summary } from "../jobs.js";
+import { ago, compact, duration, integer, metricText, percent, shownUnit, significant, stamp } from "../format.js";
+import { latest, progress, remaining, shownMetric, summary, valueIn } from "../jobs.js";
 import { actionsFor, isEnded, stateBadge, stateNote, tone } from "../states.js";
 
 /** One table row that is updated in place. */
@@ -20,6 +20,8 @@ export class Row {
     const cell = (label, extra) => h("td", { class: ["num figs", extra], "data-label": label });
     this.metrics = [];
     this.cells = [];
+    this.own = [];
+    this.ownCells = [];
     this.rate = cell("Steps/s", "rate");
     this.eta = cell("Time left");
     this.age = h("td", { class: "num age muted" });
@@ -50,12 +52,14 @@ export class Row {
     this.update(job);
   }
 
-  /** Show these metrics, each in a cell. */
-  setMetrics(metrics) {
-    for (const cell of this.cells) cell.remove();
+  /** Show these metrics, and the values of these names, each in a cell. */
+  setColumns(metrics, own) {
+    for (const cell of [...this.cells, ...this.ownCells]) cell.remove();
     this.metrics = metrics;
+    this.own = own;
     this.cells = metrics.map((m) => h("td", { class: "num figs", "data-label": m.title }));
-    this.rate.before(...this.cells);
+    this.ownCells = own.map((name) => h("td", { class: "num figs", "data-label": name, "data-own": name }));
+    this.rate.before(...this.cells, ...this.ownCells);
     this.paintMetrics();
   }
 
@@ -68,6 +72,10 @@ export class Row {
   }
 
   paintMetrics() {
+    this.own.forEach((name, i) => {
+      const value = valueIn(this.job, name);
+      setText(this.ownCells[i], value === null ? "–" : Number.isFinite(value) ? significant(value, 4) : String(value));
+    });
     const own = new Map(this.list.known.listed(this.job.spec).map((m) => [m.name, m]));
     this.metrics.forEach(({ name }, i) => {
       const metric = own.get(name);

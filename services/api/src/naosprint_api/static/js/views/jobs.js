@@ -4,7 +4,7 @@ import { call, query } from "../api.js";
 import { common, Descriptions, descriptions, nameOf } from "../descriptions.js";
 import { confirmDialog, fill, h, icon, isTyping, setText, toast } from "../dom.js";
 import { integer } from "../format.js";
-import { act, latest, progress, remaining, shownMetric } from "../jobs.js";
+import { act, latest, namesOf, progress, remaining, shownMetric, valueIn } from "../jobs.js";
 import { ACTIVE, actionsFor, isEnded } from "../states.js";
 import { follow } from "../stream.js";
 import { Row } from "./job-row.js";
@@ -32,6 +32,7 @@ const FILTERS = [
 const STATES = { "": [], active: ACTIVE, paused: ["paused", "pausing"] };
 const statesOf = (key) => STATES[key] ?? [key];
 const HIDDEN_KEY = "naosprint.jobs.hidden";
+const OWN_KEY = "naosprint.jobs.columns";
 
 /** Columns by key, with what they sort by; metrics stand in front of the steps per second. */
 const COLUMNS = [
@@ -49,17 +50,17 @@ const COLUMNS = [
   { key: "age", title: "Submitted", number: true, value: (job) => job.created_at },
 ];
 
-function readHidden() {
+function readNames(key) {
   try {
-    return new Set(JSON.parse(localStorage.getItem(HIDDEN_KEY) ?? "[]"));
+    return new Set(JSON.parse(localStorage.getItem(key) ?? "[]"));
   } catch {
     return new Set();
   }
 }
 
-function writeHidden(keys) {
+function writeNames(key, names) {
   try {
-    localStorage.setItem(HIDDEN_KEY, JSON.stringify([...keys]));
+    localStorage.setItem(key, JSON.stringify([...names]));
   } catch {
     /* storage refused: lasts for this page */
   }
@@ -85,7 +86,9 @@ class JobsView {
     this.news = new Map();
     this.known = new Descriptions();
     this.metrics = [];
-    this.hidden = readHidden();
+    this.hidden = readNames(HIDDEN_KEY);
+    /** Settings, results and metrics that the user has added as columns. */
+    this.own = readNames(OWN_KEY);
     this.filter = filterOf(params);
     this.turn = 0;
     this.fresh = new Set();
@@ -102,8 +105,8 @@ class JobsView {
     );
     this.search = h("input", {
       type: "search",
-      placeholder: "Search name, tag or id",
-      "aria-label": "Search jobs by name, tag or id",
+      placeholder: "Search name, tag, task, robot or id",
+      "aria-label": "Search jobs by name, tag, task, robot or id",
       value: this.filter.q,
       oninput: () => {
         clearTimeout(this.typing);
@@ -251,7 +254,13 @@ class JobsView {
       number: true,
       value: (job) => shownMetric(job, metric).value,
     }));
-    return COLUMNS.flatMap((column) => (column.key === "rate" ? [...metrics, column] : [column]));
+    const own = [...this.own].map((name) => ({
+      key: `own:${name}`,
+      title: name,
+      number: true,
+      value: (job) => valueIn(job, name),
+    }));
+    return COLUMNS.flatMap((column) => (column.key === "rate" ? [...metrics, ...own, column] : [column]));
   }
 
   paint() {
@@ -362,12 +371,69 @@ class JobsView {
     );
   }
 
+  /** Show the columns that the user has chosen now. */
+  setOwn() {
+    writeNames(OWN_KEY, this.own);
+    for (const row of this.rows.values()) row.setColumns(this.metrics, [...this.own]);
+    this.sort();
+    this.paintHead();
+    this.paintColumns();
+  }
+
+  /** The field that adds a column. */
+  adder() {
+    const name = h("input", {
+      id: "column-name",
+      type: "text",
+      list: "column-names",
+      spellcheck: "false",
+      required: true,
+    });
+    const names = () => namesOf([...this.jobs.values()]);
+    const add = (event) => {
+      event.preventDefault();
+      const wanted = name.value.trim();
+      name.setCustomValidity(names().includes(wanted) ? "" : "None of these jobs has it. Choose one of the list.");
+      if (!name.reportValidity()) return;
+      this.own.add(wanted);
+      this.setOwn();
+    };
+    name.addEventListener("input", () => name.setCustomValidity(""));
+    return h(
+      "form",
+      { class: "stack", onsubmit: add },
+      h("div", { class: "field" }, h("label", { for: "column-name" }, "Add a setting or result"), name),
+      h(
+        "datalist",
+        { id: "column-names" },
+        names().map((value) => h("option", { value })),
+      ),
+      h("button", { type: "submit" }, "Add column"),
+    );
+  }
+
   /** The menu in which columns are chosen. */
   paintColumns() {
+    const removable = [...this.own].map((name) =>
+      h(
+        "label",
+        { class: "row" },
+        h("input", {
+          type: "checkbox",
+          name: `own:${name}`,
+          checked: true,
+          onchange: () => {
+            this.own.delete(name);
+            this.setOwn();
+          },
+        }),
+        name,
+      ),
+    );
     fill(
       this.columnList,
       this.columns()
-        .filter((column) => !column.fixed)
+        .filter((column) => !column.fixed && !column.key.startsWith("own:"))
         .map(({ key, title }) => {
           const box = h("input", {
             type: "checkbox",
@@ -376,13 +442,15 @@ class JobsView {
             onchange: () => {
               if (box.checked) this.hidden.delete(key);
               else this.hidden.add(key);
-              writeHidden(this.hidden);
+              writeNames(HIDDEN_KEY, this.hidden);
               this.paintHead();
               for (const row of this.rows.values()) row.hide(this.hidden);
             },
           });
           return h("label", { class: "row" }, box, title);
         }),
+      removable,
+      this.adder(),
     );
   }
 
@@ -459,7 +527,7 @@ class JobsView {
     let row = this.rows.get(id);
     if (!row) {
       row = new Row(this.jobs.get(id), this);
-      row.setMetrics(this.metrics);
+      row.setColumns(this.metrics, [...this.own]);
       row.hide(this.hidden);
       this.rows.set(id, row);
     }
@@ -486,7 +554,8 @@ class JobsView {
 
   fits(job) {
     const { state, tag, q } = this.filter;
-    const words = [job.name, job.id, ...job.tags].join(" ").toLowerCase();
+    const kind = [nameOf(job.spec, "task"), nameOf(job.spec, "robot")];
+    const words = [job.name, job.id, ...kind, ...job.tags].join(" ").toLowerCase();
     return (
       (!state || statesOf(state).includes(job.state)) &&
       (!tag || job.tags.includes(tag)) &&

@@ -2,11 +2,11 @@
 
 import { every } from "../api.js";
 import { fill, h, heading, icon, scroller, table } from "../dom.js";
-import { ago, duration, stamp } from "../format.js";
+import { ago, bytes, duration, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
 
 const REFRESH_MS = 10_000;
-const HEADINGS = ["Worker", "State", "Runs", "Jobs", "Version", "Up for", "Last seen"];
+const HEADINGS = ["Worker", "State", "Simulators", "Robots", "Jobs", "Version", "Free disk", "Up for", "Last seen"];
 
 const NONE = h(
   "div",
@@ -23,6 +23,13 @@ const NONE = h(
   ),
 );
 
+const tags = (names) =>
+  h(
+    "div",
+    { class: "row wrap" },
+    names.map((name) => h("span", { class: "tag" }, name)),
+  );
+
 const row = (w) =>
   h(
     "tr",
@@ -38,15 +45,8 @@ const row = (w) =>
         w.alive ? "Alive" : "Silent",
       ),
     ),
-    h(
-      "td",
-      null,
-      h(
-        "div",
-        { class: "row wrap" },
-        w.simulators.map((q) => h("span", { class: "tag" }, q)),
-      ),
-    ),
+    h("td", null, tags(w.simulators)),
+    h("td", { title: `Tasks: ${Object.keys(w.tasks).sort().join(", ")}` }, tags(w.robots)),
     h(
       "td",
       null,
@@ -55,6 +55,7 @@ const row = (w) =>
         : h("span", { class: "muted" }, "nothing"),
     ),
     h("td", { class: "mono" }, w.version),
+    h("td", { class: "num" }, bytes(w.disk_free_bytes)),
     h("td", { class: "num", title: stamp(w.started_at) }, duration((Date.now() - new Date(w.started_at)) / 1000)),
     h("td", { class: "num", title: stamp(w.heartbeat_at) }, ago(w.heartbeat_at)),
   );
@@ -67,7 +68,7 @@ export async function mount(root, { signal }) {
   const read = async () => {
     const workers = await every("workers", { signal });
     if (!workers.length) return NONE;
-    const headings = HEADINGS.map((title, i) => heading(title, i > 4));
+    const headings = HEADINGS.map((title, i) => heading(title, i > 5));
     return scroller("Workers", table(headings, workers.map(row)));
   };
   return refreshed(box, read, REFRESH_MS);
