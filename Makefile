@@ -23,7 +23,7 @@ $(INSTALLED): requirements.txt docs/requirements.txt $(SOURCES)
 	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES))
 	@touch $@
 
-# ROBOT=t1 or ROBOT=k1 trains one of the league's new robots, in under 15 minutes.
+# ROBOT=t1 or ROBOT=k1 trains one of the league's new robots, in under 5 minutes.
 demo: $(INSTALLED)  ## train a real sprint job on this machine, watch it, evaluate it (under 10 minutes)
 	$(BIN)/naoctl demo $(if $(ROBOT),--robot $(ROBOT))
 

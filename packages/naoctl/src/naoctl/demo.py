@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import naopolicies
 
@@ -31,11 +32,46 @@ from naoctl.stack.control import start_detached, stop
 from naoctl.stack.layout import Layout
 from naoctl.stack.supervisor import Options, RunningStack
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 BUNDLED_EPISODES, BUNDLED_FILM_S = 20, 5
 """Episodes of the bundled policy that runs at the end, and the length of its film in seconds."""
 
-ROBOTS = {"nao-0": (3_000_000, 1000), "t1": (2_500_000, 300), "k1": (2_500_000, 300)}
-"""By robot: steps after which it runs, and episodes of its evaluation, so that the demo is short."""
+
+@dataclass(frozen=True)
+class Usual:
+    """What the demonstration does with a robot, so that it runs in the end and the demonstration is short.
+
+    Attributes:
+        steps: steps of the training.
+        episodes: episodes of its evaluation.
+        settings: settings of the training besides those of preset ``fast``, by short name.
+    """
+
+    steps: int
+    episodes: int
+    settings: Mapping[str, str] = field(default_factory=dict)
+
+
+ROBOTS = {
+    "nao-0": Usual(3_000_000, 1000),
+    # 2.5 m/s, see benchmarks/learning: rollouts of half the length, noise that falls faster, a short horizon early
+    "t1": Usual(
+        5_000_000,
+        300,
+        {
+            "n_steps": "32",
+            "batch_size": "1024",
+            "n_epochs": "3",
+            "gamma_steps": "1500000",
+            "final_log_std": "-2.6",
+            "log_std_steps": "16000000",
+            "hop_penalty": "0.01",
+        },
+    ),
+    "k1": Usual(2_500_000, 300),
+}
 
 
 def bundled_policy(robot: str) -> str | None:
@@ -95,7 +131,7 @@ class Demo:
     def _train(self, client: Client, robot: str, steps: int, seed: int, episodes: int) -> dict[str, Any]:
         self._head(f"2. A training job: sprint1, robot {robot}, preset fast, {steps:,} steps")
         flags = {"task": "sprint1", "robot": robot, "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
-        body = make_body({}, flags, {"eval_episodes": str(episodes)})
+        body = make_body({}, {**flags, **ROBOTS[robot].settings}, {"eval_episodes": str(episodes)})
         job: dict[str, Any] = client.post("/jobs", {**body, "name": "demo", "tags": ["demo"]})
         self.context.say("Submitted", job["id"])
         watch_job(self.context, client, job, as_json=False)

@@ -196,11 +196,11 @@ def demo(
 
     if robot not in ROBOTS:
         raise CliError(f"--robot: {robot!r} is not one of {', '.join(ROBOTS)}", code=ExitCode.USAGE)
-    usual_steps, usual_episodes = ROBOTS[robot]
+    usual = ROBOTS[robot]
     folder = data_dir or default_data_dir().with_name("naosprint-demo")
     layout = Layout.at(folder)
     Demo(context_of(ctx), layout, output or layout.root / "results").run(
-        robot=robot, steps=steps or usual_steps, seed=seed, episodes=episodes or usual_episodes, keep=keep
+        robot=robot, steps=steps or usual.steps, seed=seed, episodes=episodes or usual.episodes, keep=keep
     )
 
 
