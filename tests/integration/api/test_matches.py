@@ -21,7 +21,7 @@ import pytest
 from naojobs import matches
 from naojobs.capabilities import CONFINED_MATCH_TASK, Capabilities, waiting_reasons
 from naojobs.errors import LeaseLostError
-from naojobs.leases import MatchClaim
+from naojobs.leases import Lease, MatchClaim
 from naojobs.matches import MatchRequest, StoredGame, standings
 from naojobs.models import Match, Worker
 from naojobs.outcomes import lose, succeed, transition
@@ -29,6 +29,7 @@ from naojobs.roles import Role
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, game_key
 from naojobs.teams import MatchSpec, MatchTeam
+from naospec import TrainingSpec
 from naosprint.matches.log import GameLog
 from naosprint.matches.results import match_results
 from sqlalchemy.orm import Session, sessionmaker
@@ -291,6 +292,58 @@ def test_a_match_whose_team_was_deleted_fails_with_the_reason(
     assert claim_work(sessions, Match, match_id, "worker") is None
     match = client.get(f"/matches/{match_id}").json()
     assert (match["state"], match["error"]) == ("failed", "team short was deleted")
+
+
+def test_an_alias_requires_that_a_version_does_not_lose(
+    client: httpx.Client,
+    sessions: Sessions,
+    run_job: Callable[..., Lease],
+    save_checkpoint: Callable[..., str],
+) -> None:
+    lease = run_job(spec=TrainingSpec.model_validate({"task": "velocity", "robot": "t1"}))
+    for step in (1, 2):
+        body = {"job_id": lease.job_id, "checkpoint_id": save_checkpoint(lease, step, {"policy.npz": b"%d" % step})}
+        client.post("/policies/walker/versions", json=body).raise_for_status()
+    path = "/policies/walker/aliases/best"
+    wanted = {"requirements": [{"result": "match", "no_worse": True}]}
+    assert client.put(f"{path}/requirements", json=wanted).status_code == 200
+    assert client.put(path, json={"version": 1}).status_code == 200, "there is none before it"
+
+    def refused() -> str:
+        answer = client.put(path, json={"version": 2})
+        assert answer.status_code == 409
+        return str(answer.json()["detail"])
+
+    def decide(first: str, second: str, *, holds: bool, **settings: Any) -> str:
+        match_id = submit(client, first, second, **settings)
+        claim = claim_work(sessions, Match, match_id, "worker")
+        assert claim is not None
+        transition(sessions, claim.lease, WorkState.RUNNING)
+        with sessions.begin() as session:
+            match = session.get_one(Match, match_id)
+            verdict = "does not lose" if holds else "loses"
+            match.summary = {"games": 1, "decided": True, "holds": holds, "verdict": verdict}
+        assert succeed(sessions, claim.lease) is None
+        return match_id
+
+    new, old = "example:walk=walker@2", "example:walk=walker@1"
+    assert f"run: naoctl match {new} {old} --games 60 --gate" in refused()
+    decide(new, old, holds=True)  # without a test
+    decide(old, new, holds=True, gate=True)
+    decide(f"{new},kick=t1-kick", "example", holds=True, gate=True)
+    assert "none says that" in refused()
+    lost = decide(new, old, holds=False, gate=True)
+    assert f"{new} loses against {old} ({lost})" in refused()
+    decide(new, old, holds=True, gate=True)
+    assert client.put(path, json={"version": 2}).status_code == 200
+
+    other = run_job(spec=TrainingSpec.model_validate({"task": "sprint1", "robot": "nao-0"}))
+    body = {"job_id": other.job_id, "checkpoint_id": save_checkpoint(other, 1, {"policy.npz": b"1"})}
+    client.post("/policies/runner/versions", json=body).raise_for_status()
+    answer = client.put("/policies/runner/aliases/best/requirements", json=wanted)
+    assert (answer.status_code, "teams have no such skill" in answer.text) == (422, True)
+    wanted["requirements"][0]["most"] = 0.1
+    assert "give no_worse alone" in client.put(f"{path}/requirements", json=wanted).text
 
 
 def test_ratings_follow_results() -> None:

@@ -2,7 +2,8 @@
 
 A requirement is about one result: a bound, or that it is not worse than that of the version which the alias names now.
 It counts evaluations of the version's own checkpoint under exactly its conditions, so that a team can require few falls
-on a slippery floor, and speed on a normal one.
+on a slippery floor, and speed on a normal one. The result `match` is that of a match with a sequential test against the
+version which the alias names now, by teams that are equal but for this policy.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Self
 
 from naospec import EvaluationSpec, TrainingSpec, read_stored
+from naospec.teams import ROBOT, SKILLS
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from naojobs.errors import ConflictError, InvalidError
-from naojobs.models import Evaluation, PolicyAlias, PolicyRecord, PolicyVersion
+from naojobs.models import Evaluation, Match, PolicyAlias, PolicyRecord, PolicyVersion
 from naojobs.states import WorkState
 
 MOST_REQUIREMENTS = 50
@@ -25,6 +27,9 @@ MOST_REQUIREMENTS = 50
 
 SETTING = r"^[a-z][a-z0-9_]{0,59}$"
 """Name of a result, or of a setting of a task."""
+
+MATCH = "match"
+"""Result of a match against the version that the alias names now."""
 
 Plain = Annotated[str, StringConstraints(pattern=SETTING)]
 
@@ -54,6 +59,9 @@ class Requirement(BaseModel):
     def _says_something(self) -> Self:
         if self.most is None and self.least is None and not self.no_worse:
             raise PydanticCustomError("empty", "{result}: give most, least or no_worse", {"result": self.result})
+        bounds = (self.most, self.least, self.simulator)
+        if self.result == MATCH and (any(each is not None for each in bounds) or self.conditions):
+            raise PydanticCustomError("match", "match: give no_worse alone; a match has no bound and no conditions")
         return self
 
     def specification(self, task: str) -> EvaluationSpec:
@@ -86,6 +94,12 @@ def require(session: Session, policy: PolicyRecord, alias: str, requirements: Se
     ).one()
     trained = read_stored(TrainingSpec, newest.spec)
     for number, requirement in enumerate(requirements):
+        if requirement.result == MATCH:
+            if _skill(newest) is None:
+                tasks = ", ".join(task for task, _ in SKILLS.values())
+                message = f"{MATCH}: teams have no such skill; a skill is a {ROBOT}'s policy for task {tasks}"
+                raise InvalidError(message, f"requirements.{number}")
+            continue
         try:
             requirement.specification(trained.stage_specs[-1].task.name).applied_to(trained)
         except ValidationError as error:
@@ -113,16 +127,23 @@ def check(session: Session, policy: PolicyRecord, alias: str, version: PolicyVer
     unmet = [
         text
         for requirement in requirements_of(policy, alias)
-        if (text := _unmet(session, requirement, version, before)) is not None
+        if (text := _unmet(session, policy, requirement, version, before)) is not None
     ]
     if unmet:
         raise ConflictError(f"{policy.name}@{version.number} cannot be {alias}: {'; '.join(unmet)}", "version")
 
 
 def _unmet(
-    session: Session, requirement: Requirement, version: PolicyVersion, before: PolicyVersion | None
+    session: Session,
+    policy: PolicyRecord,
+    requirement: Requirement,
+    version: PolicyVersion,
+    before: PolicyVersion | None,
 ) -> str | None:
     """Return what is missing or wrong; None if the requirement is met."""
+    if requirement.result == MATCH:
+        new = before is not None and before.number != version.number
+        return _lost_match(session, policy, version, before) if before is not None and new else None
     result = _result(session, requirement, version)
     if result is None:
         return f"{requirement}: no evaluation of {requirement.episodes:,} episodes or more says so; run one"
@@ -138,6 +159,30 @@ def _unmet(
         if _worse(result, standing):
             return f"{requirement}: it is {value:g}, that of version {before.number} is {standing['value']:g}"
     return None
+
+
+def _lost_match(session: Session, policy: PolicyRecord, version: PolicyVersion, before: PolicyVersion) -> str | None:
+    """Return why a version may lose to another; None if the newest match with a test says that it does not."""
+    skill = _skill(version)
+    first, second = (f"example:{skill}={policy.name}@{each.number}" for each in (version, before))
+    plays = Match.spec["teams"].contains([{"policies": {skill: version.checkpoint_id}}])
+    rows = session.execute(
+        select(Match.id, Match.spec, Match.summary)
+        .where(Match.state == WorkState.SUCCEEDED, Match.spec["gate"].as_boolean(), plays)
+        .order_by(Match.finished_at.desc())
+    )
+    for match_id, spec, summary in rows:
+        ours, theirs = (team["policies"] for team in spec["teams"])
+        if ours.get(skill) == version.checkpoint_id and theirs == {**ours, skill: before.checkpoint_id}:
+            return None if summary["holds"] else f"{MATCH}: {first} {summary['verdict']} against {second} ({match_id})"
+    return f"{MATCH}: none says that {first} does not lose; run: naoctl match {first} {second} --games 60 --gate"
+
+
+def _skill(version: PolicyVersion) -> str | None:
+    """Return which skill of the example player a version is; None if it is none."""
+    spec = read_stored(TrainingSpec, version.spec).stage_specs[-1]
+    fits = (skill for skill, (task, _) in SKILLS.items() if task == spec.task.name and spec.robot.name == ROBOT)
+    return next(fits, None)
 
 
 def _worse(result: dict[str, Any], standing: dict[str, Any]) -> bool:

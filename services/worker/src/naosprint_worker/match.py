@@ -134,7 +134,11 @@ class _Match:
         results = match_results(logs)
         if self._claim.spec.gate:
             verdict = self._verdict(logs)
-            results |= {"verdict": str(verdict), "decided": verdict is not Verdict.OPEN}
+            results |= {
+                "verdict": str(verdict),
+                "decided": verdict is not Verdict.OPEN,
+                "holds": verdict is Verdict.HOLDS,
+            }
         return results
 
     def _verdict(self, logs: list[GameLog]) -> Verdict:

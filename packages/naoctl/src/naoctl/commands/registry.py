@@ -217,7 +217,10 @@ def require(
     alias: Annotated[str, typer.Argument(metavar="ALIAS", help="Alias, such as best or match.")],
     bounds: Annotated[
         list[str] | None,
-        typer.Argument(metavar="BOUND...", help="'RESULT<=X', 'RESULT>=X', or 'RESULT=now' for no worse than now."),
+        typer.Argument(
+            metavar="BOUND...",
+            help="'RESULT<=X', 'RESULT>=X', 'RESULT=now' for no worse than now, 'match=now' for no loss against it.",
+        ),
     ] = None,
     conditions: Conditions = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes that the evaluation needs at least.")] = 100,
