@@ -29,7 +29,7 @@ from naosprint.threads import quiet_openmp, set_learner_threads
 quiet_openmp()
 
 import numpy as np  # noqa: E402
-from naospec import EvaluationSpec, TrainingSpec  # noqa: E402
+from naospec import EvaluationSpec, TrainingSpec, plugins  # noqa: E402
 from naospec.flat import nest  # noqa: E402
 from naosprint import evaluate, tasks, train  # noqa: E402
 from naosprint.analysis import figures  # noqa: E402
@@ -51,6 +51,8 @@ RESULTS = HERE / "results.json"
 SEEDS = (0, 1, 2)
 STEPS = 10_000_000
 LONG_STEPS = 50_000_000
+SAC_STEPS = 120_000
+SAC_PACKAGE = HERE.parents[1] / "tests" / "packages" / "naosprint-sac"
 EPISODES = 1000
 OTHER_ROBOTS = ("t1", "k1")
 CURVE_EPISODES = {"nao": 200, "booster": 50}
@@ -213,7 +215,8 @@ def _short(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def _thinned(rows: Sequence[dict[str, float]], points: int = 200) -> dict[str, list[float]]:
-    names = ("step", "time_s", *TASK.presentation.listed, "episode_length", "approx_kl", "action_std")
+    all_names = ("step", "time_s", *TASK.presentation.listed, "episode_length", "approx_kl", "action_std")
+    names = [name for name in all_names if name in rows[-1]]
     kept = [row for row in rows if all(name in row for name in names)]
     parts = np.array_split(np.arange(len(kept)), min(points, len(kept)))
     return {name: [float(np.mean([kept[i][name] for i in part])) for part in parts] for name in names}
@@ -234,6 +237,28 @@ def seeds(robot: str | None = None) -> Callable[[Path], dict[str, Any]]:
         return {"mean": mean, "runs": runs}
 
     return section
+
+
+def sac(workdir: Path) -> dict[str, Any]:
+    """Train with the algorithm of another package, stable-baselines3's SAC in tests/packages."""
+    if "sac" not in plugins.names(plugins.LEARNERS):
+        # installed beside the environment, where only this measurement finds it
+        folder = workdir / "packages"
+        pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--upgrade"]
+        subprocess.run([*pip, "--target", str(folder), str(SAC_PACKAGE)], check=True)
+        command = [sys.executable, __file__, str(workdir), "--only", "sac"]
+        subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(folder)})
+        found: dict[str, Any] = json.loads(RESULTS.read_text())["sac"]
+        return {name: value for name, value in found.items() if name != "measured"}
+    chosen = {
+        "n_envs": 32,
+        "n_steps": 8,
+        "units": 128,
+        "gradient_steps": 32,
+        "checkpoint_interval_steps": SAC_STEPS // 8,
+    }
+    spec = spec_of(algorithm="sac", total_steps=SAC_STEPS, **chosen, **ONE_CORE)
+    return digest(trained(workdir, "sac", spec), spec, steps=SAC_STEPS)
 
 
 def long(workdir: Path) -> dict[str, Any]:
@@ -397,6 +422,7 @@ SECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "seeds": seeds(),
     **{f"seeds-{robot}": seeds(robot) for robot in OTHER_ROBOTS},
     "paper": paper,
+    "sac": sac,
     "long": long,
     **{f"chain-{seed}": chain(seed) for seed in SEEDS},
 }
