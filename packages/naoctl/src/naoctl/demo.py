@@ -192,11 +192,11 @@ class Demo:
         """Evaluate the downloaded policy again without the service, in another process, and compare every number."""
         self._head("5. The same results again, from the downloaded file alone")
         flags = []
-        for field, value in evaluation["spec"].items():
-            if field == "task":  # the training's
+        for name, value in evaluation["spec"].items():
+            if name == "task":  # the training's
                 continue
             flags += [
-                f"--{field.replace('_', '-')}",
+                f"--{name.replace('_', '-')}",
                 "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value),
             ]
         self.context.say("Run", f"python -m naosprint evaluate {checkpoint}")
