@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,11 +51,11 @@ class Usual:
 
     steps: int
     episodes: int
-    settings: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, str]
 
 
 ROBOTS = {
-    "nao-0": Usual(3_000_000, 1000),
+    "nao-0": Usual(3_000_000, 1000, {}),
     # 2.5 m/s, see benchmarks/learning: rollouts of half the length, noise that falls faster, a short horizon early
     "t1": Usual(
         5_000_000,
@@ -70,7 +70,7 @@ ROBOTS = {
             "hop_penalty": "0.01",
         },
     ),
-    "k1": Usual(2_500_000, 300),
+    "k1": Usual(2_500_000, 300, {}),
 }
 
 
