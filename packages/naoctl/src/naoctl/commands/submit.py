@@ -83,7 +83,8 @@ RecipeOption = Annotated[
     typer.Option(
         "--recipe",
         metavar="NAME",
-        help=f"Start from a bundled job: {', '.join(recipes.names()) or 'none'}; flags override its values.",
+        help="Start from the job that trained a bundled policy, such as t1-sprint (`naoctl policies list`); flags "
+        "override its values.",
         autocompletion=_complete_recipe,
     ),
 ]
@@ -110,9 +111,7 @@ def submit(
     priority: PriorityOption = None,
     not_before: Annotated[
         str | None,
-        typer.Option(
-            "--not-before", metavar="TIME", help="Start at this time or later: 22:00, 2026-12-01T06:00, or in 8h."
-        ),
+        typer.Option("--not-before", metavar="TIME", help="Start at 22:00, at 2026-12-01T06:00, or in 8h, not before."),
     ] = None,
     parent: Annotated[
         str | None,
