@@ -198,6 +198,8 @@ def test_empty_pages_say_what_to_do(browser: Browser, token: str) -> None:
     browser.shows("Submit one and watch a robot learn to run")
     browser.open("/compare")
     browser.shows("Nothing to compare yet")
+    browser.open("/league")
+    browser.shows("No matches yet")
     browser.open("/nowhere")
     browser.shows("There is no such page")
     browser.allowed.append("404")
@@ -981,6 +983,7 @@ PAGES = (
     "/submit",
     "/studies",
     "study",
+    "/league",
     "/workers",
     "/policies",
     "/policies/sprint",

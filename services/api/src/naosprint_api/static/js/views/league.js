@@ -63,7 +63,7 @@ export async function mount(root, { signal }) {
     if (!items.length) return h("div", { class: "card" }, NONE);
     return [
       teams.length
-        ? card("Teams", ["", "Team", "Elo", "Won", "Drawn", "Lost", "Goals"], ["Team"], teams.map(standing))
+        ? card("Teams", ["Place", "Team", "Elo", "Won", "Drawn", "Lost", "Goals"], ["Team"], teams.map(standing))
         : null,
       card(
         "Matches",

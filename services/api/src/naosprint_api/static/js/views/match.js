@@ -16,7 +16,7 @@ const card = (title, ...kids) =>
 
 function results(match) {
   if (!match.table.length) return null;
-  const headings = ["", ...match.teams].map((title, i) => heading(title, i > 0));
+  const headings = ["Measured", ...match.teams].map((title, i) => heading(title, i > 0));
   const rows = match.table.map(([what, ...values]) =>
     h(
       "tr",
@@ -53,7 +53,7 @@ function games(match, shown) {
           "button",
           {
             class: "small",
-            "aria-label": `Download the log of game ${game.number}`,
+            "aria-label": `Download the log of game ${game.number}, ${bytes(game.log.size)}`,
             onclick: () => download(game.log.url, game.log.name).catch((error) => toast(error.message, "error")),
           },
           icon("download"),
