@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from naoctl.commands.submit import make_body
-from naoctl.demo import ROBOTS
+from naoctl.demo import ROBOTS, bundled_policy
 from naospec import TrainingSpec
 
 
@@ -18,3 +18,7 @@ def test_usual_settings_make_a_training_of_the_robot(robot: str) -> None:
     chosen = {**vars(spec.algorithm), **vars(spec.task)}
     for name, value in usual.settings.items():
         assert chosen[name] == pytest.approx(float(value))
+
+
+def test_the_policy_beside_is_the_robots_sprinter() -> None:
+    assert [bundled_policy(robot) for robot in ("nao-0", "t1", "k1")] == ["sprint", "t1-sprint", "k1-sprint"]

@@ -75,8 +75,9 @@ ROBOTS = {
 
 
 def bundled_policy(robot: str) -> str | None:
-    """Return the name of the fastest bundled policy of a robot; None if there is none."""
-    names = [name for name in naopolicies.names() if naopolicies.card(name)["robot"] == robot]
+    """Return the name of the fastest bundled sprinter of a robot; None if there is none."""
+    cards = {name: naopolicies.card(name) for name in naopolicies.names()}
+    names = [name for name, card in cards.items() if (card["robot"], card["task"]) == (robot, "sprint1")]
     return min(names, key=len, default=None)
 
 
