@@ -19,7 +19,7 @@ AT_HOME = (
 
 DEFAULT_TASK = {
     "packages/naospec/src/naospec/fields.py": 1,
-    "packages/naoctl/src/naoctl/demo.py": 2,
+    "packages/naoctl/src/naoctl/demo.py": 1,
 }
 """Files that name the default task, and on how many lines."""
 

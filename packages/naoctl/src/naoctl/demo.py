@@ -35,6 +35,9 @@ from naoctl.stack.supervisor import Options, RunningStack
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+TASK = "sprint1"
+"""What the demonstration trains."""
+
 BUNDLED_EPISODES, BUNDLED_FILM_S = 20, 5
 """Episodes of the bundled policy that runs at the end, and the length of its film in seconds."""
 
@@ -77,7 +80,7 @@ ROBOTS = {
 def bundled_policy(robot: str) -> str | None:
     """Return the name of the fastest bundled sprinter of a robot; None if there is none."""
     cards = {name: naopolicies.card(name) for name in naopolicies.names()}
-    names = [name for name, card in cards.items() if (card["robot"], card["task"]) == (robot, "sprint1")]
+    names = [name for name, card in cards.items() if (card["robot"], card["task"]) == (robot, TASK)]
     return min(names, key=len, default=None)
 
 
@@ -130,8 +133,8 @@ class Demo:
         self.context.out.file.flush()
 
     def _train(self, client: Client, robot: str, steps: int, seed: int, episodes: int) -> dict[str, Any]:
-        self._head(f"2. A training job: sprint1, robot {robot}, preset fast, {steps:,} steps")
-        flags = {"task": "sprint1", "robot": robot, "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
+        self._head(f"2. A training job: {TASK}, robot {robot}, preset fast, {steps:,} steps")
+        flags = {"task": TASK, "robot": robot, "preset": "fast", "total_steps": str(steps), "seed": str(seed)}
         body = make_body({}, {**flags, **ROBOTS[robot].settings}, {"eval_episodes": str(episodes)})
         job: dict[str, Any] = client.post("/jobs", {**body, "name": "demo", "tags": ["demo"]})
         self.context.say("Submitted", job["id"])
