@@ -815,7 +815,7 @@ def test_policies_say_what_is_wrong(browser: Browser, token: str) -> None:
     browser.sign_in(token)
     browser.allowed += ["404", "ERR_BLOCKED_BY_CLIENT"]
     browser.open("/policies/sprnt")
-    browser.shows("bundled policies are k1-sprint")
+    browser.shows("bundled policies are k1-getup")
     browser.driver.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*/policies"]})
     try:
         browser.open("/policies")
