@@ -141,8 +141,8 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     @classmethod
     def supports(cls, robot: Robot) -> bool:
-        """Return whether the robot has a camera, and a bundled policy walks it."""
-        return robot.camera is not None and bool(bundled(robot.name, Velocity.name))
+        """Return whether the robot has a camera, and a bundled policy that needs no memory walks it."""
+        return robot.camera is not None and bool(bundled(robot.name, Velocity.name, 0))
 
     @classmethod
     def resolve(cls, parameters: Settings, robot: Robot) -> Settings:  # type: ignore[misc] # a task gets its own
@@ -152,7 +152,7 @@ class BallTask(Task[Settings], Generic[Settings]):
             raise ValueError(
                 "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out"
             )
-        require_policy("task.walker", parameters.walker, robot.name, Velocity.name)
+        require_policy("task.walker", parameters.walker, robot.name, Velocity.name, parameters.history_steps)
         return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
 
     def __init__(self, parameters: Settings, world: World, seed: int = 0) -> None:

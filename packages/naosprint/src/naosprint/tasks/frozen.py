@@ -64,27 +64,36 @@ class FrozenPolicy:
 
 
 @cache
-def bundled(robot: str, task: str) -> tuple[str, ...]:
-    """Return the names of the bundled policies that move this robot and were last trained for this task."""
+def bundled(robot: str, task: str, history_steps: int | None = None) -> tuple[str, ...]:
+    """Return the names of the bundled policies that move this robot and were last trained for this task.
+
+    Args:
+        robot: name of the robot.
+        task: name of the task.
+        history_steps: how many earlier steps they may observe; None: any number.
+    """
     found = []
     for name in naopolicies.names():
         spec = naopolicies.spec(name)
         last = (spec.get("stages") or [{}])[-1]
         tasks = ({**section, "name": section.get("name", "")} for section in (last.get("task", {}), spec["task"]))
-        if spec["robot"]["name"] == robot and next((each["name"] for each in tasks if each["name"]), "") == task:
+        remembered = {**spec["task"], **last.get("task", {})}.get("history_steps", 0)
+        trained = next((each["name"] for each in tasks if each["name"]), "")
+        fits = history_steps is None or remembered <= history_steps
+        if fits and (spec["robot"]["name"], trained) == (robot, task):
             found.append(name)
     return tuple(found)
 
 
-def require_policy(setting: str, name: str, robot: str, task: str) -> None:
-    """Check that a bundled policy exists, moves this robot and does this task.
+def require_policy(setting: str, name: str, robot: str, task: str, history_steps: int) -> None:
+    """Check that a bundled policy exists, moves this robot, does this task and observes no more earlier steps.
 
     Raises:
         ValueError: naming the setting and the policies that can be used.
     """
-    fitting = bundled(robot, task)
+    fitting = bundled(robot, task, history_steps)
     if name not in fitting:
         raise ValueError(
-            f"{setting}: {name!r} is no bundled policy of robot {robot} for task {task}; "
-            f"use {' or '.join(fitting) or 'another robot'}"
+            f"{setting}: {name!r} is no bundled policy of robot {robot} for task {task} that observes at most "
+            f"{history_steps} earlier steps; use {' or '.join(fitting) or 'another robot'}"
         )
