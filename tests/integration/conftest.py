@@ -134,6 +134,13 @@ class S3Server:
         folder = self._folder / "bucket" / "some" / "prefix"
         return sorted(str(path.relative_to(folder)) for path in (folder / prefix).rglob("*") if path.is_file())
 
+    def until_gone(self, prefix: str, timeout_s: float = 30.0) -> None:
+        """Wait until no file is left below a prefix: the server answers a deletion shortly before its disk shows it."""
+        end = time.monotonic() + timeout_s
+        while left := self.stored(prefix):
+            assert time.monotonic() < end, left
+            time.sleep(0.05)
+
     def start(self) -> None:
         """Start it and wait until it answers."""
         # The quotes are part of the value: without them it is split at the comma.

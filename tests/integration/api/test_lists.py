@@ -16,8 +16,8 @@ from naosprint_api.service import Service
 from naosprint_api.settings import ApiSettings
 from sqlalchemy.orm import Session, sessionmaker
 
-CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes"}
-"""What is installed with the service, not what users make."""
+CATALOG = {"/tasks", "/algorithms", "/robots", "/simulators", "/presets", "/recipes", "/league"}
+"""What is installed with the service, not what users make; and a ranking, which is one whole."""
 COUNT = 5
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from naojobs import outcomes, records
+from naojobs import outcomes
 from naojobs.models import Job
 from naojobs.states import WorkState
 from sqlalchemy.orm import Session, sessionmaker
 
 from tests.integration.attempts import claim_work
 from tests.integration.conftest import RunningApi
+from tests.integration.writes import append_metrics
 
 PAGE = Path(__file__).parents[3] / "docs/how-to/client.md"
 
@@ -35,7 +36,7 @@ def test_a_notebook_submits_follows_and_compares(
     assert claim is not None
     outcomes.begin(sessions, claim.lease, step=0)
     outcomes.transition(sessions, claim.lease, WorkState.RUNNING)
-    records.append_metrics(sessions, claim.lease, [{"step": 8192, "reward": 1.5}, {"step": 16384, "reward": 2.5}])
+    append_metrics(sessions, claim.lease, [{"step": 8192, "reward": 1.5}, {"step": 16384, "reward": 2.5}])
     outcomes.transition(sessions, claim.lease, WorkState.FAILED, error="the end of the test")
     exec(follow, names)
     assert capsys.readouterr().out == "8192 1.5\n16384 2.5\n"

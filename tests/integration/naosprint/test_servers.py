@@ -268,7 +268,7 @@ def test_training_survives_a_server_that_is_killed_and_is_evaluated_on_servers(
     assert train(twice, workdir=tmp_path / "standby", reporter=NullReporter()).steps == 384
     assert len(handles) == started + 4
 
-    words = f"evaluate {result.checkpoint} --simulator server --task sprint2 --episodes 1 --n-envs 1"
+    words = f"evaluate --json {result.checkpoint} --simulator server --task sprint2 --episodes 1 --n-envs 1"
     capsys.readouterr()
     assert main(words.split()) == 0
     assert json.loads(capsys.readouterr().out)["episodes"] == 1

@@ -31,7 +31,7 @@ def test_the_text_has_the_same_values(value: Any) -> None:
 
 
 def test_long_arrays_stay_on_one_line_and_long_objects_do_not() -> None:
-    text = json_text({"curve": [0.25] * 500, "results": [{"name": "speed", "text": "x" * 790}] * 2})
+    text = json_text({"curve": [0.25] * 500, "results": [{"name": "speed", "text": "x" * 1190}] * 2})
     assert [len(line.split(",")) for line in text.splitlines() if "0.25" in line] == [501]
     assert [line.strip() for line in text.splitlines()][2:5] == ['"results": [', "{", '"name": "speed",']
 

@@ -119,7 +119,9 @@ def test_a_mirrored_motion_moves_the_other_side() -> None:
     assert mirrored.mirrored(T1) == motion
 
 
-def test_a_robot_without_a_motion_demonstrates_nothing() -> None:
+def test_a_robot_without_a_motion_demonstrates_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert environment_of(4, K1).task.demonstration(slice(0, 4)) is not None
+    monkeypatch.setattr("naosprint.tasks.getup.motions", lambda _task, _robot: {})
     assert environment_of(4, K1).task.demonstration(slice(0, 4)) is None
 
 
