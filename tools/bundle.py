@@ -129,7 +129,7 @@ def put_in_place(name: str, checkpoint: Path, earlier: Path | None) -> None:
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     # unchanged: the specification's digest includes every field of that version
-    slim = json.loads((checkpoint / MANIFEST).read_text())
+    slim = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
     slim["files"] = {key: entry for key, entry in slim["files"].items() if key not in (LEARNER, ENVIRONMENT)}
     (target / MANIFEST).write_text(json_text(slim), encoding="utf-8")
     shutil.copy(checkpoint / POLICY, target / POLICY)

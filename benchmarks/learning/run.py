@@ -169,7 +169,7 @@ def evaluated(checkpoint: Path, episodes: int) -> dict[str, Any]:
         evaluation = evaluate(checkpoint, EvaluationSpec(episodes=episodes, seed=1000))
         evaluation.save(folder)
         print(f"  {checkpoint.name}: {episodes} episodes in {time.perf_counter() - began:.1f} s")
-    summary: dict[str, Any] = json.loads((folder / "evaluation.json").read_text())
+    summary: dict[str, Any] = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
     return summary
 
 
@@ -248,7 +248,7 @@ def sac(workdir: Path) -> dict[str, Any]:
         subprocess.run([*pip, "--target", str(folder), str(SAC_PACKAGE)], check=True)
         command = [sys.executable, __file__, str(workdir), "--only", "sac"]
         subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(folder)})
-        found: dict[str, Any] = json.loads(RESULTS.read_text())["sac"]
+        found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))["sac"]
         return {name: value for name, value in found.items() if name != "measured"}
     chosen = {
         "n_envs": 32,
@@ -502,7 +502,7 @@ def main() -> int:
     parser.add_argument("workdir", type=Path, help="directory for trainings; may be deleted afterwards")
     parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "plots"], help="some sections instead of all")
     options = parser.parse_args()
-    results: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    results: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     for name in options.only or [*SECTIONS, "plots"]:
         if name == "plots":
             plots(results)
@@ -513,7 +513,7 @@ def main() -> int:
             "measured": {"on": datetime.now(UTC).date().isoformat(), **machine()},
         }
         # another section may have been measured meanwhile
-        latest = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        latest = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
         results = {**latest, name: results[name]}
         RESULTS.write_text(json_text(results), encoding="utf-8")
     return 0

@@ -195,7 +195,7 @@ def _drop_superseded(session: Session, job: Job) -> None:
 def record_result(
     sessions: Sessions, lease: Lease, *, summary: Mapping[str, Any], key: str, manifest: Mapping[str, Any]
 ) -> None:
-    """Write the result of a leased evaluation; it counts once the state is succeeded. Raises LeaseLostError."""
+    """Write the result of a leased evaluation; it counts once the evaluation has succeeded. Raises LeaseLostError."""
     with sessions.begin() as session:
         evaluation = hold_as(session, lease, Evaluation)
         evaluation.summary = dict(summary)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 TEAM_FILE = "team.json"
 EXAMPLE = "example"
@@ -41,7 +40,7 @@ def example_name(skills: dict[str, str]) -> str:
     return f"{EXAMPLE}:{','.join(others)}" if others else EXAMPLE
 
 
-def team_command(found: Any, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def team_command(found: object, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the command of a ``team.json``, and the folders besides its own that the agents read.
 
     Raises:
@@ -64,5 +63,5 @@ def no_team_file(where: object) -> str:
     return f"{where}: no {TEAM_FILE}; write one such as {_COMMAND}"
 
 
-def _are_words(found: Any) -> bool:
+def _are_words(found: object) -> bool:
     return isinstance(found, list) and len(found) <= _MAX_WORDS and all(isinstance(word, str) for word in found)

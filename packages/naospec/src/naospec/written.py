@@ -64,7 +64,7 @@ def _add_preset(content: dict[str, Any], family: str | None) -> None:
             content[section] = {**{name: values[name] for name in values if name in fields}, **content[section]}
 
 
-def _plugin(section: str, value: Any) -> str | None:
+def _plugin(section: str, value: object) -> str | None:
     """Return the name of the plug-in that a section names, or None if validation will fail."""
     name = value.get("name") if isinstance(value, dict) else None
     return name if isinstance(name, str) and name in plugins.names(GROUPS[section]) else None
@@ -80,7 +80,7 @@ def _resolved_task(given: dict[str, Any], task: str, robot: str, robot_settings:
     return plugins.load(plugins.TASKS, task).resolve(settings, configured)
 
 
-def _steps_of(stages: Any) -> int | None:
+def _steps_of(stages: object) -> int | None:
     """Return the steps of all stages, candidates included; None if there are none, or validation will fail."""
     if not isinstance(stages, list | tuple) or not all(isinstance(stage, dict | Stage) for stage in stages):
         return None
