@@ -58,15 +58,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"robot": {"name": "t1", "onboard_sensing": True}, "task": "kick"},
         "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out",
     ),
-    "a walker that remembers more than the task": (
-        {"robot": "t1", "task": {"name": "kick", "walker": "t1-run-robust"}},
-        "task.walker: 't1-run-robust' is no bundled policy of robot t1 for task velocity that observes at most 0 "
-        "earlier steps; use t1-run",
-    ),
-    "a ball for a robot whose walkers remember": (
-        {"robot": "k1", "task": "dribble"},
-        "task: dribble is not possible with robot k1",
-    ),
     "a joint that the robot lacks": (
         {"robot": {"name": "k1", "kp": {"waist": 60}}},
         "robot.kp: kp: there is no joint 'waist'; name a group (head, arms, legs), a kind of joint (head_yaw,",

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from naosim.mujoco.embedded import MujocoSimulator
 from naosim.mujoco.settings import BoosterEmbeddedParameters
-from naosim.robots.booster import T1
+from naosim.robots import Robot
+from naosim.robots.booster import K1, T1
 from naosim.simulator import BALL, STEP_S, Scene, Starts
 from naospec import TrainingSpec
 from naosprint.rl.ppo import Rollout
@@ -29,10 +30,10 @@ PITCHED = T1.with_parameters({"head_pitch_rad": 0.6})
 FAST = BoosterEmbeddedParameters(engine="fast")
 
 
-def environment_of(n: int, *, seed: int = 0, **settings: Any) -> Environment:
+def environment_of(n: int, *, robot: Robot = PITCHED, seed: int = 0, **settings: Any) -> Environment:
     """Return n robots at their starts."""
-    parameters = Kick.resolve(KickSettings(name="kick", handover_states=8, **settings), PITCHED)
-    simulator = MujocoSimulator(PITCHED, n, FAST, scene=Kick.scene)
+    parameters = Kick.resolve(KickSettings(name="kick", handover_states=8, **settings), robot)
+    simulator = MujocoSimulator(robot, n, FAST, scene=Kick.scene)
     environment = Environment(simulator, Kick, parameters, seed, critic=True)
     environment.load_starts(environment.task.starts(2, seed, 2.0))
     environment.restart(np.arange(n), np.arange(n) % 2)
@@ -117,6 +118,24 @@ def test_only_a_walker_of_the_robot_can_take_over(walker: str) -> None:
     content = {"task": {"name": "kick", "walker": walker}, "robot": "t1", "total_steps": 1}
     with pytest.raises(ValidationError, match=rf"task.walker: '{walker}' is no bundled policy .* use t1-run"):
         TrainingSpec.model_validate(content)
+
+
+@pytest.mark.parametrize(
+    ("robot", "settings", "walker", "remembered"),
+    [
+        (T1, {}, "t1-run", 0),
+        (T1, {"walker": "t1-run-robust"}, "t1-run-robust", 2),
+        (T1, {"walker": "t1-run-robust", "history_steps": 3}, "t1-run-robust", 3),
+        (K1, {}, "k1-run", 2),
+    ],
+)
+def test_a_task_remembers_what_its_walker_does(
+    robot: Robot, settings: dict[str, Any], walker: str, remembered: int
+) -> None:
+    environment = environment_of(2, robot=robot, **settings)
+    task = task_of(environment)
+    assert (task.parameters.walker, task.parameters.history_steps) == (walker, remembered)
+    assert np.isfinite(task._walker.act(environment.observer, slice(0, 2))).all()
 
 
 def test_the_walker_takes_over_after_the_perceived_kick() -> None:

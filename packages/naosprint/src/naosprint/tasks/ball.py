@@ -20,7 +20,7 @@ from typing_extensions import TypeVar
 from naosprint.tasks.base import Task
 from naosprint.tasks.disturbances import DisturbanceSettings
 from naosprint.tasks.falls import FallSettings, with_min_height
-from naosprint.tasks.frozen import FrozenPolicy, bundled, require_policy
+from naosprint.tasks.frozen import FrozenPolicy, bundled, chosen
 from naosprint.tasks.handover import HandOver, record
 from naosprint.tasks.observations import ObservationBlock, blocks, seen_yaw
 from naosprint.tasks.penalties import PenaltySettings
@@ -65,10 +65,11 @@ class BallSettings(FallSettings, PenaltySettings, DisturbanceSettings):
     ranges: ClassVar[tuple[tuple[str, str], ...]] = (("ball_near_m", "ball_far_m"),)
     """Settings that are the lower and the upper end of a range."""
 
-    walker: PlainName = Field(
-        default="t1-run",
+    walker: PlainName | None = Field(
+        default=None,
         title="Walker",
-        description="Bundled policy that approaches the ball, and takes over after a kick.",
+        description="Bundled policy that approaches the ball, and takes over after a kick; left out: the robot's own. "
+        "The task observes at least as many earlier steps as this policy.",
     )
     handover_states: int = Field(
         default=1024,
@@ -141,24 +142,27 @@ class BallTask(Task[Settings], Generic[Settings]):
 
     @classmethod
     def supports(cls, robot: Robot) -> bool:
-        """Return whether the robot has a camera, and a bundled policy that needs no memory walks it."""
-        return robot.camera is not None and bool(bundled(robot.name, Velocity.name, 0))
+        """Return whether the robot has a camera, and a bundled policy walks it."""
+        return robot.camera is not None and bool(bundled(robot.name, Velocity.name))
 
     @classmethod
     def resolve(cls, parameters: Settings, robot: Robot) -> Settings:  # type: ignore[misc] # a task gets its own
-        """Return the settings with the robot's own minimum height where none is given."""
+        """Return the settings with walker, minimum height, and at least the earlier steps that the walker observes."""
         super().resolve(parameters, robot)
         if getattr(robot.parameters, "onboard_sensing", False):
             raise ValueError(
                 "robot.onboard_sensing: a robot that does not know its position cannot follow the ball's; leave it out"
             )
-        require_policy("task.walker", parameters.walker, robot.name, Velocity.name, parameters.history_steps)
-        return with_min_height(parameters, robot, robot_defaults(robot).fall_height_m)
+        walker = chosen(parameters.walker, "task.walker", robot.name, Velocity.name)
+        remembered = max(parameters.history_steps, bundled(robot.name, Velocity.name)[walker])
+        settings = parameters.model_copy(update={"walker": walker, "history_steps": remembered})
+        return with_min_height(settings, robot, robot_defaults(robot).fall_height_m)
 
     def __init__(self, parameters: Settings, world: World, seed: int = 0) -> None:
         super().__init__(parameters, world, seed)
         n = self.n
         self._min_height = float(parameters.min_height_m or 0.0)  # resolve has filled it in
+        assert parameters.walker is not None, "filled in by resolve"
         self._walker = FrozenPolicy(parameters.walker)
         self._radius = self.robot.field.ball_radius_m
         self._command: FloatArray = np.zeros((n, 3))  # the walker's: forward, sideways, turn
@@ -302,6 +306,7 @@ class BallTask(Task[Settings], Generic[Settings]):
             stand_fraction=0.2,
             command_steps=100,
             episode_steps=100_000,
+            history_steps=bundled(self.robot.name, Velocity.name)[self._walker.name],
         )
         states = min(settings.handover_states, 4 * count)
         return self.enter(record(self.world.simulator, self._walker, Velocity, walk, states, seed))

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from naosprint.arrays import FloatArray, IntArray
     from naosprint.tasks.observations import Observer
 
+_MOST_NAMED = 6
+"""Most observations that a message names."""
+
 
 class Acting(Protocol):
     """What a task needs of a policy."""
@@ -58,42 +61,47 @@ class FrozenPolicy:
         if names not in self._columns:
             missing = sorted(set(self.observations) - set(names))
             if missing:
-                raise ValueError(f"policy {self.name} cannot act here: it observes {', '.join(missing)}, too")
+                named = ", ".join(missing[:_MOST_NAMED]) + (" and others" if len(missing) > _MOST_NAMED else "")
+                raise ValueError(f"policy {self.name} cannot act here: it observes {named}, too")
             self._columns[names] = np.array([names.index(name) for name in self.observations])
         return self._policy.act(observer.observations[rows][:, self._columns[names]])
 
 
 @cache
-def bundled(robot: str, task: str, history_steps: int | None = None) -> tuple[str, ...]:
-    """Return the names of the bundled policies that move this robot and were last trained for this task.
+def bundled(robot: str, task: str) -> dict[str, int]:
+    """Return the bundled policies that move this robot and were last trained for this task.
 
-    Args:
-        robot: name of the robot.
-        task: name of the task.
-        history_steps: how many earlier steps they may observe; None: any number.
+    Returns:
+        How many earlier steps each observes, by name.
     """
-    found = []
+    found = {}
     for name in naopolicies.names():
         spec = naopolicies.spec(name)
         last = (spec.get("stages") or [{}])[-1]
         tasks = ({**section, "name": section.get("name", "")} for section in (last.get("task", {}), spec["task"]))
-        remembered = {**spec["task"], **last.get("task", {})}.get("history_steps", 0)
         trained = next((each["name"] for each in tasks if each["name"]), "")
-        fits = history_steps is None or remembered <= history_steps
-        if fits and (spec["robot"]["name"], trained) == (robot, task):
-            found.append(name)
-    return tuple(found)
+        if (spec["robot"]["name"], trained) == (robot, task):
+            found[name] = int({**spec["task"], **last.get("task", {})}.get("history_steps", 0))
+    return found
 
 
-def require_policy(setting: str, name: str, robot: str, task: str, history_steps: int) -> None:
-    """Check that a bundled policy exists, moves this robot, does this task and observes no more earlier steps.
+def chosen(name: str | None, setting: str, robot: str, task: str) -> str:
+    """Return a bundled policy that moves this robot and does this task.
+
+    Args:
+        name: the policy that is wanted; None: the first that fits.
+        setting: what names it in a specification.
+        robot: name of the robot.
+        task: name of the task.
 
     Raises:
         ValueError: naming the setting and the policies that can be used.
     """
-    fitting = bundled(robot, task, history_steps)
+    fitting = bundled(robot, task)
+    name = name or next(iter(fitting), None)
     if name not in fitting:
         raise ValueError(
-            f"{setting}: {name!r} is no bundled policy of robot {robot} for task {task} that observes at most "
-            f"{history_steps} earlier steps; use {' or '.join(fitting) or 'another robot'}"
+            f"{setting}: {name!r} is no bundled policy of robot {robot} for task {task}; "
+            f"use {' or '.join(fitting) or 'another robot'}"
         )
+    return name
