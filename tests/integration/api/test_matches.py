@@ -16,19 +16,19 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import imageio_ffmpeg
 import psutil
 import pytest
 from naojobs import matches
 from naojobs.capabilities import CONFINED_MATCH_TASK, Capabilities, waiting_reasons
 from naojobs.errors import LeaseLostError
 from naojobs.leases import Lease, MatchClaim
-from naojobs.matches import MatchRequest, StoredGame, standings
+from naojobs.matches import MatchRequest, StoredGame
 from naojobs.models import Match, Worker
 from naojobs.outcomes import lose, succeed, transition
 from naojobs.roles import Role
 from naojobs.states import WorkState
 from naojobs.store import ArtifactStore, game_key
-from naojobs.teams import MatchSpec, MatchTeam
 from naospec import TrainingSpec
 from naosprint.matches.log import GameLog
 from naosprint.matches.results import match_results
@@ -118,12 +118,15 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
 ) -> None:
     files = {"team.json": json.dumps(COMMAND), "player.py": STANDING}
     assert upload(admin, "standing", packed(files), owner="alice").status_code == 201
-    body = {"teams": ["example:walk=t1-run-robust", "standing"], "games": 2, "players": 1, "half_s": 2.0}
+    teams = ["example:walk=t1-run-robust", "standing"]
+    body = {"teams": teams, "games": 2, "players": 1, "half_s": 2.0, "film": "all"}
     made = client.post("/matches", json=body).raise_for_status().json()
     worker = start_worker()
     first = until(client, made["id"], lambda match: match["finished"])
     (game,) = first["finished"]
     until(client, made["id"], lambda match: match["live"] and match["live"]["game"] == 2)
+    playing = [each["matches"] for each in client.get("/workers").raise_for_status().json()["items"]]
+    assert playing == [[made["id"]]]
     worker.process.kill()
     worker.process.wait()
     start_worker()
@@ -139,6 +142,20 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
         (tmp_path / each["log"]["name"]).write_bytes(answer.content)
         logs.append(GameLog.load(tmp_path / each["log"]["name"]))
         assert logs[-1].goals == tuple(each["goals"])
+        film = client.get(each["film"]["url"]).raise_for_status()
+        assert hashlib.sha256(film.content).hexdigest() == each["film"]["sha256"]
+        (tmp_path / each["film"]["name"]).write_bytes(film.content)
+        pictures, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / each["film"]["name"]))
+        assert (pictures, seconds) == (len(logs[-1].mode), pytest.approx(0.04 * len(logs[-1].mode), abs=0.1))
+    history = client.get(f"/matches/{made['id']}/events").raise_for_status().json()
+    assert [each["kind"] for each in history if each["kind"] not in ("info", "warning")][:3] == [
+        *("queued", "claimed", "running"),
+    ]
+    assert history[-1]["kind"] == "succeeded"
+    lines = [each["message"] for each in history if each["kind"] == "info"]
+    for each in ended["finished"]:
+        assert f"game {each['number']} ended {each['goals'][0]}:{each['goals'][1]}" in lines
+    assert client.get(f"/matches/{made['id']}/events", params={"after": history[-2]["id"]}).json() == history[-1:]
     # both agents were confined, and the same numbers come from the logs again
     assert {"files", "TCP"} <= set(logs[0].notes["halves"][0]["enforced"])
     assert json.loads(json.dumps(match_results(logs))) == ended["summary"]
@@ -156,7 +173,7 @@ def test_a_match_survives_its_worker_and_keeps_the_games_that_are_over(
     assert client.get(f"/matches/{again['id']}").status_code == 404
 
 
-CAPABLE = Capabilities({"match": 1, CONFINED_MATCH_TASK: 1}, ["t1"], ["embedded"], [])
+CAPABLE = Capabilities({"match": 1, CONFINED_MATCH_TASK: 1}, ["t1"], ["match"], [])
 
 
 def play(sessions: Sessions, store: ArtifactStore, match_id: str, *goals: tuple[int, int]) -> MatchClaim:
@@ -344,22 +361,6 @@ def test_an_alias_requires_that_a_version_does_not_lose(
     assert (answer.status_code, "teams have no such skill" in answer.text) == (422, True)
     wanted["requirements"][0]["most"] = 0.1
     assert "give no_worse alone" in client.put(f"{path}/requirements", json=wanted).text
-
-
-def test_ratings_follow_results() -> None:
-    def spec(first: str, second: str) -> MatchSpec:
-        teams = (MatchTeam(name=first, identity=first), MatchTeam(name=second, identity=second))
-        return MatchSpec(teams=teams, games=1, players=1, half_s=1.0)
-
-    games = [(spec("a", "b"), (2, 0)), (spec("b", "a"), (1, 1)), (spec("a", "a"), (5, 0)), (spec("c", "a"), (0, 3))]
-    table = standings(games)
-    assert [team.name for team in table] == ["a", "b", "c"]
-    assert sum(team.rating for team in table) == pytest.approx(3 * 1500.0)
-    best = table[0]
-    assert (best.wins, best.draws, best.losses, best.goals) == (2, 1, 0, [6, 1])
-    # a win against an equal team moves by half of the step
-    (winner, loser) = standings(games[:1])
-    assert (winner.rating, loser.rating) == (1512.0, 1488.0)
 
 
 def test_requests_are_equal_only_if_everything_is() -> None:

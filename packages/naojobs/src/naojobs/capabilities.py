@@ -14,6 +14,8 @@ from naojobs.checkpoints import awaits_policy
 from naojobs.models import AnyWork, Job, Match, Work, Worker
 from naojobs.states import WorkState
 
+MATCH_QUEUE = "match"
+"""Queue in which matches wait, beside those of the simulators."""
 MATCH_TASK, CONFINED_MATCH_TASK, MATCH_VERSION = "match", "confined-match", 1
 """What workers have among their tasks that play matches, and those of uploaded teams, whose agents must be confined."""
 
@@ -49,6 +51,7 @@ class Capabilities:
     tasks: Mapping[str, int]
     robots: Sequence[str]
     simulators: Sequence[str]
+    """Also `MATCH_QUEUE` if it plays matches."""
     algorithms: Sequence[str]
 
     def meets(self, work: Work) -> bool:

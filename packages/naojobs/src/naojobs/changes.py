@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from naojobs.database import notify
 from naojobs.errors import ConflictError
-from naojobs.models import AnyWork, Evaluation, Event, Job, Match
+from naojobs.models import AnyWork, Evaluation, Event, Job, Match, MatchEvent
 from naojobs.states import ENDED, LEASED, WorkState, can_become
 from naojobs.webhooks import MessageType, publish
 
@@ -47,8 +47,7 @@ def change(work: AnyWork, target: WorkState) -> None:
 def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Mapping[str, Any] | None = None) -> None:
     """Add an event to the job's history; the caller holds the lock on the job's row.
 
-    Events of an evaluation are of kind `evaluation` and contain its id and state. A match keeps no history beyond its
-    columns.
+    Events of an evaluation are of kind `evaluation` and contain its id and state. Those of a match have no data.
     """
     if isinstance(work, Evaluation):
         event = Event(
@@ -63,6 +62,8 @@ def add_event(session: Session, work: AnyWork, kind: str, message: str, data: Ma
         event = Event(job_id=work.id, kind=kind, attempt=work.attempt, message=message, data=dict(data or {}))
         work.row_count += 1
         session.add(event)
+    else:
+        session.add(MatchEvent(match_id=work.id, kind=kind, attempt=work.attempt, message=message))
     notify(session, work.job_id)
     announce(session, work, kind)
 

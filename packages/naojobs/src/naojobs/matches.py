@@ -1,30 +1,31 @@
-"""Matches: their submission, what workers record of them, and the league."""
+"""Matches: their submission, and what workers record of them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from naospec.teams import ROBOT
 from sqlalchemy import func, select, update
 
-from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, MATCH_VERSION, Requirements
+from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_QUEUE, MATCH_TASK, MATCH_VERSION, Requirements
 from naojobs.changes import add_event
 from naojobs.database import Sessions, notify
 from naojobs.ids import new_id
 from naojobs.leases import Lease, held_by, hold_as, lost
-from naojobs.models import Match, MatchGame
-from naojobs.notifications import DEFAULT_QUEUE
+from naojobs.models import Match, MatchEvent, MatchGame
 from naojobs.quotas import NO_LIMITS, Limits, Quota, require_room
 from naojobs.states import WorkState
 from naojobs.store import StoreManifest
 from naojobs.submission import same_request
-from naojobs.teams import MatchSpec, find_team
+from naojobs.teams import Film, MatchSpec, find_team
 
 MAX_GAMES = 1000
+MAX_LINE_CHARS = 8_000
+"""Longer lines of a match's log are truncated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,7 @@ class MatchRequest:
     players: int
     half_s: float
     gate: bool = False
+    film: Film = "goals"
     priority: int = 5
     max_attempts: int = 3
 
@@ -75,6 +77,7 @@ def submit_match(
             players=request.players,
             half_s=request.half_s,
             gate=request.gate,
+            film=request.film,
         )
         uploaded = any(team.team_id is not None for team in spec.teams)
         task = CONFINED_MATCH_TASK if uploaded else MATCH_TASK
@@ -82,7 +85,7 @@ def submit_match(
             id=new_id("match"),
             owner=owner,
             spec=spec.model_dump(mode="json"),
-            **asdict(Requirements(task, MATCH_VERSION, ROBOT, DEFAULT_QUEUE, "")),
+            **asdict(Requirements(task, MATCH_VERSION, ROBOT, MATCH_QUEUE, "")),
             priority=request.priority,
             max_attempts=request.max_attempts,
             state=WorkState.QUEUED,
@@ -123,6 +126,25 @@ def record_game(sessions: Sessions, lease: Lease, game: StoredGame, summary: Map
         notify(session, match.id)
 
 
+def append_lines(sessions: Sessions, lease: Lease, lines: Iterable[tuple[str, str]]) -> None:
+    """Add lines to the log of a leased match, each with its level. Raises LeaseLostError."""
+    with sessions.begin() as session:
+        match = hold_as(session, lease, Match)
+        for level, text in lines:
+            line = {"kind": level, "message": text[:MAX_LINE_CHARS]}
+            session.add(MatchEvent(match_id=match.id, attempt=match.attempt, **line))
+        notify(session, match.id)
+
+
+def events_of(sessions: Sessions, match_id: str, *, limit: int, after: int | None) -> list[MatchEvent]:
+    """Return up to `limit` events and lines of a match's log after the one with the id `after`, oldest first."""
+    wanted = select(MatchEvent).where(MatchEvent.match_id == match_id).order_by(MatchEvent.id).limit(limit)
+    if after is not None:
+        wanted = wanted.where(MatchEvent.id > after)
+    with sessions() as session:
+        return list(session.scalars(wanted))
+
+
 def record_moment(sessions: Sessions, lease: Lease, moment: Mapping[str, Any]) -> None:
     """Write where robots and ball of a running game are. Raises LeaseLostError."""
     with sessions.begin() as session:
@@ -135,57 +157,3 @@ def games_of(sessions: Sessions, match_id: str) -> list[MatchGame]:
     """Return the games of a match that are over, by number."""
     with sessions() as session:
         return list(session.scalars(select(MatchGame).where(MatchGame.match_id == match_id).order_by(MatchGame.number)))
-
-
-# --- league -----------------------------------------------------------------------------------------------------------
-
-_START, _SCALE, _STEP = 1500.0, 400.0, 24.0
-
-
-@dataclass(slots=True)
-class Standing:
-    """Place of a team in the league."""
-
-    name: str
-    identity: str
-    rating: float = _START
-    wins: int = 0
-    draws: int = 0
-    losses: int = 0
-    goals: list[int] = field(default_factory=lambda: [0, 0])
-    """Its own goals and those against it."""
-
-
-def standings(games: Iterable[tuple[MatchSpec, Sequence[int]]]) -> list[Standing]:
-    """Return the teams of some games, the highest rating first. Elo (1978).
-
-    Each game, in their order, moves both ratings by what it differs from what they predict::
-
-        expected = 1 / (1 + 10 ** ((other - own) / 400))
-        own += 24 * (score - expected)      score: 1 for a win, 0.5 for a draw, 0 for a loss
-    """
-    table: dict[str, Standing] = {}
-    for spec, (goals, against) in games:
-        first, second = spec.teams
-        if first.identity == second.identity:
-            continue  # a team against itself says nothing
-        home, away = (table.setdefault(team.identity, Standing(team.name, team.identity)) for team in spec.teams)
-        score = 0.5 if goals == against else float(goals > against)
-        change = _STEP * (score - 1.0 / (1.0 + 10.0 ** ((away.rating - home.rating) / _SCALE)))
-        for team, sign, own, other in ((home, 1, goals, against), (away, -1, against, goals)):
-            team.rating += sign * change
-            team.wins += own > other
-            team.draws += own == other
-            team.losses += own < other
-            team.goals = [team.goals[0] + own, team.goals[1] + other]
-    return sorted(table.values(), key=lambda team: -team.rating)
-
-
-def league(sessions: Sessions, owner: str | None) -> list[Standing]:
-    """Return the standings over all games of an owner's matches; none for those of all owners."""
-    rows = select(Match.spec, MatchGame.goals).join(MatchGame, MatchGame.match_id == Match.id)
-    if owner is not None:
-        rows = rows.where(Match.owner == owner)
-    with sessions() as session:
-        found = session.execute(rows.order_by(MatchGame.finished_at, MatchGame.match_id, MatchGame.number)).all()
-    return standings((MatchSpec.model_validate(spec), goals) for spec, goals in found)

@@ -334,6 +334,22 @@ class Match(Work, Base):
         return self.id
 
 
+class MatchEvent(Base):
+    """Event in the history of a match, or line of its log."""
+
+    __tablename__ = "match_events"
+
+    id: Mapped[int] = mapped_column(BigInteger, Identity(), primary_key=True)
+    match_id: Mapped[str] = mapped_column(ForeignKey("matches.id", ondelete="CASCADE"))
+    at: Mapped[datetime] = mapped_column(server_default=func.now())
+    kind: Mapped[str] = mapped_column(String(40))
+    """Kind of an event, as for jobs, or level of a line: info, warning, error."""
+    attempt: Mapped[int] = mapped_column(Integer)
+    message: Mapped[str]
+
+    __table_args__ = (Index("ix_match_events_match_id_id", "match_id", "id"),)
+
+
 class MatchGame(Base):
     """Game of a match that is over."""
 

@@ -7,20 +7,22 @@ from datetime import timedelta
 
 from sqlalchemy import delete, func, select
 from sqlalchemy.dialects.postgresql import insert
+from sqlalchemy.orm import Session
 
 from naojobs.capabilities import Capabilities
 from naojobs.database import Sessions, one_statement
 from naojobs.leases import read_lease_clock
-from naojobs.models import Job, Worker
+from naojobs.models import Job, Match, Worker
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerStatus:
-    """Registered worker, whether it is alive by the database's clock, and the jobs that it has leased."""
+    """Registered worker, whether it is alive by the database's clock, and the jobs and matches that it has leased."""
 
     row: Worker
     alive: bool
     jobs: tuple[str, ...]
+    matches: tuple[str, ...]
 
 
 def beat(
@@ -72,13 +74,27 @@ def workers(
         if after is not None:
             statement = statement.where(Worker.id > after)
         rows = session.execute(statement).all()
-        held: dict[str, list[str]] = {}
-        for owner, job_id in session.execute(select(Job.lease_owner, Job.id).where(Job.lease_owner.is_not(None))):
-            held.setdefault(str(owner), []).append(job_id)
-        return [WorkerStatus(worker, is_alive, tuple(sorted(held.get(worker.id, ())))) for worker, is_alive in rows]
+        jobs, matches = _held(session, Job), _held(session, Match)
+        return [
+            WorkerStatus(worker, is_alive, tuple(jobs.get(worker.id, ())), tuple(matches.get(worker.id, ())))
+            for worker, is_alive in rows
+        ]
 
 
-def leased_jobs_of(sessions: Sessions, owner: str) -> frozenset[str]:
-    """Return the ids of the jobs of `owner` that a worker has leased."""
+def _held(session: Session, model: type[Job | Match]) -> dict[str, list[str]]:
+    """Return the ids of leased work by worker, in order."""
+    held: dict[str, list[str]] = {}
+    rows = select(model.lease_owner, model.id).where(model.lease_owner.is_not(None)).order_by(model.id)
+    for worker, work_id in session.execute(rows):
+        held.setdefault(str(worker), []).append(work_id)
+    return held
+
+
+def leased_of(sessions: Sessions, owner: str) -> frozenset[str]:
+    """Return the ids of the jobs and matches of `owner` that a worker has leased."""
     with sessions.begin() as session:
-        return frozenset(session.scalars(select(Job.id).where(Job.owner == owner, Job.lease_owner.is_not(None))))
+        return frozenset(
+            work_id
+            for model in (Job, Match)
+            for work_id in session.scalars(select(model.id).where(model.owner == owner, model.lease_owner.is_not(None)))
+        )

@@ -43,6 +43,7 @@ RIGHTS: Mapping[str, Mapping[Role, str | tuple[str, ...]]] = {
     "jobs": {Role.API: "SIUD", Role.WORKER: "SIU"},
     "lease_clocks": {Role.WORKER: "SU"},
     "logs": {Role.API: "S", Role.WORKER: "SI"},
+    "match_events": {Role.API: "SI", Role.WORKER: "SI"},
     "matches": {Role.API: "SIUD", Role.WORKER: "SU"},
     "metrics": {Role.API: "S", Role.WORKER: "SIUD"},
     "policies": {Role.API: "SIUD", Role.WORKER: "S"},

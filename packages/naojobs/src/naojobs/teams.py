@@ -7,6 +7,7 @@ import io
 import json
 import tarfile
 from collections.abc import Iterable
+from typing import Literal
 from zlib import error as ZlibError
 
 import naopolicies
@@ -28,6 +29,8 @@ from naojobs.store import ArtifactStore, StoreManifest, team_key
 
 ARCHIVE = "team.tar"
 """Name of a team's archive in the store."""
+Film = Literal["off", "goals", "all"]
+"""What is filmed of a game: nothing, what led to goals, or all of it."""
 MAX_TEAM_BYTES, MAX_TEAM_FILES = 64 << 20, 2_000
 """Bytes and files of an unpacked team."""
 
@@ -55,6 +58,8 @@ class MatchSpec(BaseModel):
     games: int
     players: int
     half_s: float
+    film: Film = "off"
+    """What is filmed of every game."""
     gate: bool = False
     """Whether the match ends as soon as a sequential test has decided whether the first team does not lose."""
 

@@ -15,7 +15,8 @@ from naosprint_api.problems import FieldError, ProblemError, problem_response
 from naosprint_api.telemetry import Telemetry
 
 CONTENT_SECURITY_POLICY = (
-    "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'"
+    "default-src 'self'; media-src 'self' blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
+    "object-src 'none'"
 )
 """Pages load resources only from this service, and cannot be framed."""
 

@@ -12,6 +12,7 @@ from naojobs.promotion import MOST_REQUIREMENTS, Requirement
 from naojobs.scopes import Scope
 from naojobs.states import WorkState
 from naojobs.submission import MAX_GROUP_SIZE, GroupRequest, JobRequest
+from naojobs.teams import Film
 from naojobs.webhooks import MessageType
 from naospec import EvaluationSpec, TrainingSpec, formats
 from naospec.search import SearchSpec
@@ -420,6 +421,11 @@ class MatchCreate(_Request):
     gate: bool = Field(
         False, description="Whether to end as soon as a sequential test has decided if the first team does not lose."
     )
+    film: Film = Field(
+        "goals",
+        description="What is filmed of each game: nothing (`off`), what led to goals, or all of it. Workers without "
+        "imageio-ffmpeg make no film.",
+    )
     priority: int = Field(5, ge=0, le=9, description="0 to 9; work with a higher priority starts first.")
     max_attempts: int = Field(3, ge=1, le=10, description="Attempts that may be lost before the match fails.")
 
@@ -436,6 +442,17 @@ class GamePublic(_Public):
     lost: list[dict[str, Any]] = Field(description="Players that crashed, hung or never came, with the reasons.")
     finished_at: datetime
     log: FilePublic = Field(description="Its log: where all robots and the ball were, 25 times a second.")
+    film: FilePublic | None = Field(None, description="Its film (MP4); null if none was made.")
+
+
+class MatchEventPublic(_Public):
+    """Event in the history of a match, or line of its log."""
+
+    id: int
+    at: datetime
+    kind: str = Field(description="Kind of an event, as for jobs; of a line its level: info, warning or error.")
+    attempt: int
+    message: str
 
 
 class MatchPublic(BaseModel):
@@ -449,6 +466,7 @@ class MatchPublic(BaseModel):
     players: int
     half_s: float
     gate: bool
+    film: Film = Field(description="What is filmed of each game: nothing, what led to goals, or all of it.")
     played: int = Field(description="Games that are over.")
     wins: int = Field(description="Games that the first team has won.")
     draws: int
@@ -487,7 +505,7 @@ class StandingPublic(_Public):
     """Place of a team in the league."""
 
     name: str
-    rating: float = Field(description="Elo rating; a team begins with 1500.")
+    rating: float = Field(description="Elo rating, fitted to all games; 1500 is average.")
     wins: int
     draws: int
     losses: int
@@ -757,6 +775,7 @@ class WorkerPublic(_Public):
     heartbeat_at: datetime
     alive: bool = Field(description="Whether its last heartbeat is recent.")
     jobs: list[str] = Field(description="Its leased jobs.")
+    matches: list[str] = Field([], description="Its leased matches.")
 
 
 class WorkerPage(Page[WorkerPublic]):

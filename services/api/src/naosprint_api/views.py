@@ -96,6 +96,7 @@ def match_view(match: Match, waiting_reason: str | None = None) -> MatchPublic:
     given = {
         "teams": [team["name"] for team in spec["teams"]],
         **{name: spec[name] for name in ("games", "players", "half_s", "gate")},
+        "film": spec.get("film", "off"),
         "played": summary.get("games", 0),
         **{name: summary.get(name, 0) for name in ("wins", "draws", "losses")},
         "waiting_reason": waiting_reason,
@@ -109,10 +110,12 @@ def match_details(match: Match, shown: MatchPublic, games: Iterable[MatchGame]) 
     """Return a match with its results and the games that are over."""
     finished = []
     for game in games:
-        (file,) = files_view(StoreManifest.model_validate(game.manifest), "")
-        log = file.model_copy(update={"url": f"/matches/{match.id}/games/{game.number}/log"})
-        seen = {name: getattr(game, name) for name in GamePublic.model_fields if name != "log"}
-        finished.append(GamePublic.model_validate({**seen, "log": log}))
+        files = {}
+        for file in files_view(StoreManifest.model_validate(game.manifest), ""):
+            kind = "film" if file.name.endswith(".mp4") else "log"
+            files[kind] = file.model_copy(update={"url": f"/matches/{match.id}/games/{game.number}/{kind}"})
+        seen = {name: getattr(game, name) for name in GamePublic.model_fields if name not in ("log", "film")}
+        finished.append(GamePublic.model_validate({**seen, **files}))
     return MatchDetails(
         **shown.model_dump(),
         summary=match.summary,
@@ -124,9 +127,11 @@ def match_details(match: Match, shown: MatchPublic, games: Iterable[MatchGame]) 
 
 
 def worker_view(worker: WorkerStatus, visible: Container[str] | None = None) -> WorkerPublic:
-    """Return a worker with those of its jobs that are in `visible`, all if it is none."""
-    jobs = [job for job in worker.jobs if visible is None or job in visible]
-    given = {"alive": worker.alive, "jobs": jobs, "queues": worker.row.simulators}
+    """Return a worker with those of its jobs and matches that are in `visible`, all if it is none."""
+    jobs, matches = (
+        [each for each in held if visible is None or each in visible] for held in (worker.jobs, worker.matches)
+    )
+    given = {"alive": worker.alive, "jobs": jobs, "matches": matches, "queues": worker.row.simulators}
     names = (name for name in WorkerPublic.model_fields if name not in given)
     return WorkerPublic.model_validate({**given, **{name: getattr(worker.row, name) for name in names}})
 

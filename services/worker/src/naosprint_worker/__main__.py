@@ -54,7 +54,7 @@ def _run() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # until Celery has its own handler
     try:
         worker.start()
-        return serve(make_application(settings, worker), worker, settings)
+        return serve(make_application(settings, worker), worker)
     finally:
         worker.close()
 

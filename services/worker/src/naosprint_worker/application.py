@@ -36,11 +36,11 @@ def make_application(settings: WorkerSettings, worker: WorkLoop) -> Celery:
     return app
 
 
-def serve(app: Celery, worker: WorkLoop, settings: WorkerSettings) -> int:
+def serve(app: Celery, worker: WorkLoop) -> int:
     """Receive messages until SIGTERM and return the exit status."""
 
     def on_ready(**_: Any) -> None:
-        logger.info("worker %s receives messages of %s", worker.id, ", ".join(settings.worker_queues))
+        logger.info("worker %s receives messages of %s", worker.id, ", ".join(worker.queues))
 
     def on_shutting_down(**_: Any) -> None:
         worker.shut_down()
@@ -54,7 +54,7 @@ def serve(app: Celery, worker: WorkLoop, settings: WorkerSettings) -> int:
     controller = app.Worker(
         pool="threads",
         concurrency=1,
-        queues=list(settings.worker_queues),
+        queues=list(worker.queues),
         hostname=f"naosprint@{worker.id}",
         without_mingle=True,
         without_gossip=True,

@@ -6,7 +6,8 @@ import logging
 import os
 from collections.abc import Iterator
 
-from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_TASK, MATCH_VERSION, Capabilities
+from naojobs.capabilities import CONFINED_MATCH_TASK, MATCH_QUEUE, MATCH_TASK, MATCH_VERSION, Capabilities
+from naojobs.notifications import DEFAULT_QUEUE
 from naosim.mujoco.program import PROGRAM_VARIABLE, missing_server
 from naospec import plugins
 from naosprint.matches.confine import NETWORK_VERSION, landlock_version
@@ -18,16 +19,19 @@ logger = logging.getLogger(__name__)
 
 def installed_capabilities(settings: WorkerSettings) -> Capabilities:
     """Return installed tasks and algorithms, simulators that the settings allow, and robots that one of them runs."""
+    matches = _matches(settings)
     return Capabilities(
-        tasks={name: task.version for name, task in plugins.usable(plugins.TASKS)} | _matches(settings),
+        tasks={name: task.version for name, task in plugins.usable(plugins.TASKS)} | matches,
         robots=list(_robots(settings)),
-        simulators=list(settings.worker_queues),
+        simulators=[*settings.worker_queues, *([MATCH_QUEUE] if matches else [])],
         algorithms=[name for name, _ in plugins.usable(plugins.LEARNERS)],
     )
 
 
 def _matches(settings: WorkerSettings) -> dict[str, int]:
     """Return the kinds of matches that this machine can play, as tasks with their versions; log why not all."""
+    if DEFAULT_QUEUE not in settings.worker_queues:
+        return {}
     environment = {**os.environ, **settings.server_environment}
     reason = missing_server(environment)
     if environment.get(PROGRAM_VARIABLE, "").startswith("docker:"):

@@ -21,6 +21,7 @@ from naojobs.matches import StoredGame
 from naojobs.states import WorkState
 from naojobs.store import StoreError, StoreManifest, game_key, new_nonce
 from naojobs.teams import ARCHIVE, MatchTeam
+from naosprint.matches.film import film_name, goal_frames, write_game_film
 from naosprint.matches.game import GameSettings, Moment, ServerFailedError, TeamFailedError
 from naosprint.matches.log import GameLog
 from naosprint.matches.match import MatchStoppedError, log_name, play_match
@@ -59,6 +60,8 @@ class _Match:
         self._logs: dict[int, GameLog] = {}
         self._folder = services.workdir / "logs"
         self._gate = Gate()
+        self._running: set[int] = set()
+        """Numbers of the games that run; the first of them is shown."""
 
     def play(self) -> None:
         """Play what is not over yet and record every game."""
@@ -73,14 +76,19 @@ class _Match:
         self._database(
             lambda: outcomes.transition(services.sessions, claim.lease, WorkState.RUNNING, message="running")
         )
+        at_a_time = min(spec.games, services.settings.games_at_a_time)
+        if at_a_time > 1:
+            self._note("info", f"{at_a_time} games at a time")
         play_match(
             (first, second),
             (spec.teams[0].name, spec.teams[1].name),
             spec.games,
             GameSettings(players=spec.players, half_s=spec.half_s),
             self._folder,
+            parallel=at_a_time,
             stop=services.step,
             watch=self._watch,
+            process=self._film,
             played=self._record,
             enough=lambda logs: spec.gate and self._verdict(logs) is not Verdict.OPEN,
         )
@@ -105,9 +113,39 @@ class _Match:
         return write_example(folder, checkpoints)
 
     def _watch(self, game: int, moment: Moment) -> None:
-        """Show where robots and ball are; a moment that cannot be written is left out."""
+        """Show where robots and ball of the first running game are; a moment that cannot be written is left out."""
+        if game not in self._running:
+            self._running.add(game)
+            self._note("info", f"game {game} has kicked off")
+        if game != min(self._running):
+            return
         with contextlib.suppress(*DATABASE_ERRORS):
             matches.record_moment(self._services.sessions, self._claim.lease, {"game": game, **asdict(moment)})
+
+    def _film(self, number: int, log: GameLog) -> None:
+        """Film a game, if that is requested and possible."""
+        self._running.discard(number)
+        wanted = self._claim.spec.film
+        frames = goal_frames(log) if wanted == "goals" else None
+        if wanted == "off" or frames == []:
+            return
+        path = self._game_folder(number) / film_name(number)
+        try:
+            write_game_film(log, path, frames=frames, stop=self._stop)
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            self._note("warning", f"game {number} has no film: {error}")
+
+    def _stop(self) -> None:
+        """Raise MatchStoppedError if the match was asked to stop."""
+        if self._services.step():
+            raise MatchStoppedError
+
+    def _game_folder(self, number: int) -> Path:
+        """Return the folder of what is stored of a game."""
+        folder = self._services.workdir / f"game-{number}"
+        folder.mkdir(exist_ok=True)
+        return folder
 
     def _record(self, number: int, log: GameLog) -> None:
         """Store a game that is over with the results so far."""
@@ -115,8 +153,7 @@ class _Match:
         if number in self._claim.games:
             return
         services, lease = self._services, self._claim.lease
-        folder = services.workdir / f"game-{number}"
-        folder.mkdir()
+        folder = self._game_folder(number)
         (folder / log_name(number)).hardlink_to(self._folder / log_name(number))
         key = game_key(lease.id, number, lease.attempt, new_nonce())
         manifest = retry(
@@ -128,6 +165,11 @@ class _Match:
         lost = [{"half": half, **each} for half, notes in enumerate(log.notes["halves"]) for each in notes["lost"]]
         game = StoredGame(number, log.goals, lost, key, manifest)
         self._database(lambda: matches.record_game(services.sessions, lease, game, self._summary()))
+        self._note("info", f"game {number} ended {log.goals[0]}:{log.goals[1]}")
+        for each in lost:
+            who = f"{log.teams[each['team']]}, player {each['number']}"
+            when = f"game {number}, half {each['half'] + 1}, {each['clock_s']:.0f} s"
+            self._note("warning", f"{when}: lost {who}: {each['reason']}")
 
     def _summary(self) -> dict[str, Any]:
         logs = [log for _, log in sorted(self._logs.items())]
@@ -143,6 +185,11 @@ class _Match:
 
     def _verdict(self, logs: list[GameLog]) -> Verdict:
         return self._gate.verdict(log.goals[0] - log.goals[1] for log in logs)
+
+    def _note(self, level: str, text: str) -> None:
+        """Add a line to the match's log; one that cannot be written is left out."""
+        with contextlib.suppress(*DATABASE_ERRORS):
+            matches.append_lines(self._services.sessions, self._claim.lease, [(level, text)])
 
     def _database(self, call: Callable[[], object]) -> None:
         patience_s = self._services.settings.worker_patience_s

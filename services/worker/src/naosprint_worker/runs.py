@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
 
-from naojobs import leases, outcomes, records
+from naojobs import leases, matches, outcomes, records
 from naojobs.errors import ConflictError, LeaseLostError
 from naojobs.leases import Claim, EvaluationClaim, JobClaim
 from naojobs.models import WorkKind
@@ -203,13 +203,14 @@ class Run:
         )
 
     def _log_ending(self, ending: Ending) -> None:
-        """Write the child's last output to the job's log; requires the job's lease."""
-        if self.kind is not WorkKind.JOB:
+        """Write the child's last output to the log of its job or match; requires the lease."""
+        text = ending.outcome.traceback if ending.outcome else ending.last_output
+        if not text.strip():
             return
-        lines = [ending.outcome.traceback if ending.outcome else "", ending.last_output if not ending.outcome else ""]
-        records.append_logs(
-            self._context.sessions, self._lease, [LogLine("error", text) for text in lines if text.strip()]
-        )
+        if self.kind is WorkKind.JOB:
+            records.append_logs(self._context.sessions, self._lease, [LogLine("error", text)])
+        elif self.kind is WorkKind.MATCH:
+            matches.append_lines(self._context.sessions, self._lease, [("error", text)])
 
     def _give_way(self) -> None:
         """Queue the work again: together with the worker's other children it needed too much memory."""

@@ -29,6 +29,12 @@ class WorkerSettings(ServiceSettings):
         le=256,
         description="Jobs that this worker runs in parallel, besides one evaluation that a user requests.",
     )
+    worker_games: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="Games of a match that run at a time; left out: one for every two processors of each slot.",
+    )
     worker_dir: Path = Field(
         default_factory=lambda: Path(tempfile.gettempdir()) / f"naosprint-{os.getuid()}",
         description="Folder for the files of running attempts; emptied attempt by attempt.",
@@ -188,6 +194,11 @@ class WorkerSettings(ServiceSettings):
             RCSSSERVER3D_VARIABLE: self.simserver,
             RCSSSERVERMJ_VARIABLE: self.rcssservermj,
         }
+
+    @property
+    def games_at_a_time(self) -> int:
+        """Return how many games of a match run at a time."""
+        return self.worker_games or max(1, len(os.sched_getaffinity(0)) // (2 * self.worker_concurrency))
 
     @property
     def retention(self) -> Retention | None:

@@ -10,7 +10,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from naojobs import leases, registry, retention
@@ -75,6 +75,11 @@ class WorkLoop:
         self._threads: list[threading.Thread] = []
         self._worked_at = time.monotonic()
 
+    @property
+    def queues(self) -> Sequence[str]:
+        """Queues whose work it claims."""
+        return self._context.capabilities.simulators
+
     def start(self) -> None:
         """Register and start to claim work, without waiting for the broker."""
         settings = self._settings
@@ -92,7 +97,7 @@ class WorkLoop:
             thread = threading.Thread(target=self._repeat, args=(name, period_s, duty, wake), name=name, daemon=True)
             thread.start()
             self._threads.append(thread)
-        logger.info("worker %s is ready for %s", self.id, ", ".join(settings.worker_queues))
+        logger.info("worker %s is ready for %s", self.id, ", ".join(self.queues))
 
     def wake_up(self, work_id: str) -> None:
         """Look for work at once; return only when a slot is free, so that a busy worker holds back further messages."""
@@ -176,7 +181,7 @@ class WorkLoop:
             logger.exception("a run failed")
         finally:
             if self._stopping.is_set():  # this worker takes it no more
-                self._wake_others((run.id, queue) for queue in self._settings.worker_queues)
+                self._wake_others((run.id, queue) for queue in self.queues)
             with self._changed:
                 del self._runs[run]
                 self._changed.notify_all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import tarfile
 import time
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote
@@ -24,6 +25,14 @@ from naoctl.transfer import RemoteFile, fetch
 
 _POLL_S = 2.0
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
+
+
+class Film(StrEnum):
+    """What is filmed of a game."""
+
+    OFF = "off"
+    GOALS = "goals"
+    ALL = "all"
 
 
 class _Group(TyperGroup):
@@ -64,6 +73,9 @@ def play(
     gate: Annotated[
         bool, typer.Option("--gate", help="Stop as soon as a test has decided whether A does not lose.")
     ] = False,
+    film: Annotated[
+        Film, typer.Option(help="What to film of each game: nothing, what led to goals, or all of it.")
+    ] = Film.GOALS,
     priority: Annotated[int, typer.Option(min=0, max=9, help="0 to 9; higher starts first.")] = 5,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end and print the results.")] = False,
     as_json: JsonFlag = False,
@@ -72,7 +84,8 @@ def play(
     context = context_of(ctx)
     body = {
         "teams": [first, second],
-        **{"games": games, "players": players, "half_s": seconds, "gate": gate, "priority": priority},
+        **{"games": games, "players": players, "half_s": seconds, "gate": gate},
+        **{"film": film.value, "priority": priority},
     }
     with context.client() as client:
         match = hand_in(client, "/matches", body, None)
@@ -175,11 +188,12 @@ def show_match(ctx: typer.Context, match: Reference = "last", as_json: JsonFlag 
         if found[name]
     ]
     context.out.print(pairs(rows))
-    table = listing("Game", "Goals", "Log", "Lost players")
+    table = listing("Game", "Goals", "Log", "Film", "Lost players")
     for game in found["finished"]:
         lost = ", ".join(f"{'AB'[each['team']]}{each['number']} ({each['reason'][:40]})" for each in game["lost"])
         goals = f"{game['goals'][0]}:{game['goals'][1]}"
-        table.add_row(str(game["number"]), goals, size(game["log"]["size"]), cell(lost or MISSING))
+        film = size(game["film"]["size"]) if game["film"] else MISSING
+        table.add_row(str(game["number"]), goals, size(game["log"]["size"]), film, cell(lost or MISSING))
     if found["finished"]:
         context.out.print(table)
 
@@ -191,16 +205,22 @@ def report_match(
     logs: Annotated[
         Path | None, typer.Option("--logs", metavar="FOLDER", help="Download the logs of the games there, too.")
     ] = None,
+    films: Annotated[
+        Path | None, typer.Option("--films", metavar="FOLDER", help="Download the films of the games there, too.")
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Print the results of a match: goals, possession, falls, kicks and more, with intervals."""
     context = context_of(ctx)
     with context.client() as client:
         found = find_match(client, match)
-        if logs is not None:
-            logs.mkdir(parents=True, exist_ok=True)
+        for folder, kind in ((logs, "log"), (films, "film")):
+            if folder is None:
+                continue
+            folder.mkdir(parents=True, exist_ok=True)
             for game in found["finished"]:
-                fetch(client, RemoteFile(**game["log"]), logs)
+                if game[kind]:
+                    fetch(client, RemoteFile(**game[kind]), folder)
     if as_json:
         context.json(found["summary"])
     else:
@@ -218,6 +238,23 @@ def _print_results(context: Context, match: dict[str, Any]) -> None:
     if "verdict" in match["summary"]:
         first, second = map(plain, match["teams"])
         context.note(f"{first} {match['summary']['verdict']} against {second}")
+
+
+@app.command("logs")
+def show_log(ctx: typer.Context, match: Reference = "last", as_json: JsonFlag = False) -> None:
+    """Print the history of a match and the lines of its log, oldest first."""
+    context = context_of(ctx)
+    with context.client() as client:
+        path, found = f"/matches/{find_match(client, match)['id']}/events", []
+        while page := client.get(path, limit=200, after=found[-1]["id"] if found else None):
+            found += page
+    if as_json:
+        context.json(found)
+        return
+    table = listing("At", "Attempt", "Kind", "Message")
+    for event in found:
+        table.add_row(ago(event["at"]), str(event["attempt"]), cell(event["kind"]), cell(event["message"]))
+    context.out.print(table)
 
 
 def _act(ctx: typer.Context, match: str, action: str, *, as_json: bool) -> None:

@@ -74,21 +74,21 @@ def logout(
 
 
 def workers(ctx: typer.Context, as_json: JsonFlag = False) -> None:
-    """List the workers and their jobs."""
+    """List the workers with their jobs and matches."""
     context = context_of(ctx)
     with context.client() as client:
         found = client.every("/workers")
     if as_json:
         context.json(found)
         return
-    table = listing("ID", "Simulators", "Robots", "Jobs", "Free disk", "Last seen", "Version")
+    table = listing("ID", "Queues", "Robots", "Works on", "Free disk", "Last seen", "Version")
     for worker in found:
         seen = ago(worker["heartbeat_at"]) + ("" if worker["alive"] else " (lost)")
         table.add_row(
             cell(worker["id"]),
             cell(", ".join(worker["simulators"])),
             cell(", ".join(worker["robots"])),
-            ", ".join(worker["jobs"]) or MISSING,
+            ", ".join(worker["jobs"] + worker["matches"]) or MISSING,
             MISSING if worker["disk_free_bytes"] is None else size(worker["disk_free_bytes"]),
             seen,
             cell(worker["version"]),

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from naosprint.analysis.scene import Camera, robot_polygons, scale
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from naosprint.analysis.replay import Replay
@@ -139,16 +139,31 @@ def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None
     Raises:
         OSError: if imageio-ffmpeg is not installed.
     """
+    chosen = range(len(replay.positions)) if frames is None else frames
+    write_film(path, _pictures(replay, chosen), size=(WIDTH_PX, HEIGHT_PX), rate=round(1.0 / STEP_S))
+
+
+def write_film(path: Path, pictures: Iterable[ByteArray], *, size: tuple[int, int], rate: int) -> None:
+    """Write pictures as an H.264 film.
+
+    Args:
+        path: file to write.
+        pictures: (height, width, 3) each.
+        size: width and height, both even.
+        rate: pictures a second.
+
+    Raises:
+        OSError: if imageio-ffmpeg is not installed.
+    """
     try:
         import imageio_ffmpeg  # type: ignore[import-untyped]
     except ImportError as error:
         raise OSError("a film needs imageio-ffmpeg: pip install naosprint[film], or omit the film") from error
 
-    chosen = range(len(replay.positions)) if frames is None else frames
     writer = imageio_ffmpeg.write_frames(
         str(path),
-        (WIDTH_PX, HEIGHT_PX),
-        fps=round(1.0 / STEP_S),
+        size,
+        fps=rate,
         codec="libx264",
         quality=None,
         macro_block_size=2,
@@ -157,7 +172,7 @@ def write_mp4(replay: Replay, path: Path, *, frames: Sequence[int] | None = None
     )
     writer.send(None)
     try:
-        for picture in _pictures(replay, chosen):
+        for picture in pictures:
             writer.send(np.ascontiguousarray(picture))
     finally:
         writer.close()

@@ -24,17 +24,19 @@ from naosprint.matches.teams import write_example
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-REPORT = "report"
+REPORT, FILM = "report", "film"
 _TEAM_HELP = "'example', 'example:walk=POLICY,kick=POLICY,getup=POLICY', or a folder with team.json"
 
 
 def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
-    """Play a match, or report on logs if the first word is ``report``."""
+    """Play a match; report on logs if the first word is ``report``, film one if it is ``film``."""
     first, *others = options.teams
     if first == REPORT:
         return _report([Path(each) for each in others], as_json=options.json)
+    if first == FILM:
+        return _film([Path(each) for each in others], options.output or Path("match.mp4"), goals=options.goals)
     if len(others) != 1:
-        raise ValueError("match: name two teams, or 'report' and logs of games")
+        raise ValueError("match: name two teams, 'report' and logs of games, or 'film' and a log")
     if options.games < 1 or options.parallel < 1:
         raise ValueError("--games, --parallel: must be at least 1")
     settings = GameSettings(
@@ -42,7 +44,7 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
         half_s=options.seconds,
         limits=Limits(cpu_s=options.cpu_seconds, memory_mb=options.memory_mb),
     )
-    names, gate = (first, others[0]), Gate()
+    names, gate, output = (first, others[0]), Gate(), options.output or Path("match")
 
     def played(game: int, log: GameLog) -> None:
         sys.stderr.write(f"game {game}: {log.teams[0]} {log.goals[0]}:{log.goals[1]} {log.teams[1]}\n")
@@ -60,14 +62,14 @@ def play(options: argparse.Namespace, stop: Callable[[], bool]) -> int:
                 shown,
                 options.games,
                 settings,
-                options.output,
+                output,
                 parallel=options.parallel,
                 stop=stop,
                 played=played,
                 enough=lambda logs: options.gate and gate.verdict(_differences(logs)) is not Verdict.OPEN,
             )
         except MatchStoppedError:
-            sys.stderr.write(f"stopped; the games that are over are in {options.output}\n")
+            sys.stderr.write(f"stopped; the games that are over are in {output}\n")
             return 1
     _print(logs, as_json=options.json)
     if not options.gate:
@@ -102,6 +104,20 @@ def _report(paths: list[Path], *, as_json: bool) -> int:
     return 0
 
 
+def _film(paths: list[Path], output: Path, *, goals: bool) -> int:
+    from naosprint.matches.film import goal_frames, write_game_film
+
+    if len(paths) != 1:
+        raise ValueError(f"match film: name one log of a game ({log_name(1)})")
+    log = GameLog.load(paths[0])
+    frames = goal_frames(log) if goals else None
+    if frames == []:
+        raise ValueError(f"{paths[0]}: no goal was scored; leave out --goals to film the whole game")
+    write_game_film(log, output, frames=frames)
+    sys.stdout.write(f"{output}\n")
+    return 0
+
+
 def _print(logs: list[GameLog], *, as_json: bool) -> None:
     results = match_results(logs)
     sys.stdout.write((json.dumps(results, indent=2) if as_json else table(results)) + "\n")
@@ -117,15 +133,26 @@ def add_parsers(commands: Any, stop: Callable[[], Callable[[], bool]]) -> None:
     match = commands.add_parser(
         "match",
         help="let two teams play on rcssservermj",
-        description="Play games of two teams on real servers, with swapped sides, and print the results; or print "
-        "them again from logs: match report FOLDER.",
+        description="Play games of two teams on real servers, with swapped sides, and print the results; print "
+        "them again from logs: match report FOLDER; or film a game from its log: match film LOG -o match.mp4.",
     )
-    match.add_argument("teams", nargs="+", metavar="TEAM", help=f"two teams, each {_TEAM_HELP}; or 'report' and logs")
+    match.add_argument(
+        "teams",
+        nargs="+",
+        metavar="TEAM",
+        help=f"two teams, each {_TEAM_HELP}; or 'report' and logs, or 'film' and a log",
+    )
     match.add_argument("--games", type=int, default=2, help="number of games (default: 2)")
     match.add_argument("--players", type=int, default=3, help="players of each team, 1 to 7 (default: 3)")
     match.add_argument("--seconds", type=float, default=300.0, help="play time of a half (default: 300, at most 300)")
     match.add_argument("--parallel", type=int, default=1, metavar="N", help="games at a time (default: 1)")
-    match.add_argument("--output", type=Path, default=Path("match"), help="folder for the logs (default: match)")
+    match.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        help="folder for the logs (default: match); of a film its file (default: match.mp4)",
+    )
+    match.add_argument("--goals", action="store_true", help="film only what led to goals")
     match.add_argument("--cpu-seconds", type=int, default=Limits.cpu_s, help="processor time of an agent in a half")
     match.add_argument("--memory-mb", type=int, default=Limits.memory_mb, help="memory of an agent, MiB")
     match.add_argument(

@@ -43,6 +43,7 @@ def play_match(
     parallel: int = 1,
     stop: Callable[[], bool] = lambda: False,
     watch: Callable[[int, Moment], None] = lambda _game, _moment: None,
+    process: Callable[[int, GameLog], None] = lambda _game, _log: None,
     played: Callable[[int, GameLog], None] = lambda _game, _log: None,
     enough: Callable[[list[GameLog]], bool] = lambda _logs: False,
 ) -> list[GameLog]:
@@ -59,7 +60,8 @@ def play_match(
         parallel: games at a time.
         stop: whether to end; asked about once a second.
         watch: called with the number of a running game and what it looks like, about once a second.
-        played: called with number and log of each game that is over.
+        process: called with number and log of each game that was played, in a thread of its own, before it counts.
+        played: called one at a time with number and log of each game that is over.
         enough: called with the logs of the first games, without a gap, whenever there is one more; if it returns true,
             they are all that is returned, and no other game is played to its end.
 
@@ -75,7 +77,8 @@ def play_match(
 
     def play(game: int) -> GameLog:
         path = folder / log_name(game)
-        if not path.exists():
+        fresh = not path.exists()
+        if fresh:
             if stop():
                 raise MatchStoppedError
             log = play_game(teams, shown, (game - 1) % 2, settings, on_moment=lambda moment: look(game, moment))
@@ -83,6 +86,8 @@ def play_match(
                 log.save(Path(partial) / path.name)
                 (Path(partial) / path.name).replace(path)
         log = GameLog.load(path)  # with the digits of the file, so that a report has the same numbers
+        if fresh:
+            process(game, log)
         with lock:
             if ended.is_set():
                 raise MatchStoppedError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, BackgroundTasks, Depends, Path, Query, Request, Response
-from naojobs import matches, requests, teams
+from naojobs import league, matches, requests, teams
 from naojobs.errors import NotFoundError
 from naojobs.ids import PATTERN
 from naojobs.models import Match
@@ -14,6 +14,7 @@ from naojobs.tokens import Principal, Scope
 
 from naosprint_api import queries
 from naosprint_api.dependencies import (
+    MAX_BIGINT,
     CountedRoute,
     Cursor,
     IdempotencyKey,
@@ -31,6 +32,7 @@ from naosprint_api.routes.jobs import require_space
 from naosprint_api.schemas import (
     MatchCreate,
     MatchDetails,
+    MatchEventPublic,
     MatchPage,
     MatchPublic,
     StandingPublic,
@@ -46,6 +48,7 @@ _CONTROL: dict[int | str, dict[str, Any]] = {**_LIST, **responses(409)}
 _ARCHIVE = {"schema": {"type": "string", "format": "binary"}}
 
 MatchId = Annotated[str, Path(pattern=PATTERN, description="Id of the match.")]
+GameNumber = Annotated[int, Path(ge=1, le=matches.MAX_GAMES, description="Number of the game.")]
 Owner = Annotated[str | None, Query(max_length=200, pattern=PLAIN, description="Owner; others need scope admin.")]
 TeamName = Annotated[str, Path(pattern=POLICY, description="Name of the team.")]
 Administrator = Annotated[Principal, Depends(needs(Scope.ADMIN))]
@@ -118,7 +121,7 @@ def get_match(match_id: MatchId, principal: Reader, service: ServiceDep) -> Matc
 def get_game_log(
     request: Request,
     match_id: MatchId,
-    number: Annotated[int, Path(ge=1, le=matches.MAX_GAMES, description="Number of the game.")],
+    number: GameNumber,
     principal: Reader,
     service: ServiceDep,
     presigned: Presigned = False,
@@ -127,8 +130,43 @@ def get_game_log(
     queries.visible_match(service.reads, principal, match_id)
     game = queries.game(service.reads, match_id, number)
     manifest = StoreManifest.model_validate(game.manifest)
-    name = manifest.files[0].name
+    name = next(file.name for file in manifest.files if file.name.endswith(".npz"))
     return send_file(request, service.store, service.store_threads, game.key, manifest, name, presigned=presigned)
+
+
+@router.get("/matches/{match_id}/games/{number}/film", response_class=Response, responses=FILE)
+def get_game_film(
+    request: Request,
+    match_id: MatchId,
+    number: GameNumber,
+    principal: Reader,
+    service: ServiceDep,
+    presigned: Presigned = False,
+) -> Response:
+    """Download the film of a game (MP4)."""
+    queries.visible_match(service.reads, principal, match_id)
+    game = queries.game(service.reads, match_id, number)
+    manifest = StoreManifest.model_validate(game.manifest)
+    film = [file.name for file in manifest.files if file.name.endswith(".mp4")]
+    if not film:
+        raise NotFoundError(f"game {number} of match {match_id} has no film")
+    return send_file(request, service.store, service.store_threads, game.key, manifest, film[0], presigned=presigned)
+
+
+@router.get("/matches/{match_id}/events", responses=_LIST)
+def list_match_events(
+    match_id: MatchId,
+    principal: Reader,
+    service: ServiceDep,
+    limit: PageLimit = 200,
+    after: Annotated[
+        int | None, Query(ge=0, le=MAX_BIGINT, description="Id of an event; later ones are listed.")
+    ] = None,
+) -> list[MatchEventPublic]:
+    """List the history of a match and the lines of its log, oldest first."""
+    queries.visible_match(service.reads, principal, match_id)
+    rows = matches.events_of(service.reads, match_id, limit=limit, after=after)
+    return [MatchEventPublic.model_validate(row) for row in rows]
 
 
 @router.post("/matches/{match_id}/cancel", responses=_CONTROL)
@@ -160,7 +198,7 @@ def delete_match(match_id: MatchId, principal: Submitter, service: ServiceDep, b
 @router.get("/league", responses=_LIST)
 def get_league(principal: Reader, service: ServiceDep, owner: Owner = None) -> list[StandingPublic]:
     """Rank the teams by Elo over all games of one's own matches, or of all with scope admin."""
-    return [StandingPublic.model_validate(team) for team in matches.league(service.reads, _owner(principal, owner))]
+    return [StandingPublic.model_validate(team) for team in league.league(service.reads, _owner(principal, owner))]
 
 
 @router.get("/teams", responses=_LIST)

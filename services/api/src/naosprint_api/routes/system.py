@@ -111,9 +111,9 @@ def list_workers(
         str | None, Query(max_length=200, pattern=PLAIN, description="`next_cursor` of the previous page.")
     ] = None,
 ) -> WorkerPage:
-    """List the workers with their capabilities, and their leased jobs (one's own, unless the token is admin)."""
+    """List the workers with their capabilities, jobs and matches (one's own, unless the token is admin)."""
     if principal.job_id is not None:
         return WorkerPage(items=[], next_cursor=None)  # a link to a job shows no worker
     rows = registry.workers(service.reads, stale_s=service.settings.lease_s, limit=limit + 1, after=cursor)
-    mine = None if principal.is_admin else registry.leased_jobs_of(service.reads, principal.owner)
+    mine = None if principal.is_admin else registry.leased_of(service.reads, principal.owner)
     return WorkerPage.of([worker_view(worker, mine) for worker in rows], limit)

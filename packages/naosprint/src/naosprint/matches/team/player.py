@@ -3,14 +3,17 @@
     python player.py HOST PORT TEAM NUMBER [PLAYERS]
 
 Beside this file are the exported skills walk.npz, kick.npz and getup.npz and runner.py, which runs them. The player
-uses nothing but what its robot perceives. Everything is in metres, radians and seconds on the team's own field: the
-team plays in the direction of +x, whatever side it has.
+uses nothing but what its robot sees, feels and hears from teammates. Everything is in metres, radians and seconds on
+the team's own field: the team plays in the direction of +x, whatever side it has.
 """
 
+import base64
 import re
 import select
 import socket
+import struct
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -22,23 +25,27 @@ CIRCLE_M = 5.5  # nearer than this to the ball, the referee takes opponents of a
 HOMES = {
     1: (-25.0, 0.0),
     2: (-1.2, 0.0),
-    3: (-6.0, 4.0),
-    4: (-6.0, -4.0),
+    3: (-3.0, 3.0),
+    4: (-3.0, -3.0),
     5: (-10.0, 8.0),
     6: (-10.0, -8.0),
-    7: (-14.0, 0.0),
+    7: (-14.0, 1.5),
 }
 LYING_M, UPRIGHT = 0.45, 0.6  # height of the torso, upward part of its z axis
 KICK_AHEAD_M, KICK_ASIDE_M, KICK_AIM = (0.38, 0.85), 0.2, np.radians(25)
 KICK_CYCLES, STAND_CYCLES, SEARCH_S = 130, 15, 1.0
 BEHIND_M = 0.75  # where the striker goes before it turns to the ball
 LOOK_DOWN, LOOK_AHEAD = 0.6, 0.25  # pitch of the head
+TOUCHED = 200.0  # cost of touching the ball twice
+SAY_CYCLES, SAYS = 20, struct.Struct("<Bhhhhb")  # who, own place and that of the ball in cm, age of the latter in 0.1 s
+ROOM_M, WARNING_M = 0.9, 1.8  # how far from others the player walks, and from what distance on it makes a detour
 
 NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 JOINT = re.compile(rf"\(HJ \(n (\w+)\)\(ax {NUMBER}\)\(vx {NUMBER}\)\)")
 TORSO = re.compile(r"\(n torso_(?:quat|pos|gyro)\) ?\((?:q|p|rt) ([^)]*)\)")
 BALL = re.compile(rf"\(B \(pol {NUMBER} {NUMBER} {NUMBER}\)\)")
 ROBOT = re.compile(rf"\(P \(team ([^)]*)\) ?\(id (\d+)\) ?\(head \(pol {NUMBER} {NUMBER} {NUMBER}\)\)")
+HEARD = re.compile(r"\(-?\d+ ([A-Za-z0-9+/]{14}==)\)")
 GAME = re.compile(r"\(pm (\w+)\)(?:\(tl ([^)]*)\))?(?:\(tr ([^)]*)\))?")
 
 
@@ -58,6 +65,7 @@ class Memory:
     def __init__(self, team, number, camera):
         self.team, self.number, self.camera = team, number, camera
         self.side, self.now, self.ball_at, self.robots = 0, 0.0, -1e9, {}
+        self.sign = zlib.crc32(team.encode()) & 0xF0  # in the messages of the team, beside the number
         self.ball, self.seen, self.velocity, self.mode = np.zeros(2), None, np.zeros(2), "BeforeKickOff"
 
     def perceive(self, message, names):
@@ -81,6 +89,24 @@ class Memory:
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         self.rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
         self.see(message)
+        self.hear(message)
+
+    def hear(self, message):
+        """Note what teammates say of themselves, and of the ball if it was not seen here lately."""
+        for text in HEARD.findall(message):
+            who, x, y, ball_x, ball_y, age = SAYS.unpack(base64.b64decode(text))
+            if who & 0xF0 == self.sign and who & 0xF != self.number:
+                self.robots[True, who & 0xF] = (np.array([x, y]) / 100, self.now)
+                if 0 <= age / 10 < self.now - self.ball_at - 0.5:
+                    self.ball, self.ball_at = np.array([ball_x, ball_y]) / 100, self.now - age / 10
+                    self.velocity = np.zeros(2)
+
+    def say(self):
+        """Return the message to the teammates."""
+        age = min(127, round(10 * (self.now - self.ball_at)))
+        places = np.clip(np.rint(100 * np.concatenate([self.position[:2], self.ball])), -9999, 9999).astype(int)
+        data = SAYS.pack(self.sign | self.number, *map(int, places), age if age < 127 else -1)
+        return f"(SPK say 100 {base64.b64encode(data).decode()})"
 
     def see(self, message):
         """Note where ball and robots are."""
@@ -111,6 +137,10 @@ class Memory:
         """Return where teammates were seen lately, by number."""
         return {number: place for (own, number), (place, at) in self.robots.items() if own and self.now - at < age_s}
 
+    def others(self, age_s=1.0):
+        """Return where other robots of both teams are."""
+        return [place for place, at in self.robots.values() if self.now - at < age_s]
+
     @property
     def ours(self):
         """1 if a set piece is ours, -1 if it is theirs, 0 while the ball is in play."""
@@ -131,13 +161,16 @@ class Player:
         self.world = Memory(team, number, self.kick.camera_m)
         self.active, self.command, self.since, self.stood = self.walk, np.zeros(3), 0, 0
         self.rest, self.mode, self.taker, self.taken_at = 0, "", None, -1e9
-        self.settling = 0
+        self.settling, self.cycles = 0, 2 * number
 
     # --- what to do -----------------------------------------------------------------------------------------------
 
     def decide(self):
         """Return the text that answers the latest message."""
         world, beam = self.world, ""
+        self.cycles += 1
+        if self.players > 1 and self.cycles % SAY_CYCLES == 0:
+            beam = world.say()
         if world.mode != self.mode:
             self.note_set_piece()
             self.beams = 2 if world.mode in ("BeforeKickOff", "Goal_Left", "Goal_Right") else 0
@@ -145,7 +178,7 @@ class Player:
         if self.beams and world.now > 0.1:
             self.beams -= 1
             x, y = self.home()
-            beam = f"(beam {x:.2f} {world.side * y:.2f} 0)"
+            beam += f"(beam {x:.2f} {world.side * y:.2f} 0)"
             self.settling = int(self.walk.settling_cycles)
         if self.settling:
             self.settling -= 1
@@ -160,7 +193,7 @@ class Player:
                 self.rest = STAND_CYCLES
             elif self.since > 260:
                 self.change(self.getup)
-        elif lies and not beam:
+        elif lies and not self.beams:
             self.change(self.getup)
         elif self.active is self.kick and (self.kick.kicked or self.since > KICK_CYCLES):
             self.change(self.walk, after=self.kick)
@@ -196,7 +229,7 @@ class Player:
         """Return whether this player goes to the ball: the nearest does, the keeper only near its goal."""
         world = self.world
         own = self.cost(self.number, world.position[:2])
-        return all(own <= self.cost(number, place) for number, place in world.mates().items())
+        return own < TOUCHED and all(own <= self.cost(number, place) for number, place in world.mates().items())
 
     def cost(self, number, place):
         """Return how far a player of the team is from kicking the ball."""
@@ -207,7 +240,7 @@ class Player:
         if number == 1 and self.players > 1 and np.hypot(*(world.ball + GOAL)) > 9.0:
             cost += 100.0
         if number == self.taker and world.now - self.taken_at < 12.0:
-            cost += 50.0  # who takes a set piece must not be the next to touch the ball
+            cost += TOUCHED  # who takes a set piece must not be the next to touch the ball
         return cost
 
     def note_set_piece(self):
@@ -280,7 +313,7 @@ class Player:
         if self.number == 1 and self.players > 1:
             self.keep_goal()
             return
-        spread = (self.number - 0.5 * self.players) * 2.0
+        spread = -0.8 * self.home()[1]
         away = angle_of(-GOAL - world.ball)
         target = world.ball + (CIRCLE_M + 1.0) * turned(away) + spread * turned(away + np.pi / 2)
         if self.mode.startswith("KickOff"):
@@ -297,7 +330,7 @@ class Player:
     def go(self, target, heading=None, near=0.12, slowest=0.0):
         """Walk to a point: turned ahead from afar, and near it in any direction with the given heading."""
         world = self.world
-        way = target - world.position[:2]
+        way = self.around(target - world.position[:2])
         distance = np.hypot(*way)
         bearing = wrapped(angle_of(way) - world.yaw)
         if distance < near and heading is not None and abs(wrapped(heading - world.yaw)) < 0.3:
@@ -309,6 +342,20 @@ class Player:
             ahead, aside = self.along(world.yaw, way)
             turn = np.clip(1.5 * wrapped(heading - world.yaw), -1.0, 1.0)
             self.command = np.array([np.clip(1.2 * ahead, slowest, 0.9), np.clip(1.2 * aside, -0.45, 0.45), turn])
+
+    def around(self, way):
+        """Return a way that passes by the first robot that stands in it."""
+        reach, course = np.hypot(*way), angle_of(way)
+        blocks = []
+        for place in self.world.others():
+            ahead, aside = self.along(course, place - self.world.position[:2])
+            if 0.0 < ahead < min(WARNING_M, reach) and abs(aside) < ROOM_M:
+                blocks.append((ahead, aside))
+        if not blocks or reach < 0.8:
+            return way
+        ahead, aside = min(blocks)
+        past = aside - np.copysign(ROOM_M, aside)  # on the shorter side of it
+        return max(ahead, 0.5) * turned(course) + past * turned(course + np.pi / 2)
 
     @staticmethod
     def along(heading, way):

@@ -1,7 +1,8 @@
 /** Watch a game of a match: a running one as it is now, or one that is over from its log. */
 
 import { request } from "../api.js";
-import { fill, h, setText } from "../dom.js";
+import { fill, h, icon, setText } from "../dom.js";
+import { bytes } from "../format.js";
 import { FRAME_S, GameLog } from "../game-log.js";
 import { Pitch } from "../pitch.js";
 import { loading, notice } from "./messages.js";
@@ -98,5 +99,36 @@ export class GameReplay {
   destroy() {
     this.gone = true;
     this.playback?.destroy();
+  }
+}
+
+/** The film of a game, which is loaded when it is to be played. */
+export class GameFilm {
+  constructor(box, file, signal) {
+    const load = async () => {
+      button.disabled = true;
+      try {
+        const answer = await request(file.url, { signal, headers: { Accept: "*/*" } });
+        const blob = new Blob([await answer.arrayBuffer()], { type: "video/mp4" });
+        if (this.gone) return;
+        this.address = URL.createObjectURL(blob);
+        fill(box, h("video", { class: "film", controls: true, autoplay: true, muted: true, src: this.address }));
+      } catch (error) {
+        if (error.name !== "AbortError" && !this.gone)
+          fill(box, h("div", { class: "pad" }, notice("error", "The film could not be loaded.", error.message)));
+      }
+    };
+    const button = h(
+      "button",
+      { "data-action": "film", onclick: load },
+      icon("play"),
+      `Play the film, ${bytes(file.size)}`,
+    );
+    fill(box, h("div", { class: "replay-bar" }, button));
+  }
+
+  destroy() {
+    this.gone = true;
+    if (this.address) URL.revokeObjectURL(this.address);
   }
 }

@@ -4,33 +4,7 @@ import { call } from "../api.js";
 import { fill, h, toast } from "../dom.js";
 import { integer, stamp } from "../format.js";
 import { isEnded } from "../states.js";
-
-/** Show a modal dialog; it is removed when it closes. */
-function open(title, ...parts) {
-  const dialog = h(
-    "dialog",
-    { class: "modal", "aria-labelledby": "dialog-title" },
-    h("h2", { id: "dialog-title" }, title),
-    parts,
-  );
-  dialog.addEventListener("close", () => dialog.remove());
-  document.body.append(dialog);
-  dialog.showModal();
-  return dialog;
-}
-
-const field = (label, input, hint) =>
-  h("div", { class: "field" }, h("label", { for: input.id }, label), input, hint && h("p", { class: "hint" }, hint));
-
-/** Show what is wrong with a form. */
-const complain = (box, error) =>
-  fill(box, [...(error.fields ?? [])].map(([key, text]) => `${key}: ${text}`).join("; ") || error.message);
-
-const separated = (text) =>
-  text
-    .split(",")
-    .map((part) => part.trim())
-    .filter(Boolean);
+import { complain, field, open, separated } from "./dialog.js";
 
 /** Ask for a name and register a checkpoint as the next version of a policy. */
 export function registerCheckpoint(job, checkpoint) {

@@ -1,9 +1,10 @@
 /** The league: teams by Elo over all games, and the matches. */
 
-import { call } from "../api.js";
-import { fill, h, heading, scroller, table } from "../dom.js";
+import { call, may } from "../api.js";
+import { fill, h, heading, icon, scroller, table } from "../dom.js";
 import { ago, fixed, stamp } from "../format.js";
 import { stateBadge, stateNote } from "../states.js";
+import { newMatch } from "./match-new.js";
 import { loading, refreshed } from "./messages.js";
 
 const REFRESH_MS = 10_000;
@@ -57,7 +58,10 @@ const card = (title, headings, texts, rows) =>
 export async function mount(root, { signal }) {
   document.title = "League · naosprint";
   const box = h("div", { class: "stack" }, loading("Loading the league"));
-  fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "League")), box);
+  const add = may("submit")
+    ? h("button", { class: "primary", onclick: () => newMatch(signal) }, icon("plus"), "New match")
+    : null;
+  fill(root, h("div", { class: "page-head" }, h("h1", { class: "grow" }, "League"), add), box);
   const read = async () => {
     const [teams, { items }] = await Promise.all([call("league", { signal }), call("matches?limit=200", { signal })]);
     if (!items.length) return h("div", { class: "card" }, NONE);

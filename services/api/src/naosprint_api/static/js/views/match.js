@@ -5,7 +5,8 @@ import { descriptions } from "../descriptions.js";
 import { fill, h, heading, icon, scroller, table, toast } from "../dom.js";
 import { bytes, stamp } from "../format.js";
 import { isEnded, stateBadge, stateNote } from "../states.js";
-import { GameReplay, LiveGame } from "./game.js";
+import { GameFilm, GameReplay, LiveGame } from "./game.js";
+import { MatchHistory } from "./match-history.js";
 import { loading, notice, problem } from "./messages.js";
 
 const REFRESH_MS = 1000;
@@ -32,6 +33,22 @@ function results(match) {
   );
 }
 
+/** A button that downloads the log or the film of a game. */
+function file(game, kind) {
+  const found = game[kind];
+  if (!found) return h("span", { class: "muted" }, "none");
+  return h(
+    "button",
+    {
+      class: "small",
+      "aria-label": `Download the ${kind} of game ${game.number}, ${bytes(found.size)}`,
+      onclick: () => download(found.url, found.name).catch((error) => toast(error.message, "error")),
+    },
+    icon("download"),
+    bytes(found.size),
+  );
+}
+
 function games(match, shown) {
   if (!match.finished.length) return null;
   const row = (game) =>
@@ -46,22 +63,10 @@ function games(match, shown) {
         game.lost.map((each) => h("div", null, `${match.teams[each.team]} ${each.number}: ${each.reason}`)),
       ),
       h("td", { class: "num", title: stamp(game.finished_at) }, stamp(game.finished_at)),
-      h(
-        "td",
-        { class: "num" },
-        h(
-          "button",
-          {
-            class: "small",
-            "aria-label": `Download the log of game ${game.number}, ${bytes(game.log.size)}`,
-            onclick: () => download(game.log.url, game.log.name).catch((error) => toast(error.message, "error")),
-          },
-          icon("download"),
-          bytes(game.log.size),
-        ),
-      ),
+      h("td", { class: "num" }, file(game, "log")),
+      h("td", { class: "num" }, file(game, "film")),
     );
-  const headings = ["Game", "Goals", "Lost players", "Ended", "Log"];
+  const headings = ["Game", "Goals", "Lost players", "Ended", "Log", "Film"];
   return card(
     "Games",
     scroller(
@@ -80,11 +85,14 @@ export async function mount(root, { id, sub, signal }) {
   const head = h("div", { class: "page-head" }, loading("Loading the match"));
   const running = h("section", { class: "card", hidden: true });
   const replay = h("section", { class: "card", hidden: true });
+  const film = h("section", { class: "card", hidden: true });
   const details = h("div", { class: "stack" });
-  fill(root, head, h("div", { class: "stack" }, running, replay, details));
+  const history = new MatchHistory(id, signal);
+  fill(root, head, h("div", { class: "stack" }, running, replay, film, details, history.element));
   const known = await descriptions();
   let live = null;
   let recording = null;
+  let playing = null;
   let watched = Number(sub) || null;
   let shown = "";
 
@@ -127,7 +135,9 @@ export async function mount(root, { id, sub, signal }) {
   function watch(match) {
     const game = match.finished.find((each) => each.number === watched);
     if (game && !recording) recording = new GameReplay(replay, game.log.url, known.field(ROBOT), signal);
+    if (game?.film && !playing) playing = new GameFilm(film, game.film, signal);
     replay.hidden = !game;
+    film.hidden = !game?.film;
     running.hidden = !match.live || Boolean(game);
     if (running.hidden) return;
     live ??= new LiveGame(running, match.teams, known.field(ROBOT));
@@ -137,6 +147,7 @@ export async function mount(root, { id, sub, signal }) {
   async function draw() {
     try {
       const match = await call(`matches/${id}`, { signal });
+      await history.refresh();
       watch(match);
       const text = JSON.stringify({ ...match, live: null, watched });
       if (text !== shown) paint(match);
@@ -162,7 +173,8 @@ export async function mount(root, { id, sub, signal }) {
     update(where) {
       if (where.id !== id) return false;
       recording?.destroy();
-      recording = null;
+      playing?.destroy();
+      recording = playing = null;
       watched = Number(where.sub) || null;
       draw();
       return true;
@@ -170,6 +182,7 @@ export async function mount(root, { id, sub, signal }) {
     destroy() {
       clearInterval(timer);
       recording?.destroy();
+      playing?.destroy();
     },
   };
 }

@@ -6,7 +6,7 @@ import { ago, bytes, duration, stamp } from "../format.js";
 import { loading, refreshed } from "./messages.js";
 
 const REFRESH_MS = 10_000;
-const HEADINGS = ["Worker", "State", "Simulators", "Robots", "Jobs", "Version", "Free disk", "Up for", "Last seen"];
+const HEADINGS = ["Worker", "State", "Queues", "Robots", "Works on", "Version", "Free disk", "Up for", "Last seen"];
 
 const NONE = h(
   "div",
@@ -50,8 +50,11 @@ const row = (w) =>
     h(
       "td",
       null,
-      w.jobs.length
-        ? w.jobs.map((id) => h("div", null, h("a", { class: "mono", href: `#/jobs/${id}` }, id)))
+      w.jobs.length + w.matches.length
+        ? [
+            ...w.jobs.map((id) => h("div", null, h("a", { class: "mono", href: `#/jobs/${id}` }, id))),
+            ...w.matches.map((id) => h("div", null, h("a", { class: "mono", href: `#/matches/${id}` }, id))),
+          ]
         : h("span", { class: "muted" }, "nothing"),
     ),
     h("td", { class: "mono" }, w.version),
